@@ -1,0 +1,66 @@
+"""Bad input: one sentence where the value is known, NaN where it is traced."""
+
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+
+def concrete(*values: Any) -> bool:
+    """Whether every leaf is a value, not a tracer."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+
+
+def refuse(name: str, must: str, was: Any) -> NoReturn:
+    """Raise the one sentence that every refusal has."""
+    raise ValueError(f"Argument `{name}` must {must}, but {was}.")
+
+
+def real(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+    """`value` as a float array of the natural `shape`, or with one batch axis in front.
+
+    A length of -1 in `shape` stands for any length.
+    """
+    wanted = str(shape).replace("-1", "n")
+    kind = f"be a real array of shape {wanted}" if shape else "be a real number"
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        refuse(name, kind, f"is {value!r}")
+    if array.dtype == bool or not (
+        jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
+    ):
+        refuse(name, kind, f"has dtype {array.dtype}")
+    if array.ndim not in (len(shape), len(shape) + 1) or any(
+        length not in (-1, got)
+        for length, got in zip(reversed(shape), reversed(array.shape), strict=False)
+    ):
+        refuse(name, f"have shape {wanted}, or one batch axis in front", f"has shape {array.shape}")
+    return array.astype(jnp.result_type(float))
+
+
+def where_valid(
+    name: str, value: Float[Array, "*s"], valid: Bool[Array, "..."], must: str
+) -> Float[Array, "*s"]:
+    """`value` where `valid` (which broadcasts from the left); else refuse it, or NaN if traced."""
+    valid = jnp.reshape(valid, valid.shape + (1,) * (value.ndim - valid.ndim))
+    if concrete(value, valid):
+        if not np.all(valid):
+            bad = np.asarray(value)[~np.broadcast_to(np.asarray(valid), value.shape)]
+            refuse(name, must, f"is {bad.flat[0]}" if value.ndim == 0 else f"has {_some(bad)}")
+        return value
+    return jnp.where(valid, value, jnp.nan)
+
+
+def _some(values: np.ndarray) -> str:
+    shown = ", ".join(f"{v:g}" for v in values.flat[:3])
+    return shown + (f" and {values.size - 3} more" if values.size > 3 else "")
+
+
+def finite(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+    """A real array without NaN or inf."""
+    array = real(name, value, shape)
+    return where_valid(name, array, jnp.isfinite(array), "be finite")

@@ -1,0 +1,47 @@
+"""Vectors and 3×3 matrices with their components on the leading axes.
+
+Whatever trails (lanes) broadcasts, so one line of physics serves a single top and a block of
+tops. Written out in components: XLA fuses these, and batched library calls on 3×3 do not.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, "*#lanes"]
+Vec = Float[Array, "3 *#lanes"]
+Mat = Float[Array, "3 3 *#lanes"]
+
+
+def scale(s: Scalar, a: Vec) -> Vec:
+    """Product s a."""
+    return jnp.stack([s * a[0], s * a[1], s * a[2]])
+
+
+def dot(a: Vec, b: Vec) -> Scalar:
+    """a·b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    """a×b."""
+    return jnp.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def matvec(m: Mat, a: Vec) -> Vec:
+    """Product m a."""
+    return jnp.stack([dot(m[0], a), dot(m[1], a), dot(m[2], a)])
+
+
+def solve(m: Mat, b: Vec) -> Vec:
+    """Solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
+    r0, r1, r2 = cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])
+    det = dot(m[0], r0)
+    return jnp.stack([(r0[i] * b[0] + r1[i] * b[1] + r2[i] * b[2]) / det for i in range(3)])
+
+
+def inverse(m: Mat) -> Mat:
+    """The inverse of m."""
+    rows = jnp.stack([cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])])
+    return jnp.swapaxes(rows, 0, 1) / dot(m[0], rows[0])[None, None]

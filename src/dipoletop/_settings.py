@@ -1,0 +1,43 @@
+"""Tolerances and budgets: what they must be, and what `None` means."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._checks import concrete, real, refuse
+
+MAX_STEPS = 50_000
+
+
+def tolerance(name: str, value: Any) -> Float[Array, ""]:
+    """A relative tolerance that the floating-point type in use can meet."""
+    array = real(name, value)
+    least = 20 * float(jnp.finfo(array.dtype).eps)
+    if concrete(array) and not (array.ndim == 0 and least <= float(array) < 1):
+        hint = ""
+        if array.dtype == np.float32:
+            hint = ' (float64 is off; jax.config.update("jax_enable_x64", True) switches it on)'
+        shown = f"{float(array):g}" if array.ndim == 0 else f"of shape {array.shape}"
+        refuse(name, f"lie between {least:.1e} and 1 in {array.dtype}", f"is {shown}{hint}")
+    return array
+
+
+def absolute(atol: Any, rtol: Float[Array, ""], start: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
+    """`atol`, or rtol·|ω₀| for None: an absolute tolerance means nothing unless it scales."""
+    size = jnp.sqrt(jnp.sum(start**2, axis=0))
+    if atol is None:
+        # A start at rest stays there; any positive tolerance will do for it.
+        return rtol * jnp.where(size > 0, size, 1.0)
+    array = real("atol", atol)
+    if concrete(array) and not bool(jnp.all(array >= 0)):
+        refuse("atol", "be a real number ≥ 0, or None", f"is {atol}")
+    return jnp.broadcast_to(array, size.shape)
+
+
+def budget(name: str, value: Any) -> int:
+    """A whole number of steps."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        refuse(name, "be a positive whole number", f"is {value!r}")
+    return int(value)

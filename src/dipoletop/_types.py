@@ -1,0 +1,82 @@
+"""Words that every module shares: outcomes, the ways of stopping, and a verdict."""
+
+import enum
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from jaxtyping import Array, Bool, Float, Int
+
+Real = Float[Array, "*lanes"]
+"""One real number for each lane; no lane axis for a single top."""
+Vector = Float[Array, "3 *lanes"]
+"""Three body-frame components on axis 0, lanes (if any) behind."""
+State = Float[Array, "n *lanes"]
+"""The state of an equation: components on axis 0, lanes (if any) behind."""
+
+
+class Outcome(enum.IntEnum):
+    """How a run ended."""
+
+    FAILED = -1
+    """Not a number, a step size underflow, or a runaway: no statement about the top."""
+    UNDECIDED = 0
+    """The budget of steps ran out before the outcome was certain."""
+    RESIDUAL = 1
+    """ω tends to ω∞ ≠ 0 along the dipole."""
+    STOP = 2
+    """ω tends to 0."""
+
+
+class Stop(enum.IntEnum):
+    """In which way a top stops; NONE for every other outcome."""
+
+    NONE = 0
+    AXIS = 1
+    """Spin about a fixed axis that decays by itself (or no rotation at all)."""
+    ROTATING = 2
+    """The angular velocity keeps turning about the symmetry axis while it decays."""
+    WOBBLING = 3
+    """The angular velocity swings about the axis across the dipole while it decays."""
+    TUMBLING = 4
+    """Free rotation of a general body whose energy and angular momentum decay."""
+
+
+class Verdict(NamedTuple):
+    """What an equation says of a state: is its fate certain, and what is it?
+
+    Every field has one value for each lane.
+    """
+
+    outcome: Int[Array, "*lanes"]
+    """`Outcome.UNDECIDED` while the state does not decide."""
+    omega_inf: Real
+    """Residual angular velocity, signed, along the dipole; 0 for STOP, NaN if undecided."""
+    certified: Bool[Array, "*lanes"]
+    """Whether the region that was entered is proven to decide."""
+    stop: Int[Array, "*lanes"] | int = 0
+    """A member of `Stop`."""
+    error: Real | float = 0.0
+    """Estimated error of `omega_inf`, relative to it."""
+
+
+class Equation(Protocol):
+    """What the library asks of a first-order equation of motion, yours included.
+
+    Make it an `equinox.Module` whose array fields are its parameters. `verdict` is needed
+    only by runs that are to end at an outcome.
+    """
+
+    def __call__(self, t: Any, y: State, args: Any = None) -> State:
+        """The right-hand side dy/dτ."""
+        ...
+
+    def lift(self, omega0: Vector) -> State:
+        """The state that starts at the angular velocity `omega0`."""
+        ...
+
+    def omega(self, y: State) -> Vector:
+        """The angular velocity of a state, in body axes."""
+        ...
+
+
+Judge = Callable[[State], Verdict]

@@ -1,0 +1,55 @@
+"""All cores and all devices: one thread for each, with its own dispatch."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import TypeVar
+
+import jax
+
+T = TypeVar("T")
+
+
+def workers(devices: Sequence[jax.Device] | None = None) -> list[jax.Device]:
+    """The devices to use, each as often as threads shall feed it.
+
+    An accelerator is fed by one thread. A processor runs a small program on one core, so its
+    devices get as many threads as the process may use cores.
+    """
+    devices = jax.devices() if devices is None else list(devices)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    hosts = [device for device in devices if device.platform == "cpu"]
+    others = [device for device in devices if device.platform != "cpu"]
+    threads = max(len(hosts), cores or 1) if hosts else 0
+    return others + [hosts[i % len(hosts)] for i in range(threads)]
+
+
+def in_parallel(
+    task: Callable[[int], T], jobs: Iterable[int], devices: Sequence[jax.Device]
+) -> Iterator[tuple[int, T]]:
+    """(job, task(job)) as they are done; two jobs wait for each worker, so memory is bounded."""
+    free = list(devices)
+
+    def run(job: int) -> tuple[int, T]:
+        device = free.pop()  # list.pop and append are atomic
+        try:
+            with jax.default_device(device):
+                return job, task(job)
+        finally:
+            free.append(device)
+
+    jobs = iter(jobs)
+    with ThreadPoolExecutor(len(devices)) as pool:
+        pending: set[Future[tuple[int, T]]] = set()
+        try:
+            while True:
+                while len(pending) < 2 * len(devices) and (job := next(jobs, None)) is not None:
+                    pending.add(pool.submit(run, job))
+                if not pending:
+                    return
+                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        finally:
+            for future in pending:
+                future.cancel()

@@ -1,0 +1,165 @@
+"""Any rigid body, any dipole: the full equation of motion and its reductions.
+
+The equation of motion (3.3) is IΩ̇ + N = T(Ω, Ω̇, Ω̈) with N = Ω×IΩ and T the radiation torque.
+The levels differ in what they put for Ω̇ and Ω̈ in T.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._linalg import dot, inverse, matvec, scale, solve
+from .._types import Vector
+from ..bodies import Body
+from ..radiation import gyroscopic_torque, radiation_torque
+from .transverse import check_order
+
+
+def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
+    """Ω̇ and Ω̈ of free rotation: Ω̇ = −I⁻¹N, Ω̈ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (below (3.3))."""
+
+    def rate(w: Vector) -> Vector:
+        return -matvec(inverse(body.inertia), gyroscopic_torque(body, w))
+
+    first = rate(omega)
+    return first, jax.jvp(rate, (omega,), (first,))[1]
+
+
+class Reduced(eqx.Module):
+    """Reduced equation of order m: IΩ̇ = −N + T(Ω, F, DF·F), F the rates of order m − 1.
+
+    Order 0 is free rotation. Order 1 is the paper's (3.4). The sequence is the asymptotic
+    expansion of the physical branch of the full equation. For an axisymmetric body whose dipole
+    lies across the axis, `TransverseReduced` is the same equation, faster and better judged.
+
+    Args:
+        body: inertia tensor and dipole, dimensionless.
+        order: 1 … 4; each costs about four times the one before.
+
+    Raises:
+        ValueError: an order that is not 1, 2, 3 or 4.
+    """
+
+    body: Body
+    order: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        check_order(self.order)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dΩ/dτ, shape (3,) or (3, B)."""
+        body = self.body
+        if self.order == 1:
+            rate, second = free_rotation(body, y)
+        else:
+            lower = Reduced(body, self.order - 1)
+            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
+        torque = radiation_torque(body, y, rate, second) - gyroscopic_torque(body, y)
+        return matvec(inverse(body.inertia), torque)
+
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is Ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is Ω itself."""
+        return y
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "reduced, order 1 (the paper's)" if self.order == 1 else f"reduced, order {self.order}"
+
+
+class SemiReduced(eqx.Module):
+    """Semi-reduced equation: {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = −N + d×(d×(Ω²Ω − Ω̈)), Ω̈ of (3.4).
+
+    Only Ω̈ is replaced, by that of free rotation; Ω̇ stays where it is, a 3×3 solve. There are
+    no runaways, and residual rotation has no spurious threshold.
+
+    Args:
+        body: inertia tensor and dipole, dimensionless.
+    """
+
+    body: Body
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dΩ/dτ, shape (3,) or (3, B)."""
+        body = self.body
+        _, second = free_rotation(body, y)
+        known = radiation_torque(body, y, jnp.zeros_like(y), second)
+
+        def column(i: int) -> Vector:  # the torque is linear in Ω̇
+            unit = jnp.zeros_like(y).at[i].set(1.0)
+            return matvec(body.inertia, unit) - (radiation_torque(body, y, unit, second) - known)
+
+        matrix = jnp.stack([column(i) for i in range(3)], axis=1)
+        return solve(matrix, known - gyroscopic_torque(body, y))
+
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is Ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is Ω itself."""
+        return y
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "semi-reduced"
+
+
+class Full(eqx.Module):
+    """Full equation (3.3), IΩ̇ + N = T(Ω, Ω̇, Ω̈), state (Ω, a) with a = PΩ̇, P = 1 − nnᵀ.
+
+        Ω̇ = a + s n,   s = −[n·N + n·(I a)]/(n·I n)   (no torque along the dipole d = |d| n)
+        ȧ = PΩ̈ = [IΩ̇ + N − T(Ω, Ω̇, 0)]/|d|²
+
+    Physical motions lie on a slow manifold that repels forwards in time; this is the vector
+    field, and a run started off that manifold runs away.
+
+    Args:
+        body: inertia tensor and dipole, dimensionless.
+    """
+
+    body: Body
+
+    def __call__(
+        self, t: Any, y: Float[Array, "6 *lanes"], args: Any = None
+    ) -> Float[Array, "6 *lanes"]:
+        """d(Ω, a)/dτ, shape (6,) or (6, B)."""
+        body, omega = self.body, y[:3]
+        rate = self.omega_dot(y)
+        torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
+        lack = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
+        square = dot(body.dipole, body.dipole)
+        return jnp.concatenate([rate, self._across(scale(1 / square, lack))])
+
+    def omega_dot(self, y: Float[Array, "6 *lanes"]) -> Vector:
+        """Ω̇ of a state, shape (3,) or (3, B)."""
+        body, omega, a = self.body, y[:3], y[3:]
+        lever = matvec(body.inertia, body.dipole)  # I is symmetric
+        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(lever, a)
+        return a - scale(along / dot(lever, body.dipole), body.dipole)
+
+    def _across(self, v: Vector) -> Vector:
+        d = self.body.dipole
+        return v - scale(dot(d, v) / dot(d, d), d)
+
+    def lift(self, omega0: Vector) -> Float[Array, "6 *lanes"]:
+        """Onto the physical branch as the reduction of order 3 has it."""
+        rate = Reduced(self.body, 3)(0.0, omega0)
+        return jnp.concatenate([omega0, self._across(rate)])
+
+    def omega(self, y: Float[Array, "6 *lanes"]) -> Vector:
+        """The first three components."""
+        return y[:3]
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "full"

@@ -1,0 +1,341 @@
+"""Axisymmetric top with a transverse dipole (section 4 of the paper): closed forms.
+
+Dimensionless: I₁ = I₂ = 1, I₃ = 1 − δ, the dipole along axis 1, k d² = 1. The balance of
+torques, with ω₁′ = δ ω₂ω₃ exact at every level, is
+
+    ω₂′        = ω₂″ − δω₁ω₃ − ω²ω₂ − ω₁′ω₃ − 2ω₁ω₃′
+    (1−δ)ω₃′   = ω₃″ − ω²ω₃ + ω₁′ω₂ + 2ω₁ω₂′
+
+and the levels differ in what they put for ω′ and ω″ on the right.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import real, refuse, where_valid
+from .._types import Real, Vector, Verdict
+from ..bodies import Body, axisymmetric
+from . import _regions
+
+
+def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
+    """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
+    array = real("delta", delta)
+    return where_valid("delta", array, (array >= -1) & (array < 1), "lie in [-1, 1)")
+
+
+def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
+    """ω′ from the balance of torques, with ω′ and ω″ on its right given."""
+    w1, w2, w3 = w
+    p1, p2, p3 = rate
+    square = w1**2 + w2**2 + w3**2
+    return jnp.stack(
+        [
+            delta * w2 * w3,
+            second[1] - delta * w1 * w3 - square * w2 - p1 * w3 - 2 * w1 * p3,
+            (second[2] - square * w3 + p1 * w2 + 2 * w1 * p2) / (1 - delta),
+        ]
+    )
+
+
+class TransverseReduced(eqx.Module):
+    """Reduced equation (4.2)–(4.4): ω₁′ = δω₂ω₃, ω₂′ = −δω₁ω₃ − {ω² + δ(1+δ)ω₃²}ω₂, ….
+
+    Order 1 is the paper's. Order m puts the rates of order m − 1 into the balance of torques:
+    the asymptotic expansion of the physical branch of the full equation.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+        order: 1 … 4.
+
+    Raises:
+        ValueError: δ outside [−1, 1), or an order that is not 1, 2, 3 or 4.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> equation = dt.TransverseReduced(delta=-0.2)
+        >>> equation(0.0, jnp.array([0.1, 0.0, 0.0]))  # the residual line is at rest
+        Array([0., 0., 0.], dtype=float64)
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+    order: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        check_order(self.order)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dω/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        if self.order > 1:
+            lower = TransverseReduced(d, self.order - 1)
+            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
+            return _balance(d, y, rate, second)
+        w1, w2, w3 = y
+        square = w1**2 + w2**2 + w3**2
+        return jnp.stack(
+            [
+                d * w2 * w3,
+                -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2,
+                -(square + d * (2 * w1**2 - w2**2)) * w3 / (1 - d),
+            ]
+        )
+
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
+
+    def verdict(self, y: Vector) -> Verdict:
+        """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
+        if self.order == 1:
+            return _regions.first_order(self.delta, y)
+        return _regions.higher_order(self.delta, y)
+
+    @property
+    def body(self) -> Body:
+        """The top this equation moves, for energies and powers."""
+        return axisymmetric(self.delta)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "reduced, order 1 (the paper's)" if self.order == 1 else f"reduced, order {self.order}"
+
+
+def check_order(order: Any) -> None:
+    """Orders beyond 4 cost about four times more each and the series diverges."""
+    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 4:
+        refuse("order", "be 1, 2, 3 or 4", f"is {order!r}")
+
+
+class TransverseSemi(eqx.Module):
+    """Semi-reduced equation: only ω″ is replaced, by that of free precession.
+
+        [[1, 2ω₁], [−2ω₁, 1−δ]] (ω₂′, ω₃′)ᵀ
+            = (−δω₁ω₃ − ω²ω₂ − δ(1+δ)ω₂ω₃², −ω²ω₃ + δω₂²ω₃)ᵀ,   ω₁′ = δω₂ω₃.
+
+    It has no runaways, and no spurious threshold at δ = −1/2.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dω/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w1, w2, w3 = y
+        square = w1**2 + w2**2 + w3**2
+        r2 = -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2
+        r3 = (d * w2**2 - square) * w3
+        determinant = 1 - d + 4 * w1**2
+        p2 = ((1 - d) * r2 - 2 * w1 * r3) / determinant
+        p3 = (r3 + 2 * w1 * r2) / determinant
+        return jnp.stack([d * w2 * w3, p2, p3])
+
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
+
+    def verdict(self, y: Vector) -> Verdict:
+        """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
+        return _regions.semi_reduced(self.delta, y)
+
+    @property
+    def body(self) -> Body:
+        """The top this equation moves, for energies and powers."""
+        return axisymmetric(self.delta)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "semi-reduced"
+
+
+class TransverseFull(eqx.Module):
+    """Full equation: the balance of torques itself, state (ω₁, ω₂, ω₃, ω₂′, ω₃′).
+
+    Physical motions lie on a slow manifold that repels forwards in time (runaway rates 1 and
+    1 − δ); this is the vector field.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(
+        self, t: Any, y: Float[Array, "5 *lanes"], args: Any = None
+    ) -> Float[Array, "5 *lanes"]:
+        """dy/dτ, shape (5,) or (5, B)."""
+        w, p2, p3 = y[:3], y[3], y[4]
+        zero = jnp.zeros_like(w)
+        rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
+        balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
+        return jnp.stack(
+            [rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])]
+        )
+
+    def lift(self, omega0: Vector) -> Float[Array, "5 *lanes"]:
+        """Onto the physical branch as the reduction of order 3 has it: error O(ω⁹) at most."""
+        rate = TransverseReduced(self.delta, 3)(0.0, omega0)
+        return jnp.concatenate([omega0, rate[1:]])
+
+    def omega(self, y: Float[Array, "5 *lanes"]) -> Vector:
+        """The first three components."""
+        return y[:3]
+
+    @property
+    def body(self) -> Body:
+        """The top this equation moves, for energies and powers."""
+        return axisymmetric(self.delta)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "full"
+
+
+class TransverseCylindrical(eqx.Module):
+    """Order 1 in cylindrical variables (4.9)–(4.11), state (ω⊥, ω₃, φ).
+
+        ω⊥′ = −(ω⊥² + Mω₃²) ω⊥ sin²φ
+        ω₃′ = −{ω² + δ(2cos²φ − sin²φ)ω⊥²} ω₃/(1−δ)
+        φ′  = −δω₃ − (ω⊥² + Mω₃²) sin φ cos φ,        M = 1 + δ + δ²
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w, w3, phi = y
+        sin, cos = jnp.sin(phi), jnp.cos(phi)
+        drag = w**2 + (1 + d + d**2) * w3**2
+        axial = w**2 + w3**2 + d * (2 * cos**2 - sin**2) * w**2
+        return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
+
+    def lift(self, omega0: Vector) -> Vector:
+        """(ω⊥, ω₃, φ) of a Cartesian start."""
+        return _to_cylindrical(omega0)
+
+    def omega(self, y: Vector) -> Vector:
+        """Back to Cartesian components."""
+        return cylindrical(y[0], y[1], y[2])
+
+    def verdict(self, y: Vector) -> Verdict:
+        """As order 1 in Cartesian components."""
+        return _regions.first_order(self.delta, self.omega(y))
+
+    @property
+    def body(self) -> Body:
+        """The top this equation moves, for energies and powers."""
+        return axisymmetric(self.delta)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "reduced, order 1 (the paper's)"
+
+
+class TransverseAveraged(eqx.Module):
+    """Order 1 averaged over the precession angle (4.13)–(4.15), state (ω⊥, ω₃, φ̄).
+
+        ω⊥′ = −½(ω⊥² + Mω₃²) ω⊥,   ω₃′ = −{(1 + δ/2)ω⊥² + ω₃²} ω₃/(1−δ),   φ̄′ = −δω₃
+
+    Its solutions always stop, so it has no verdict: it cannot show a residual rotation.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ̄)/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w, w3, _ = y
+        return jnp.stack(
+            [
+                -(w**2 + (1 + d + d**2) * w3**2) * w / 2,
+                -((1 + d / 2) * w**2 + w3**2) * w3 / (1 - d),
+                -d * w3,
+            ]
+        )
+
+    def lift(self, omega0: Vector) -> Vector:
+        """(ω⊥, ω₃, φ) of a Cartesian start."""
+        return _to_cylindrical(omega0)
+
+    def omega(self, y: Vector) -> Vector:
+        """Back to Cartesian components."""
+        return cylindrical(y[0], y[1], y[2])
+
+    @property
+    def body(self) -> Body:
+        """The top this equation moves, for energies and powers."""
+        return axisymmetric(self.delta)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "reduced, order 1, averaged"
+
+
+def _to_cylindrical(omega0: Vector) -> Vector:
+    w1, w2, w3 = omega0
+    return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])
+
+
+def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
+    """Angular velocity ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃) in body axes.
+
+    Args:
+        w_perp: ω⊥ ≥ 0 across the symmetry axis, dimensionless.
+        w3: ω₃ along the symmetry axis, dimensionless.
+        phi: φ from the dipole, radians.
+
+    Returns:
+        Shape (3,), or (3, B) for arguments of shape (B,).
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.cylindrical(w_perp=0.2, w3=0.1, phi=0.0)
+        Array([0.2, 0. , 0.1], dtype=float64)
+    """
+    w, axial, angle = jnp.broadcast_arrays(real("w_perp", w_perp), real("w3", w3), real("phi", phi))
+    quarter = jnp.round(angle / (jnp.pi / 2))
+    rest = angle - quarter * (jnp.pi / 2)  # exactly 0 at multiples of π/2, where ω₁ or ω₂ is 0
+    cos, sin = jnp.cos(rest), jnp.sin(rest)
+    turn = jnp.mod(quarter, 4)
+    w1 = jnp.select([turn == 0, turn == 1, turn == 2], [cos, -sin, -cos], sin)
+    w2 = jnp.select([turn == 0, turn == 1, turn == 2], [sin, cos, -sin], -cos)
+    return jnp.stack([w * w1, w * w2, axial])

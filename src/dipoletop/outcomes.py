@@ -1,0 +1,249 @@
+"""How a run ends: one start through diffrax, many through the lane engine."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from . import lanes
+from ._checks import concrete, finite, real, refuse
+from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._types import Equation, Outcome, State, Stop, Vector, Verdict
+from ._workers import in_parallel, workers
+
+TILE = 16384  # starts handed to the engine at once, at most
+
+
+class Classification(eqx.Module):
+    """How runs end; every field has the shape of the batch, () for a single start.
+
+    The computed basin boundary is itself uncertain by about `rtol`: a start closer to it than
+    that can carry either label, certified or not.
+    """
+
+    outcome: Int[Array, "*n"] | Int[np.ndarray, "*n"]
+    """A member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps) or FAILED."""
+    omega_inf: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    """Residual angular velocity along the dipole, signed; 0 for STOP, NaN if undecided."""
+    time: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    """τ at which the run ended, in units of τ₀."""
+    steps: Int[Array, "*n"] | Int[np.ndarray, "*n"]
+    """Integration steps tried."""
+    certified: Bool[Array, "*n"] | Bool[np.ndarray, "*n"]
+    """Whether the state that ended the run lies in a region proven to decide."""
+    stop: Int[Array, "*n"] | Int[np.ndarray, "*n"]
+    """A member of `Stop`: in which way a top stops."""
+
+
+def _assemble(equation: Equation, y: State, t: Any, steps: Any, status: Any) -> Classification:
+    """The final verdict on end states; a state that is not a number decides nothing."""
+    verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
+    known = (status >= 0) & (verdict.outcome != Outcome.UNDECIDED)
+    missing = jnp.where(status < 0, Outcome.FAILED, Outcome.UNDECIDED)
+    return Classification(
+        jnp.where(known, verdict.outcome, missing),
+        jnp.where(known, verdict.omega_inf, jnp.nan),
+        t,
+        steps,
+        known & verdict.certified,
+        jnp.where(known, verdict.stop, Stop.NONE),
+    )
+
+
+def _check_verdict(equation: Any) -> None:
+    if not callable(getattr(equation, "verdict", None)):
+        refuse(
+            "equation",
+            "have a method `verdict(y)`, which says how its runs end",
+            f"is {type(equation).__name__}, which has none",
+        )
+
+
+def classify(
+    equation: Equation,
+    omega0: Any,
+    *,
+    rtol: Any = 1e-8,
+    atol: Any = None,
+    max_steps: int = MAX_STEPS,
+    value: bool = True,
+) -> Classification:
+    """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
+
+    Integrates with diffrax (order 8) until the equation's own `verdict` is certain. May be
+    jitted and vmapped; for many starts `classify_many` is far faster.
+
+    Args:
+        equation: an equation with a `verdict`.
+        omega0: start ω₀, shape (3,), dimensionless, body axes.
+        rtol: relative tolerance; also that of ω∞.
+        atol: absolute tolerance; None means rtol·|ω₀|.
+        max_steps: budget; a run that exhausts it is UNDECIDED.
+        value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+
+    Returns:
+        A `Classification` with scalar fields.
+
+    Raises:
+        ValueError: bad arguments. A run that fails is an outcome, FAILED.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> verdict = dt.classify(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, 0.1047))
+        >>> dt.Outcome(int(verdict.outcome)).name, bool(verdict.certified)
+        ('RESIDUAL', True)
+    """
+    _check_verdict(equation)
+    start = finite("omega0", omega0, (3,))
+    if start.ndim != 1:
+        refuse("omega0", "have shape (3,)", f"has shape {start.shape}; see classify_many")
+    rtol = tolerance("rtol", rtol)
+    scale = absolute(atol, rtol, start)
+    until = "value" if value else "outcome"
+    return _classify(equation, start, rtol, scale, budget("max_steps", max_steps), until)
+
+
+@eqx.filter_jit
+def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) -> Classification:
+    y0 = equation.lift(omega0)
+
+    def ended(t, y, args, **_):
+        done = lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
+        return done | ~lanes.sound(y, equation(t, y, None))
+
+    # Decided or broken at once: no time to integrate.
+    t1 = jnp.where(ended(0.0, y0, None), 0.0, jnp.inf)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(equation),
+        diffrax.Dopri8(),
+        0.0,
+        t1,
+        None,
+        y0,
+        stepsize_controller=diffrax.PIDController(rtol, atol, norm=lambda x: jnp.max(jnp.abs(x))),
+        saveat=diffrax.SaveAt(t1=True),
+        event=diffrax.Event(ended),
+        max_steps=max_steps,
+        throw=False,
+    )
+    y = solution.ys[-1]
+    status = jnp.where(lanes.sound(y, equation(0.0, y, None)), 0, -1)
+    return _assemble(equation, y, solution.ts[-1], solution.stats["num_steps"], status)
+
+
+def classify_block(
+    equation: Equation, omegas: Float[Array, "3 N"], limits: lanes.Limits, until: lanes.Until
+) -> Classification:
+    """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
+    y0 = _lift(equation, omegas)
+    ends = lanes.integrate(equation, y0, limits, until=until)
+    return _judge(equation, ends.y, ends.t, ends.steps, ends.status)
+
+
+@eqx.filter_jit
+def _lift(equation, omegas):
+    return equation.lift(omegas)
+
+
+_judge = eqx.filter_jit(_assemble)
+
+
+def classify_many(
+    equations: Equation,
+    omegas: Any,
+    *,
+    rtol: Any = 1e-8,
+    atol: Any = None,
+    max_steps: int = MAX_STEPS,
+    value: bool = True,
+) -> Classification:
+    """How N runs end, by the lane engine, on all cores or devices.
+
+    Args:
+        equations: an equation with a `verdict`: one for all starts, or with a leading batch axis
+            of N on every array field, as `TransverseReduced(delta=deltas)` has.
+        omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite is
+            FAILED, and harms no other.
+        rtol: relative tolerance; also that of ω∞.
+        atol: absolute tolerance, a number or shape (N,); None means rtol·|ω₀| for each start.
+        max_steps: budget of each run; one that exhausts it is UNDECIDED.
+        value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+
+    Returns:
+        A `Classification` whose fields are NumPy arrays of shape (N,).
+
+    Raises:
+        ValueError: bad arguments.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> starts = jnp.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0]])
+        >>> dt.classify_many(dt.TransverseReduced(jnp.array([-0.2, -0.3])), starts).outcome
+        array([1, 2])
+    """
+    _check_verdict(equations)
+    starts = real("omegas", omegas, (3,))
+    if starts.ndim != 2:
+        refuse("omegas", "have shape (N, 3)", f"has shape {starts.shape}; see classify")
+    size = starts.shape[0]
+    if size == 0:
+        refuse("omegas", "hold at least one start", "holds none")
+    rtol = tolerance("rtol", rtol)
+    starts = starts.T
+    scale = absolute(atol, rtol, starts)
+    steps = jnp.asarray(budget("max_steps", max_steps))
+    lanewise = _lanewise(equations, size)
+    until: lanes.Until = "value" if value else "outcome"
+    crew = workers()
+    tile = min(TILE, _power_of_two(-(-size // len(crew))))
+
+    def work(job: int) -> Classification:
+        at = jnp.arange(job * tile, (job + 1) * tile)
+        ends = jnp.where(at < size, jnp.inf, 0.0)  # what pads the last tile takes no step
+        at = jnp.minimum(at, size - 1)
+        part, start = jax.tree.map(lambda x: x[..., at], (lanewise, starts))
+        limits = lanes.Limits(rtol, scale[at], ends, steps)
+        return jax.tree.map(np.asarray, classify_block(part, start, limits, until))
+
+    parts = dict(in_parallel(work, range(-(-size // tile)), crew))
+    whole = [parts[job] for job in sorted(parts)]
+    return jax.tree.map(lambda *x: np.concatenate(x)[:size], *whole)
+
+
+def _power_of_two(least: int) -> int:
+    """The smallest power of two that is at least `least` and 128, so that few sizes compile."""
+    return max(128, 1 << (least - 1).bit_length())
+
+
+def _lanewise(equation: Equation, size: int) -> Any:
+    """The equation with a trailing lane axis on every array field.
+
+    Unbatched if it maps one state to one state of the same shape; else every array field must
+    have the batch axis in front.
+    """
+    arrays, rest = eqx.partition(equation, eqx.is_array)
+    if _is_single(equation):
+        arrays = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, size)), arrays)
+        return eqx.combine(arrays, rest)
+    for leaf in jax.tree.leaves(arrays):
+        if leaf.ndim == 0 or leaf.shape[0] != size:
+            refuse(
+                "equations",
+                f"be a single equation or have {size} entries on the leading axis of every field",
+                f"has a field of shape {leaf.shape}",
+            )
+    return eqx.combine(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), arrays), rest)
+
+
+def _is_single(equation: Equation) -> bool:
+    """Whether the equation maps one state to one rate of the same shape."""
+    try:
+        state = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float)))
+        rate = jax.eval_shape(lambda y: equation(0.0, y, None), state)
+    except Exception:
+        return False
+    return rate.shape == state.shape

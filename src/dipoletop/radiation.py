@@ -1,0 +1,146 @@
+"""Dipole radiation of a rotating body: torque, power, and what the balance laws need.
+
+Components are on axis 0, in body axes; lanes (if any) trail and broadcast. Units are those of
+`Body`, with k = 1. Along every motion, whatever torque drives it, the radiation torque T obeys
+
+    Ω·T = d/dt(d₁·d₂) − |d₂|²        T = d/dt(d×d₂) − d₁×d₂    (lab frame),
+
+where d₁ and d₂ are the first two derivatives of the dipole in the lab frame. A body under no other
+torque therefore loses E − d₁·d₂ at the rate |d₂|², and L − d×d₂ at the rate d₁×d₂.
+"""
+
+from jaxtyping import Array, Float
+
+from dipoletop._linalg import Vec, cross, dot, matvec, scale
+from dipoletop.bodies import Body
+
+
+def dipole_derivatives(body: Body, omega: Vec, omega_dot: Vec) -> tuple[Vec, Vec]:
+    """d₁ = Ω×d and d₂ = Ω×(Ω×d) + Ω̇×d, the lab-frame derivatives of the dipole in body axes.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+        omega_dot: Its time derivative Ω̇ (the same in both frames), shape (3, ...).
+
+    Returns:
+        d₁ and d₂, each of shape (3, ...).
+    """
+    first = cross(omega, body.dipole)
+    return first, cross(omega, first) + cross(omega_dot, body.dipole)
+
+
+def angular_momentum(body: Body, omega: Vec) -> Vec:
+    """L = IΩ.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+
+    Returns:
+        L in body axes, shape (3, ...).
+    """
+    return matvec(body.inertia, omega)
+
+
+def kinetic_energy(body: Body, omega: Vec) -> Float[Array, "..."]:
+    """E = ½ Ω·IΩ.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+
+    Returns:
+        E, shape (...).
+    """
+    return dot(omega, angular_momentum(body, omega)) / 2
+
+
+def gyroscopic_torque(body: Body, omega: Vec) -> Vec:
+    """N = Ω×IΩ, so that the lab-frame rate of angular momentum is IΩ̇ + N.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+
+    Returns:
+        N in body axes, shape (3, ...).
+    """
+    return cross(omega, angular_momentum(body, omega))
+
+
+def radiation_torque(body: Body, omega: Vec, omega_dot: Vec, omega_ddot: Vec) -> Vec:
+    """T = d×{ d×(Ω²Ω − Ω̈) + (d·Ω̇)Ω + 2(d·Ω)Ω̇ }, which is d × d⃛.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+        omega_dot: Its time derivative Ω̇ in body axes, shape (3, ...).
+        omega_ddot: The time derivative Ω̈ of those components, shape (3, ...).
+
+    Returns:
+        T in body axes, shape (3, ...); it has no component along d.
+
+    Source: the right-hand side of equation (3.3).
+
+    Example:
+        A plane rotator feels Ω̈ − Ω³, equation (2.2).
+
+        >>> import jax.numpy as jnp
+        >>> from dipoletop.bodies import axisymmetric
+        >>> rate, zero = jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3)
+        >>> radiation_torque(axisymmetric(0), rate, zero, zero).tolist()
+        [0.0, 0.0, -8.0]
+    """
+    d = body.dipole
+    # d⃛ by (3.3), but for terms along d
+    third = (
+        cross(d, scale(dot(omega, omega), omega) - omega_ddot)
+        + scale(dot(d, omega_dot), omega)
+        + scale(2 * dot(d, omega), omega_dot)
+    )
+    return cross(d, third)
+
+
+def radiated_power(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."]:
+    """|d₂|², the power that leaves with the radiation (Larmor's formula).
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+        omega_dot: Its time derivative Ω̇, shape (3, ...).
+
+    Returns:
+        The power, shape (...).
+    """
+    _, second = dipole_derivatives(body, omega, omega_dot)
+    return dot(second, second)
+
+
+def schott_energy(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."]:
+    """d₁·d₂, the energy lent by the near field: d/dt(E − d₁·d₂) = −|d₂|².
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+        omega_dot: Its time derivative Ω̇, shape (3, ...).
+
+    Returns:
+        d₁·d₂, shape (...).
+    """
+    return dot(*dipole_derivatives(body, omega, omega_dot))
+
+
+def schott_angular_momentum(body: Body, omega: Vec, omega_dot: Vec) -> Vec:
+    """d×d₂, which the near field lends: d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
+
+    Args:
+        body: The body.
+        omega: Angular velocity Ω, shape (3, ...).
+        omega_dot: Its time derivative Ω̇, shape (3, ...).
+
+    Returns:
+        d×d₂ in body axes, shape (3, ...).
+    """
+    _, second = dipole_derivatives(body, omega, omega_dot)
+    return cross(body.dipole, second)
