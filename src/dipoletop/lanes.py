@@ -148,7 +148,7 @@ def _step(block: _Block, limits: Limits, solver: diffrax.AbstractERK, until: Unt
 
     y = jnp.where(accept[None], new, block.y)
     f = jnp.where(accept[None], slope, block.f)
-    steps = block.steps + block.running
+    steps = block.steps + block.running.astype(int)
     # A rejected step that would not have moved the state is the end of the line.
     stuck = jnp.max(jnp.abs(h[None] * block.f), 0) < 1e-3 * eps * jnp.max(jnp.abs(block.y), 0)
     broken = block.running & (~sound(y, f) | (stuck & ~accept))

@@ -45,16 +45,16 @@ def _assemble(equation: Equation, y: State, t: Any, steps: Any, status: Any) -> 
     known = (status >= 0) & (verdict.outcome != Outcome.UNDECIDED)
     missing = jnp.where(status < 0, Outcome.FAILED, Outcome.UNDECIDED)
     return Classification(
-        jnp.where(known, verdict.outcome, missing),
+        jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(known, verdict.omega_inf, jnp.nan),
         t,
-        steps,
+        jnp.asarray(steps, int),
         known & verdict.certified,
-        jnp.where(known, verdict.stop, Stop.NONE),
+        jnp.where(known, verdict.stop, Stop.NONE).astype(int),
     )
 
 
-def _check_verdict(equation: Any) -> None:
+def check_verdict(equation: Any) -> None:
     if not callable(getattr(equation, "verdict", None)):
         refuse(
             "equation",
@@ -97,7 +97,7 @@ def classify(
         >>> dt.Outcome(int(verdict.outcome)).name, bool(verdict.certified)
         ('RESIDUAL', True)
     """
-    _check_verdict(equation)
+    check_verdict(equation)
     start = finite("omega0", omega0, (3,))
     if start.ndim != 1:
         refuse("omega0", "have shape (3,)", f"has shape {start.shape}; see classify_many")
@@ -185,7 +185,7 @@ def classify_many(
         >>> dt.classify_many(dt.TransverseReduced(jnp.array([-0.2, -0.3])), starts).outcome
         array([1, 2])
     """
-    _check_verdict(equations)
+    check_verdict(equations)
     starts = real("omegas", omegas, (3,))
     if starts.ndim != 2:
         refuse("omegas", "have shape (N, 3)", f"has shape {starts.shape}; see classify")
@@ -199,7 +199,7 @@ def classify_many(
     lanewise = _lanewise(equations, size)
     until: lanes.Until = "value" if value else "outcome"
     crew = workers()
-    tile = min(TILE, _power_of_two(-(-size // len(crew))))
+    tile = min(TILE, power_of_two(-(-size // len(crew))))
 
     def work(job: int) -> Classification:
         at = jnp.arange(job * tile, (job + 1) * tile)
@@ -214,7 +214,7 @@ def classify_many(
     return jax.tree.map(lambda *x: np.concatenate(x)[:size], *whole)
 
 
-def _power_of_two(least: int) -> int:
+def power_of_two(least: int) -> int:
     """The smallest power of two that is at least `least` and 128, so that few sizes compile."""
     return max(128, 1 << (least - 1).bit_length())
 

@@ -24,8 +24,9 @@ def _verdict(residual: Flag, stop: Flag, omega_inf: Real, certified: Flag, kind,
         stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)
     )
     value = jnp.where(stop, 0.0, jnp.where(residual, omega_inf, jnp.nan))
+    kind = jnp.where(stop, kind, Stop.NONE)
     return Verdict(
-        outcome, value, certified & (residual | stop), jnp.where(stop, kind, Stop.NONE), error
+        outcome.astype(int), value, certified & (residual | stop), kind.astype(int), error
     )
 
 

@@ -1,0 +1,164 @@
+"""What a sweep finds: outcomes on a grid or a sample, with where they came from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ._types import Outcome
+from .outcomes import Classification
+
+if TYPE_CHECKING:
+    import xarray
+
+FIELDS: dict[str, tuple[str, str, str]] = {
+    "outcome": ("int8", "1", "FAILED -1, UNDECIDED 0, RESIDUAL 1, STOP 2"),
+    "omega_inf": ("float64", "1/tau_0", "residual angular velocity along the dipole, signed"),
+    "time": ("float64", "tau_0", "time at which the outcome was certain"),
+    "steps": ("int32", "1", "integration steps tried"),
+    "certified": ("bool", "1", "whether the region that ended the run is proven to decide"),
+    "stop": ("int8", "1", "NONE 0, AXIS 1, ROTATING 2, WOBBLING 3, TUMBLING 4"),
+}
+"""Columns of a basin: type, unit, meaning."""
+
+CHANGED = {"changed": ("bool", "1", "whether the outcome differs at the second tolerance")}
+
+
+class Share(NamedTuple):
+    """A share of the starts, with its 95 % interval (Wilson)."""
+
+    share: float
+    low: float
+    high: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Basin:
+    """Outcomes over a grid or a sample; every array has the shape of that.
+
+    Attributes:
+        dims: names of the axes.
+        shape: their lengths.
+        coords: values on the axes (none for a sample).
+        columns: the raw columns, flat, in memory or on disk.
+        attrs: level of the equation, settings, versions.
+        seconds: wall time of the sweep, compilation included; NaN for a loaded basin.
+    """
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    coords: dict[str, Float[np.ndarray, "..."]]
+    columns: Mapping[str, Any]
+    attrs: dict[str, Any]
+    seconds: float = field(default=np.nan, compare=False)
+
+    def column(self, name: str) -> np.ndarray:
+        """One column, in the shape of the grid."""
+        return np.asarray(self.columns[name][:]).reshape(self.shape)
+
+    @property
+    def outcome(self) -> Int[np.ndarray, "*shape"]:
+        """Members of `Outcome`."""
+        return self.column("outcome")
+
+    @property
+    def omega_inf(self) -> Float[np.ndarray, "*shape"]:
+        """Residual angular velocity along the dipole, signed; 0 for STOP, NaN if undecided."""
+        return self.column("omega_inf")
+
+    @property
+    def time(self) -> Float[np.ndarray, "*shape"]:
+        """τ at which the outcome was certain."""
+        return self.column("time")
+
+    @property
+    def steps(self) -> Int[np.ndarray, "*shape"]:
+        """Integration steps tried."""
+        return self.column("steps")
+
+    @property
+    def certified(self) -> Bool[np.ndarray, "*shape"]:
+        """Whether the region that ended the run is proven to decide."""
+        return self.column("certified")
+
+    @property
+    def stop(self) -> Int[np.ndarray, "*shape"]:
+        """Members of `Stop`."""
+        return self.column("stop")
+
+    @property
+    def changed(self) -> Bool[np.ndarray, "*shape"]:
+        """Whether the outcome differs at the second tolerance (sweeps with `confirm`)."""
+        return self.column("changed")
+
+    @property
+    def level(self) -> str:
+        """Which level of the equation of motion the outcomes came from."""
+        return self.attrs["level"]
+
+    def fractions(self) -> dict[str, Share]:
+        """Share of every outcome that occurs, with 95 % intervals (Wilson).
+
+        The interval is that of independent random starts; on a regular grid it overstates the
+        error.
+        """
+        from scipy.stats import binomtest
+
+        values, counts = np.unique(self.outcome, return_counts=True)
+        size = int(np.prod(self.shape))
+        shares = {}
+        for value, count in zip(values.tolist(), counts.tolist(), strict=True):
+            interval = binomtest(count, size).proportion_ci(0.95, method="wilson")
+            share = Share(count / size, float(interval.low), float(interval.high), count)
+            shares[Outcome(value).name] = share
+        return shares
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """The same as an `xarray.Dataset`, with units, versions and settings as attributes."""
+        import xarray
+
+        table = FIELDS | CHANGED
+        columns = {
+            name: (self.dims, self.column(name), {"units": table[name][1], "long_name": table[name][2]})
+            for name in self.columns
+        }
+        coords = {
+            name: ((name, *(f"{name}_{k}" for k in range(1, values.ndim))), values)
+            for name, values in self.coords.items()
+        }
+        return xarray.Dataset(columns, coords, self.attrs)
+
+    def save(self, path: Any) -> None:
+        """Write the basin as a Zarr group; `Basin.load` reads it back.
+
+        Args:
+            path: a folder that does not exist yet.
+
+        Raises:
+            ValueError: something is there already; nothing of it is touched.
+        """
+        from . import store
+
+        store.save(self, path)
+
+    @staticmethod
+    def load(path: Any) -> "Basin":
+        """A basin from disk: one that was saved, or a sweep's `store`.
+
+        Args:
+            path: the folder.
+
+        Raises:
+            ValueError: it is missing, not a basin, damaged, or a sweep that is not finished.
+        """
+        from . import store
+
+        return store.load(path)
+
+
+def columns_of(found: Classification) -> dict[str, np.ndarray]:
+    """The columns of a basin from classifications."""
+    return {name: np.asarray(getattr(found, name), kind[0]) for name, kind in FIELDS.items()}

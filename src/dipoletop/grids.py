@@ -1,0 +1,159 @@
+"""Which starts and shapes a sweep visits: a grid of named axes, or a random sample."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._checks import finite, refuse
+
+Draw = Callable[[Array], Any]
+"""From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
+
+
+class Grid:
+    """Every combination of the values on named axes.
+
+    The names are those of the arguments of the sweep's `problem`: any of δ, ω⊥, ω₃, φ, an
+    amplitude, a direction, an inertia ratio, ….
+
+    Args:
+        axes: name = values; shape (n,) for numbers, or (n, …) for vectors such as directions. A
+            single number is an axis of length 1.
+
+    Raises:
+        ValueError: no axis, or one that is empty, or not finite, or not made of numbers.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Grid(delta=[-0.2, 0.2], phi=[0.0, 1.0, 2.0]).shape
+        (2, 3)
+    """
+
+    def __init__(self, **axes: Any) -> None:
+        if not axes:
+            refuse("axes", "name at least one axis", "names none")
+        self.axes = {name: _axis(name, values) for name, values in axes.items()}
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the axes, in order."""
+        return tuple(self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values on each axis."""
+        return tuple(len(values) for values in self.axes.values())
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """The values on each axis."""
+        return self.axes
+
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+        """The arguments of the problem at flat indices (C order)."""
+        places = np.unravel_index(index, self.shape)
+        return {
+            name: jnp.asarray(values[place])
+            for (name, values), place in zip(self.axes.items(), places, strict=True)
+        }
+
+
+def _axis(name: str, values: Any) -> np.ndarray:
+    array = np.asarray(finite(name, np.atleast_1d(np.asarray(values))[None], (-1,) * np.ndim(values)))
+    if array.size == 0:
+        refuse(name, "hold at least one value", "holds none")
+    return array[0]
+
+
+def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:
+    """One symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
+
+    The symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which every level of the equation has,
+    give the rest; `plots.basin` unfolds it.
+
+    Args:
+        n_phi: points on φ.
+        n_w3: points on ω₃.
+        w3_max: the largest ω₃, dimensionless.
+    """
+    phi = np.arange(n_phi) * (np.pi / n_phi)
+    return Grid(w3=np.linspace(0.0, w3_max, n_w3), phi=phi)
+
+
+class Sample:
+    """Random starts; the i-th depends on (seed, i) only.
+
+    Args:
+        n: how many.
+        amplitude: |ω₀| of isotropic starts; a pair (least, most) draws it log-uniformly.
+        seed: a whole number.
+        draw: your own distribution in place of that, such as `uniform_box(low, high)`: a function of a
+            random key that gives ω₀, or a dict of named arguments of the sweep's `problem`.
+
+    Raises:
+        ValueError: n < 1, or an amplitude that is not positive.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Sample(n=1000, amplitude=0.2, seed=0).shape
+        (1000,)
+    """
+
+    dims = ("sample",)
+
+    def __init__(
+        self, n: int, amplitude: Any = 1.0, *, seed: int = 0, draw: Draw | None = None
+    ) -> None:
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+            refuse("n", "be a positive whole number", f"is {n!r}")
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+            refuse("seed", "be a whole number", f"is {seed!r}")
+        self.n, self.seed = int(n), int(seed)
+        self.amplitude = None if draw else amplitude
+        self._draw = draw if draw else isotropic(amplitude)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of starts."""
+        return (self.n,)
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """A sample has no axis but its number; `points` gives the starts."""
+        return {}
+
+    def points(self, index: Int[np.ndarray, "n"]) -> Any:
+        """The starts with these numbers, shape (n, 3), or a dict of arrays."""
+        key = jax.random.key(self.seed)
+        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(index))
+        return jax.vmap(self._draw)(keys)
+
+
+def isotropic(amplitude: Any) -> Draw:
+    """Isotropic starts with |ω₀| = amplitude, or log-uniform in a pair (least, most)."""
+    bounds = np.asarray(finite("amplitude", jnp.atleast_1d(jnp.asarray(amplitude))[None], (-1,)))[0]
+    if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
+        refuse("amplitude", "be positive, or a pair 0 < least ≤ most", f"is {amplitude}")
+    low, high = np.log(bounds[0]), np.log(bounds[-1])
+
+    def draw(key: Array) -> Float[Array, "3"]:
+        way, size = jax.random.split(key)
+        normal = jax.random.normal(way, (3,), float)
+        unit = normal / jnp.sqrt(jnp.sum(normal**2))
+        return jnp.exp(jax.random.uniform(size, (), float, low, high)) * unit
+
+    return draw
+
+
+def uniform_box(low: Any, high: Any) -> Draw:
+    """Starts uniform in the box low ≤ ω₀ ≤ high; both of shape (3,)."""
+    least, most = finite("low", low, (3,)), finite("high", high, (3,))
+
+    def draw(key: Array) -> Float[Array, "3"]:
+        return jax.random.uniform(key, (3,), float, least, most)
+
+    return draw

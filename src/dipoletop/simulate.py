@@ -1,0 +1,201 @@
+"""One trajectory, through diffrax: states, energies, powers, and the balance that checks them."""
+
+import functools
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from . import radiation
+from ._checks import concrete, finite, real, refuse, where_valid
+from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._types import Equation, State, Vector
+
+OPTIONS = ("solver", "stepsize_controller", "adjoint", "throw", "dense", "balance")
+
+
+class Trajectory(eqx.Module):
+    """A solution at the times asked for; energies and powers are computed when asked for."""
+
+    equation: Any
+    ts: Float[Array, "T"]
+    """Times τ, in units of τ₀."""
+    ys: Float[Array, "T n"]
+    """States of the equation."""
+    emitted: Float[Array, "T"] | None
+    """∫|d₂|²dτ, the energy radiated since the start; None unless `balance` was asked for."""
+    solution: diffrax.Solution
+    """diffrax's own solution: statistics, result, dense interpolation."""
+
+    @property
+    def omega(self) -> Float[Array, "T 3"]:
+        """Angular velocity in body axes, in units of 1/τ₀."""
+        return jax.vmap(self.equation.omega)(self.ys)
+
+    @property
+    def omega_dot(self) -> Float[Array, "T 3"]:
+        """Its rate."""
+        return jax.vmap(functools.partial(_omega_dot, self.equation))(self.ts, self.ys)
+
+    @property
+    def energy(self) -> Float[Array, "T"]:
+        """E = ½ Ω·IΩ."""
+        return jax.vmap(lambda w: radiation.kinetic_energy(self.equation.body, w))(self.omega)
+
+    @property
+    def power(self) -> Float[Array, "T"]:
+        """Radiated power |d₂|²."""
+        power = functools.partial(radiation.radiated_power, self.equation.body)
+        return jax.vmap(power)(self.omega, self.omega_dot)
+
+    @property
+    def balance_defect(self) -> Float[Array, "T"]:
+        """[E − d₁·d₂ + ∫|d₂|²dτ] less its initial value, over the initial energy.
+
+        Zero for the full equation, whatever the motion; a reduced level leaves a defect that
+        says how far it is from the full equation.
+
+        Raises:
+            ValueError: the trajectory was computed without `balance=True`.
+        """
+        if self.emitted is None:
+            refuse("balance", "be True in `simulate` for a balance defect", "was not")
+        schott = functools.partial(radiation.schott_energy, self.equation.body)
+        total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
+        return (total - total[0]) / self.energy[0]
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """Steps: `num_steps`, `num_accepted_steps`, `num_rejected_steps`, ...."""
+        return self.solution.stats
+
+    @property
+    def level(self) -> str:
+        """Which level of the equation of motion this is."""
+        return self.equation.level
+
+    def evaluate(self, t: Any) -> Float[Array, "3"]:
+        """ω at any time within the run, by the solver's own interpolation (`dense=True`).
+
+        Raises:
+            ValueError: the trajectory was computed without `dense=True`.
+        """
+        if self.solution.interpolation is None:
+            refuse("dense", "be True in `simulate` for values in between", "was not")
+        y = self.solution.evaluate(jnp.asarray(t, self.ts.dtype))
+        return self.equation.omega(y[: self.ys.shape[1]])
+
+
+def _omega_dot(equation: Any, t: Any, y: State) -> Vector:
+    return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]
+
+
+def simulate(
+    equation: Equation,
+    omega0: Any,
+    ts: Any,
+    *,
+    rtol: Any = 1e-10,
+    atol: Any = None,
+    max_steps: int = MAX_STEPS,
+    **options: Any,
+) -> Trajectory:
+    """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.
+
+    May be jitted, vmapped and differentiated.
+
+    Args:
+        equation: any equation of motion.
+        omega0: start ω₀, shape (3,), dimensionless, body axes; or a whole state of a full
+            equation, which is taken as given.
+        ts: times at which the state is wanted, shape (T,), increasing; the first is the start.
+        rtol: relative tolerance.
+        atol: absolute tolerance; None means rtol·|ω₀|.
+        max_steps: budget.
+        options: `solver` (`diffrax.Dopri8()`), `stepsize_controller`
+            (`diffrax.PIDController(rtol, atol)` with the largest component as the norm) and
+            `adjoint` are passed to diffrax; `throw=False` returns what there is instead of
+            raising; `dense=True` keeps the interpolation; `balance=True` integrates the radiated
+            energy beside the state.
+
+    Returns:
+        A `Trajectory`.
+
+    Raises:
+        ValueError: bad arguments, among them an option of another name.
+        RuntimeError: the integration failed (unless `throw=False`).
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> rotator = dt.simulate(dt.TransverseReduced(0.3), [0.0, 1.0, 0.0], jnp.array([0.0, 4.0]))
+        >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
+        True
+    """
+    for name in options:
+        if name not in OPTIONS:
+            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
+    times = _times(ts)
+    state = _state(equation, omega0)
+    rtol = tolerance("rtol", rtol)
+    scale = absolute(atol, rtol, equation.omega(state))
+    return _solve(equation, state, times, (rtol, scale), budget("max_steps", max_steps), options)
+
+
+def _times(ts: Any) -> Float[Array, "T"]:
+    times = finite("ts", jnp.asarray(real("ts", jnp.atleast_1d(jnp.asarray(ts))[None], (-1,)))[0])
+    if times.shape[0] < 2:
+        refuse("ts", "hold at least two times, the start first", f"has shape {times.shape}")
+    return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
+
+
+def _state(equation: Any, omega0: Any) -> State:
+    """The start: lifted from ω₀, or a whole state as it is."""
+    whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
+    start = finite("omega0", jnp.asarray(omega0)[None], (-1,))[0] if jnp.ndim(omega0) == 1 else None
+    if start is not None and start.shape == (3,):
+        return equation.lift(start)
+    if start is not None and start.shape == whole:
+        return start
+    also = "" if whole == (3,) else f", or {whole} for a whole state"
+    refuse("omega0", f"have shape (3,){also}", f"has shape {jnp.shape(omega0)}")
+
+
+@eqx.filter_jit
+def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajectory:
+    rtol, atol = tolerances
+    n = y0.shape[0]
+    balance = options.get("balance", False)
+
+    def field(t, y, args):
+        rate = equation(t, y[:n], args)
+        if not balance:
+            return rate
+        omega = equation.omega(y[:n])
+        power = radiation.radiated_power(equation.body, omega, _omega_dot(equation, t, y[:n]))
+        return jnp.concatenate([rate, power[None]])
+
+    controller = options.get("stepsize_controller")
+    if controller is None:
+        # The radiated energy is as large as the square of ω: its tolerance scales as that does.
+        size = jnp.sqrt(jnp.sum(equation.omega(y0) ** 2))
+        each = jnp.concatenate([jnp.full(n, 1.0) * atol, (atol * size)[None]])[: n + balance]
+        controller = diffrax.PIDController(rtol, each, norm=lambda x: jnp.max(jnp.abs(x)))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        options.get("solver") or diffrax.Dopri8(),
+        times[0],
+        times[-1],
+        None,
+        jnp.concatenate([y0, jnp.zeros(1)]) if balance else y0,
+        saveat=diffrax.SaveAt(ts=times, dense=options.get("dense", False)),
+        stepsize_controller=controller,
+        adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
+        max_steps=max_steps,
+        throw=options.get("throw", True),
+    )
+    ys = solution.ys
+    return Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)

@@ -1,0 +1,133 @@
+"""Basins on disk: a Zarr group of flat columns, one chunk for each tile of a sweep.
+
+Zarr writes each chunk to a temporary name and renames it. A tile's flag is set after its
+columns, so a tile torn by a crash is simply not finished, and is computed again to the same
+bytes.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._checks import refuse
+from .basin import CHANGED, FIELDS, Basin
+
+if TYPE_CHECKING:
+    import zarr
+
+FORMAT = "dipoletop basin, version 1"
+
+
+def create(path: Any, header: dict[str, Any], coords: dict[str, np.ndarray]) -> "zarr.Group":
+    """A new store, or the one at `path` if it belongs to the same sweep.
+
+    `header` holds dims, shape, tile (starts in a chunk), columns (their names), attrs, and a
+    fingerprint of the problem.
+    """
+    import zarr
+
+    place = Path(os.fspath(path))
+    if place.exists():
+        group = _open(place, "store")
+        for key, value in json.loads(json.dumps(header)).items():
+            if group.attrs.get(key) != value:
+                refuse(
+                    "store",
+                    "be new or hold this very sweep",
+                    f"{place} holds another one: its {key} differs",
+                )
+        return group
+    # Built under another name and renamed, so that a store is there whole or not at all.
+    fresh = place.with_name(place.name + ".new")
+    group = zarr.open_group(fresh, mode="w")
+    size = int(np.prod(header["shape"]))
+    table = FIELDS | CHANGED
+    for name in header["columns"]:
+        group.create_array(name, shape=(size,), chunks=(header["tile"],), dtype=table[name][0])
+    for name, values in coords.items():
+        group.create_array(f"axis_{name}", data=values, chunks=values.shape)
+    tiles = -(-size // header["tile"])
+    group.create_array("done", shape=(tiles,), chunks=(1,), dtype="uint8")
+    group.attrs.update({"format": FORMAT} | header)
+    os.replace(fresh, place)
+    return zarr.open_group(place, mode="r+")
+
+
+def write_tile(group: "zarr.Group", tile: int, columns: dict[str, np.ndarray]) -> None:
+    """Write one tile, then its flag."""
+    start = tile * group.attrs["tile"]  # pyright: ignore[reportOperatorIssue]
+    for name, values in columns.items():
+        group[name][start : start + len(values)] = values  # pyright: ignore[reportIndexIssue]
+    group["done"][tile] = 1  # pyright: ignore[reportIndexIssue]
+
+
+def unfinished(group: "zarr.Group") -> list[int]:
+    """The tiles that have to be computed."""
+    return np.flatnonzero(np.asarray(group["done"][:]) == 0).tolist()  # pyright: ignore
+
+
+def save(basin: Basin, path: Any) -> None:
+    """Write a basin as one tile."""
+    if Path(os.fspath(path)).exists():
+        refuse("path", "not exist yet", f"{path} does")
+    header = {
+        "dims": list(basin.dims),
+        "shape": list(basin.shape),
+        "tile": int(np.prod(basin.shape)),
+        "columns": list(basin.columns),
+        "attrs": basin.attrs,
+        "fingerprint": "",
+    }
+    columns = {name: basin.column(name).reshape(-1) for name in basin.columns}
+    write_tile(create(path, header, basin.coords), 0, columns)
+
+
+def load(path: Any) -> Basin:
+    """The basin at `path`; see `Basin.load`."""
+    group = _open(Path(os.fspath(path)), "path")
+    try:
+        left = len(unfinished(group))
+        basin = view(group)
+        for name in basin.columns:
+            basin.column(name)
+    except Exception as error:
+        refuse("path", "hold an undamaged basin", f"{path} cannot be read ({error})")
+    if left:
+        tiles = group["done"].shape[0]  # pyright: ignore[reportAttributeAccessIssue]
+        refuse(
+            "path",
+            "hold a finished sweep",
+            f"{path} lacks {left} of {tiles} tiles; run the sweep again with this store",
+        )
+    return basin
+
+
+def view(group: "zarr.Group", seconds: float = np.nan) -> Basin:
+    """The basin in a store, read from disk column by column when asked."""
+    header: Any = dict(group.attrs)
+    coords = {
+        name: np.asarray(group[f"axis_{name}"][:])  # pyright: ignore[reportIndexIssue]
+        for name in header["dims"]
+        if f"axis_{name}" in group
+    }
+    columns = {name: group[name] for name in header["columns"]}
+    dims, shape = tuple(header["dims"]), tuple(header["shape"])
+    return Basin(dims, shape, coords, columns, dict(header["attrs"]), seconds)
+
+
+def _open(place: Path, argument: str) -> "zarr.Group":
+    import zarr
+
+    if not place.exists():
+        refuse(argument, "be a folder with a basin", f"{place} does not exist")
+    try:
+        group = zarr.open_group(place, mode="r+")
+        found = group.attrs.get("format")
+    except Exception as error:
+        refuse(argument, "be a folder with a basin", f"{place} cannot be read as one ({error})")
+    if found != FORMAT:
+        refuse(argument, f"be a {FORMAT}", f"the format of {place} is {found!r}")
+    return group

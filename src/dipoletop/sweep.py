@@ -1,0 +1,210 @@
+"""Basin maps: a problem over a grid or a sample, tile by tile, on all cores or devices."""
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from . import lanes, store as disk
+from ._checks import refuse
+from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._types import Equation
+from ._workers import in_parallel, workers
+from .basin import CHANGED, FIELDS, Basin, columns_of
+from .grids import Grid, Sample
+from .outcomes import TILE, check_verdict, classify_block, power_of_two
+
+Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
+"""From the named values of one point to the equation and the start ω₀."""
+
+
+def sweep(
+    problem: Problem,
+    over: Grid | Sample,
+    *,
+    rtol: Any = 1e-8,
+    atol: Any = None,
+    max_steps: int = MAX_STEPS,
+    value: bool = True,
+    confirm: float | None = None,
+    store: Any = None,
+    progress: bool | None = None,
+    devices: Sequence[jax.Device] | None = None,
+) -> Basin:
+    """Outcomes of a problem on every point of a grid or a sample.
+
+    Args:
+        problem: a function of the grid's axes (by name) or of the sample's start that gives the
+            equation and the start; pure JAX, since it is vectorised.
+        over: a `Grid` or a `Sample`.
+        rtol: relative tolerance; also that of ω∞.
+        atol: absolute tolerance; None means rtol·|ω₀| for each start.
+        max_steps: budget of each run; one that exhausts it is UNDECIDED.
+        value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+        confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
+        store: a folder for the result. Run the same sweep again and it goes on where it was
+            stopped; a grid of any size then needs little memory.
+        progress: whether to show a progress bar; None shows it on a terminal.
+        devices: which devices to use; None means all.
+
+    Returns:
+        A `Basin`.
+
+    Raises:
+        ValueError: bad arguments, among them a store that holds another sweep. A run that fails
+            is an outcome, FAILED.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> def problem(w3, phi):
+        ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
+        >>> basin = dt.sweep(problem, dt.Grid(w3=[0.1, 0.3], phi=[0.0, 0.8, 1.6]))
+        >>> basin.outcome.shape, basin.level
+        ((2, 3), "reduced, order 1 (the paper's)")
+    """
+    began = time.perf_counter()
+    build = _builder(problem, over)
+    size = int(np.prod(over.shape))
+    rtols = [tolerance("rtol", rtol)]
+    if confirm is not None:
+        rtols.append(tolerance("confirm", confirm))
+    crew = workers(devices)
+    tile = min(TILE, power_of_two(-(-size // len(crew))))
+    run = functools.partial(
+        _run_tile,
+        build,
+        size=size,
+        tile=tile,
+        rtols=rtols,
+        atol=atol,
+        max_steps=budget("max_steps", max_steps),
+        until="value" if value else "outcome",
+    )
+
+    equation, _ = build(np.zeros(1, int))
+    check_verdict(equation)
+    settings = {"rtol": float(rtols[0]), "atol": "rtol*|omega_0|" if atol is None else float(atol)}
+    attrs = {
+        "level": getattr(equation, "level", type(equation).__name__),
+        **settings,
+        "max_steps": int(max_steps),
+        "value": bool(value),
+        **({} if confirm is None else {"confirm": float(confirm)}),
+        **{f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")},
+    }
+    names = [*FIELDS, *(CHANGED if confirm is not None else ())]
+    shared = (over.dims, over.shape, over.coords)
+    if store is None:
+        columns = {name: np.empty(size, (FIELDS | CHANGED)[name][0]) for name in names}
+
+        def keep(job: int, found: dict[str, np.ndarray]) -> None:
+            for name, values in found.items():
+                columns[name][job * tile : job * tile + len(values)] = values
+
+        _work(run, range(-(-size // tile)), keep, crew, (size, tile, progress))
+        return Basin(*shared, columns, attrs, time.perf_counter() - began)
+
+    header = {
+        "dims": list(over.dims),
+        "shape": list(over.shape),
+        "tile": tile,
+        "columns": names,
+        "attrs": attrs,
+        "fingerprint": _fingerprint(build, size),
+    }
+    group = disk.create(store, header, over.coords)
+    keep = functools.partial(disk.write_tile, group)
+    _work(run, disk.unfinished(group), keep, crew, (size, tile, progress))
+    return disk.view(group, time.perf_counter() - began)
+
+
+def _work(run, jobs, keep, crew, extent) -> None:
+    """Run the tiles and keep what they find, with a progress bar."""
+    from tqdm import tqdm
+
+    size, tile, progress = extent
+    hide = None if progress is None else not progress
+    done = size - sum(min(tile, size - job * tile) for job in jobs)
+    with tqdm(
+        total=size, initial=done, unit="start", unit_scale=True, disable=hide, file=sys.stderr
+    ) as bar:
+        for job, found in in_parallel(run, jobs, crew):
+            keep(job, found)
+            bar.update(len(found["outcome"]))
+
+
+def _run_tile(build, job: int, *, size, tile, rtols, atol, max_steps, until) -> dict[str, Any]:
+    """Classify the starts of one tile; the last tile is filled up with starts that take no step."""
+    at = np.arange(job * tile, (job + 1) * tile)
+    real = at < size
+    equation, omegas = build(np.minimum(at, size - 1))
+    ends = jnp.where(jnp.asarray(real), jnp.inf, 0.0)
+
+    def classified(rtol) -> dict[str, np.ndarray]:
+        limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), ends, jnp.asarray(max_steps))
+        found = columns_of(classify_block(equation, omegas, limits, until))
+        return {name: values[real] for name, values in found.items()}
+
+    columns, *again = [classified(rtol) for rtol in rtols]
+    for other in again:
+        columns["changed"] = columns["outcome"] != other["outcome"]
+    return columns
+
+
+def _builder(problem: Problem, over: Grid | Sample) -> Callable[[np.ndarray], Any]:
+    """From flat indices to (equation, ω₀), both with a trailing lane axis."""
+    if not isinstance(over, Grid | Sample):
+        refuse("over", "be a Grid or a Sample", f"is {type(over).__name__}")
+    if isinstance(over, Grid):
+        _check_names(problem, over.dims)
+    one_at_a_time = threading.Lock()  # tracing a user's function from two threads is his risk
+
+    def build(index: np.ndarray) -> tuple[Any, Float[Array, "3 N"]]:
+        points = over.points(index)
+
+        def at(point: Any) -> Any:
+            made = problem(**point) if isinstance(point, dict) else problem(point)
+            if not (isinstance(made, tuple) and len(made) == 2):
+                refuse("problem", "return (equation, omega0)", f"returns {type(made).__name__}")
+            if jnp.shape(made[1]) != (3,):
+                shape = jnp.shape(made[1])
+                refuse("problem", "return a start of shape (3,)", f"its start has shape {shape}")
+            return made
+
+        with one_at_a_time:
+            return jax.vmap(at, out_axes=-1)(points)
+
+    return build
+
+
+def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
+    with contextlib.suppress(ValueError):  # some callables have no signature to look at
+        signature = inspect.signature(problem)
+        try:
+            signature.bind(**dict.fromkeys(names))
+        except TypeError as error:
+            raise ValueError(
+                f"Argument `over` must have the arguments of `problem` {signature} as its axes, "
+                f"but has {', '.join(names)} ({error})."
+            ) from None
+
+
+def _fingerprint(build, size: int) -> str:
+    """A hash of what the problem is at a few of its points, to recognise a foreign store."""
+    probe = np.unique(np.linspace(0, size - 1, 17).astype(int))
+    leaves, structure = jax.tree.flatten(build(probe))
+    digest = hashlib.sha256(str(structure).encode())
+    for leaf in leaves:
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()
