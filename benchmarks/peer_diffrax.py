@@ -9,15 +9,16 @@ steps at a time, finished starts dropped in between, narrower batches for the lo
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-import problem
 from jaxtyping import Float, Int
+
+import problem
 
 
 def _solver(as_tuple: bool, max_steps: int) -> Callable:
@@ -88,7 +89,9 @@ def _classify(
                 return jax.device_get(advance(*batch))
 
             rounds = list(threads.map(solve, packed.reshape(chunks, width)))
-            ends, found, count = (np.concatenate(part)[: live.size] for part in zip(*rounds))
+            ends, found, count = (
+                np.concatenate(part)[: live.size] for part in zip(*rounds, strict=True)
+            )
             states[live], labels[live] = ends, found
             made += int(count.sum())
             budget -= steps
@@ -112,11 +115,12 @@ def run(
     for width, steps in plan:  # a start that stops at once, so that only compilation is timed
         start = np.tile([[0.1, 0.0, 0.0]], (width, 1))
         jax.block_until_ready(solvers[steps](np.full(width, 0.1), start, rtol, np.ones(width)))
-    ready = perf_counter()
+    ready, spent = perf_counter(), process_time()
     labels, made = _classify(deltas, omegas, rtol, plan, solvers)
     return {
         "labels": labels,
         "seconds": perf_counter() - ready,
+        "processor_seconds": process_time() - spent,
         "compile_seconds": ready - begin,
         "steps": made,
         "note": f"diffrax {diffrax.__version__}, {way}, state "

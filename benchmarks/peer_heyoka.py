@@ -14,13 +14,14 @@ Coefficients that depend on δ and |ω₀| only are parameters, computed once fo
 import multiprocessing
 import os
 from contextlib import ExitStack
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import heyoka
 import numpy as np
-import problem
 from jaxtyping import Float, Int
+
+import problem
 
 FOREVER = 1e200  # a time s that no run reaches; the number of steps is the limit
 
@@ -91,8 +92,9 @@ def _advance(
 
 def _classify(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"]
-) -> tuple[Int[np.ndarray, " n"], int]:
-    """Labels, and how many lane steps were made (padding not counted)."""
+) -> tuple[Int[np.ndarray, " n"], int, float]:
+    """Labels, how many lane steps were made (padding not counted), and processor seconds."""
+    begin = process_time()
     labels = problem.certificate(deltas, omegas.T)
     live = np.flatnonzero(labels == problem.UNDECIDED)
     amplitude = np.linalg.norm(omegas[live], axis=1)
@@ -108,7 +110,7 @@ def _classify(
         labels[live] = found
         left = found == problem.UNDECIDED
         live, states, coefficients = live[left], states[:, left], coefficients[:, left]
-    return labels, made
+    return labels, made, process_time() - begin
 
 
 def run(
@@ -124,23 +126,24 @@ def run(
         context = multiprocessing.get_context("spawn")
         pools = [stack.enter_context(context.Pool(1, _prepare, (rtol,))) for _ in range(cores)]
 
-        def everywhere(most: int) -> list[Any]:
-            tasks = [(deltas[part[:most]], omegas[part[:most]]) for part in parts]
+        def everywhere() -> list[Any]:
+            tasks = [(deltas[part], omegas[part]) for part in parts]
             pending = [p.apply_async(_classify, task) for p, task in zip(pools, tasks, strict=True)]
             return [answer.get() for answer in pending]
 
-        everywhere(64)
+        everywhere()  # everybody is measured warm
         ready = perf_counter()
-        answers = everywhere(len(deltas))
+        answers = everywhere()
         seconds = perf_counter() - ready
     labels = np.empty(len(deltas), dtype=np.int64)
-    for part, (found, _) in zip(parts, answers, strict=True):
+    for part, (found, *_) in zip(parts, answers, strict=True):
         labels[part] = found
     return {
         "labels": labels,
         "seconds": seconds,
+        "processor_seconds": sum(spent for *_, spent in answers),
         "compile_seconds": ready - begin,
-        "steps": sum(made for _, made in answers),
+        "steps": sum(made for _, made, _ in answers),
         "note": f"heyoka {heyoka.__version__}, batch {heyoka.recommended_simd_size()}, "
-        f"{cores} processes (their start is in compile_seconds)",
+        f"{cores} processes (their start and a first run are in compile_seconds)",
     }

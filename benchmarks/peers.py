@@ -1,21 +1,24 @@
 """Who takes part in the benchmark beside dipoletop, and the truth they are held to.
 
 A peer is `run(deltas, omegas, rtol) -> dict`: `labels` (integers of dipoletop.Outcome),
-`seconds`, `compile_seconds`, `steps` (lane steps made), `note`. A peer that is not installed is
-left out, with a line that says so. float64 must be on in jax before a jax peer runs.
+`seconds` on the clock, `processor_seconds` (all cores together; steadier where others work too),
+`compile_seconds`, `steps` (lane steps made), `note`. A peer that is not installed is left out,
+with a line that says so. float64 must be on in jax before a jax peer runs, and heyoka starts
+processes: call from under `if __name__ == "__main__"`.
 """
 
 import importlib
 from collections.abc import Callable
 from functools import partial
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-import problem
 import scipy
 from jaxtyping import Float
 from scipy.integrate import DOP853
+
+import problem
 
 Peer = Callable[..., dict[str, Any]]
 
@@ -48,13 +51,14 @@ def truth(
     """Labels by scipy's DOP853, one start after another, the certificate after every step."""
     labels = problem.certificate(deltas, omegas.T)
     made = 0
-    begin = perf_counter()
+    begin, spent = perf_counter(), process_time()
     for i in np.flatnonzero(labels == problem.UNDECIDED):
         labels[i], steps = _follow(deltas[i], omegas[i], rtol)
         made += steps
     return {
         "labels": labels,
         "seconds": perf_counter() - begin,
+        "processor_seconds": process_time() - spent,
         "compile_seconds": 0.0,
         "steps": made,
         "note": f"scipy {scipy.__version__} DOP853, one core",

@@ -1,7 +1,8 @@
 """dipoletop: rotation of a rigid electric dipole that radiates, its outcomes and their basins."""
 
 import importlib
-from typing import Any
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
 from . import radiation
 from ._types import Outcome, Stop, Verdict
@@ -21,7 +22,44 @@ from .outcomes import Classification, classify, classify_many
 from .simulate import Trajectory, simulate
 from .sweep import sweep
 
-__version__ = importlib.metadata.version("dipoletop")
+if TYPE_CHECKING:
+    from . import plots
+
+__all__ = [
+    "Basin",
+    "Body",
+    "Classification",
+    "Full",
+    "Grid",
+    "Outcome",
+    "Reduced",
+    "Sample",
+    "SemiReduced",
+    "Stop",
+    "Trajectory",
+    "TransverseAveraged",
+    "TransverseCylindrical",
+    "TransverseFull",
+    "TransverseReduced",
+    "TransverseSemi",
+    "Verdict",
+    "axisymmetric",
+    "box",
+    "classify",
+    "classify_many",
+    "cylindrical",
+    "from_charges",
+    "isotropic",
+    "plots",
+    "radiation",
+    "rod",
+    "simulate",
+    "spheroid",
+    "sweep",
+    "symmetry_cell",
+    "uniform_box",
+]
+__version__ = version("dipoletop")
 
 
 def __getattr__(name: str) -> Any:

@@ -3,14 +3,14 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 
 T = TypeVar("T")
 
 
-def workers(devices: Sequence[jax.Device] | None = None) -> list[jax.Device]:
+def workers(devices: Sequence[Any] | None = None) -> list[Any]:
     """The devices to use, each as often as threads shall feed it.
 
     An accelerator is fed by one thread. A processor runs a small program on one core, so its
@@ -25,7 +25,7 @@ def workers(devices: Sequence[jax.Device] | None = None) -> list[jax.Device]:
 
 
 def in_parallel(
-    task: Callable[[int], T], jobs: Iterable[int], devices: Sequence[jax.Device]
+    task: Callable[[int], T], jobs: Iterable[int], devices: Sequence[Any]
 ) -> Iterator[tuple[int, T]]:
     """(job, task(job)) as they are done; two jobs wait for each worker, so memory is bounded."""
     free = list(devices)

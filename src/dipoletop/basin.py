@@ -122,7 +122,11 @@ class Basin:
 
         table = FIELDS | CHANGED
         columns = {
-            name: (self.dims, self.column(name), {"units": table[name][1], "long_name": table[name][2]})
+            name: (
+                self.dims,
+                self.column(name),
+                {"units": table[name][1], "long_name": table[name][2]},
+            )
             for name in self.columns
         }
         coords = {

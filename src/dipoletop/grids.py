@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._checks import finite, refuse
+from ._checks import finite, real, refuse
 
 Draw = Callable[[Array], Any]
 """From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
@@ -63,10 +63,10 @@ class Grid:
 
 
 def _axis(name: str, values: Any) -> np.ndarray:
-    array = np.asarray(finite(name, np.atleast_1d(np.asarray(values))[None], (-1,) * np.ndim(values)))
+    array = np.atleast_1d(np.asarray(real(name, values, (-1,) * np.ndim(values))))
     if array.size == 0:
         refuse(name, "hold at least one value", "holds none")
-    return array[0]
+    return np.asarray(finite(name, array, (-1,) * array.ndim))
 
 
 def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:
@@ -91,8 +91,8 @@ class Sample:
         n: how many.
         amplitude: |ω₀| of isotropic starts; a pair (least, most) draws it log-uniformly.
         seed: a whole number.
-        draw: your own distribution in place of that, such as `uniform_box(low, high)`: a function of a
-            random key that gives ω₀, or a dict of named arguments of the sweep's `problem`.
+        draw: another distribution in place of that, such as `uniform_box(low, high)`: a
+            function of a random key that gives ω₀, or a dict of the `problem`'s arguments.
 
     Raises:
         ValueError: n < 1, or an amplitude that is not positive.
@@ -135,7 +135,7 @@ class Sample:
 
 def isotropic(amplitude: Any) -> Draw:
     """Isotropic starts with |ω₀| = amplitude, or log-uniform in a pair (least, most)."""
-    bounds = np.asarray(finite("amplitude", jnp.atleast_1d(jnp.asarray(amplitude))[None], (-1,)))[0]
+    bounds = np.atleast_1d(np.asarray(finite("amplitude", amplitude)))
     if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
         refuse("amplitude", "be positive, or a pair 0 < least ≤ most", f"is {amplitude}")
     low, high = np.log(bounds[0]), np.log(bounds[-1])

@@ -22,10 +22,10 @@ from ._types import Equation, Outcome, Real, State, Verdict
 Until = Literal["outcome", "value", "time"]
 """When a lane is finished: its outcome is certain; also ω∞ to the tolerance; or at time t1."""
 
-SAFETY, SHRINK, GROW = 0.9, 0.2, 8.0
-NARROW = 8  # the last lanes end in a block narrower by this factor
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 10  # refill when one lane in so many is finished
-VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of rtol
+NARROW = 8  # the last lanes end in a block narrower by this factor
+VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
 
 
 class Limits(eqx.Module):
@@ -48,25 +48,31 @@ class Ends(eqx.Module):
     steps: Int[Array, "N"]
     """Steps tried, rejected ones included."""
     status: Int[Array, "N"]
-    """1 finished, 0 out of budget, −1 failed (not finite, or the step size underflowed)."""
-    sweeps: Int[Array, ""]
-    """Block steps made; Σ steps / (sweeps · width) is the lane efficiency."""
+    """1 finished, 0 out of budget, −1 failed (not finite, a runaway, or step size underflow)."""
+    sweeps: Int[Array, "2"]
+    """Steps of the wide and of the narrow block."""
 
 
-class _Block(eqx.Module):
-    """The lanes at work and the queue behind them."""
+class _Lanes(eqx.Module):
+    """The state of runs, lanes on the trailing axis of everything."""
 
-    slot: Int[Array, "B"]  # which start a lane works on; N when idle
-    running: Bool[Array, "B"]
     y: Float[Array, "n B"]
     f: Float[Array, "n B"]
     t: Float[Array, "B"]
     h: Float[Array, "B"]
     steps: Int[Array, "B"]
     status: Int[Array, "B"]
-    equation: Any  # parameters of these lanes
+    equation: Any
     atol: Float[Array, "B"]
     t1: Float[Array, "B"]
+
+
+class _Block(eqx.Module):
+    """Runs with their places among the starts: the lanes at work, or the queue behind them."""
+
+    slot: Int[Array, "B"]  # which start; past the end when idle
+    running: Bool[Array, "B"]
+    at: _Lanes
     taken: Int[Array, ""]  # how much of the queue has been handed out
     sweeps: Int[Array, ""]
 
@@ -87,25 +93,25 @@ def sound(y: State, rate: State) -> Bool[Array, "*lanes"]:
     return (jnp.max(jnp.abs(y), 0) < limit) & jnp.all(jnp.isfinite(rate), 0)
 
 
-def _finished(equation: Any, y: State, limits: Any, until: Until) -> Bool[Array, "*lanes"]:
+def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*lanes"]:
     if until == "time":
         return jnp.zeros(y.shape[1:], bool)
-    rtol, atol = limits
+    rtol, atol = scale
     return decided(Verdict(*equation.verdict(y)), rtol, atol, until)
 
 
 def _error_ratio(error: State, y0: State, y1: State, scale: Any) -> Float[Array, "*lanes"]:
     """Largest component of the error over what is allowed."""
-    atol, rtol = scale
+    rtol, atol = scale
     return jnp.max(jnp.abs(error) / (atol[None] + rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1))), 0)
 
 
-def first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Array:
+def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Real:
     """Step size to begin with (Hairer, Nørsett & Wanner I, section II.4)."""
     zero = jnp.zeros_like(y)
     d0, d1 = _error_ratio(y, y, zero, scale), _error_ratio(f, y, zero, scale)
-    safe = jnp.where((d0 > 0) & (d1 > 0), d1, 1.0)
-    h0 = jnp.where((d0 > 0) & (d1 > 0), 0.01 * d0 / safe, 1e-6)
+    moves = (d0 > 0) & (d1 > 0)
+    h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
     f1 = equation(jnp.zeros_like(h0), y + h0[None] * f, None)
     d2 = _error_ratio(f1 - f, y, zero, scale) / h0
     slope = jnp.maximum(jnp.maximum(d1, d2), jnp.finfo(h0.dtype).tiny)
@@ -118,72 +124,59 @@ def _combine(weights: np.ndarray, slopes: list[State]) -> State:
     return functools.reduce(jnp.add, terms)
 
 
-def _runge_kutta(solver: diffrax.AbstractERK, equation: Equation, y: State, f: State, h: Array):
-    """One step of the tableau from (y, f = equation(y)); returns y_new, f_new and the error."""
-    tableau = solver.tableau
-    slopes, stage = [f], y
+def _runge_kutta(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> tuple[State, ...]:
+    """One step of the tableau: y_new, its rate, and the error."""
+    slopes, stage = [at.f], at.y
     for row in tableau.a_lower:
-        stage = y + h[None] * _combine(row, slopes)
+        stage = at.y + h[None] * _combine(row, slopes)
         slopes.append(equation(h, stage, None))
     error = h[None] * _combine(tableau.b_error, slopes)
     if tableau.fsal:
         return stage, slopes[-1], error
-    new = y + h[None] * _combine(tableau.b_sol, slopes)
+    new = at.y + h[None] * _combine(tableau.b_sol, slopes)
     return new, equation(h, new, None), error
 
 
-def _step(block: _Block, limits: Limits, solver: diffrax.AbstractERK, until: Until) -> _Block:
+def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
     """Try one step in every lane that is running."""
-    eps = jnp.finfo(block.h.dtype).eps
-    left = block.t1 - block.t
-    last = block.h >= left
-    h = jnp.where(last, left, block.h)
-    new, slope, error = _runge_kutta(solver, block.equation, block.y, block.f, h)
-    ratio = _error_ratio(error, block.y, new, (block.atol, limits.rtol))
-    order = solver.order(None)  # pyright: ignore[reportArgumentType]
-    factor = SAFETY * jnp.exp(-jnp.log(jnp.maximum(ratio, 1e-30)) / order)
+    at = block.at
+    scale = (limits.rtol, at.atol)
+    left = at.t1 - at.t
+    last = at.h >= left
+    h = jnp.where(last, left, at.h)
+    new, slope, error = _runge_kutta(solver.tableau, at.equation, at, h)
+    ratio = _error_ratio(error, at.y, new, scale)
+    factor = SAFETY * jnp.exp(-jnp.log(jnp.maximum(ratio, 1e-30)) / solver.order(None))
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = block.running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)
 
-    y = jnp.where(accept[None], new, block.y)
-    f = jnp.where(accept[None], slope, block.f)
-    steps = block.steps + block.running.astype(int)
-    # A rejected step that would not have moved the state is the end of the line.
-    stuck = jnp.max(jnp.abs(h[None] * block.f), 0) < 1e-3 * eps * jnp.max(jnp.abs(block.y), 0)
+    y = jnp.where(accept[None], new, at.y)
+    f = jnp.where(accept[None], slope, at.f)
+    steps = at.steps + block.running.astype(int)
+    # A rejected step that would hardly have moved the state is the end of the line.
+    eps = jnp.finfo(h.dtype).eps
+    stuck = jnp.max(jnp.abs(h[None] * at.f), 0) < 1e-3 * eps * jnp.max(jnp.abs(at.y), 0)
     broken = block.running & (~sound(y, f) | (stuck & ~accept))
-    done = accept & (last | _finished(block.equation, y, (limits.rtol, block.atol), until))
-    status = jnp.where(broken, -1, jnp.where(done, 1, block.status))
-    return eqx.tree_at(
-        lambda b: (b.y, b.f, b.t, b.h, b.steps, b.status, b.running, b.sweeps),
-        block,
-        (
-            y,
-            f,
-            jnp.where(accept, block.t + h, block.t),
-            jnp.where(block.running, h * factor, block.h),
-            steps,
-            status,
-            block.running & ~broken & ~done & (steps < limits.max_steps),
-            block.sweeps + 1,
-        ),
-    )
+    done = accept & (last | _finished(at.equation, y, scale, until))
+    status = jnp.where(broken, -1, jnp.where(done, 1, at.status))
+    t = jnp.where(accept, at.t + h, at.t)
+    h = jnp.where(block.running, h * factor, at.h)
+    running = block.running & ~broken & ~done & (steps < limits.max_steps)
+    moved = _Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
+    return _Block(block.slot, running, moved, block.taken, block.sweeps + 1)
 
 
 def _write(ends: Ends, block: _Block) -> Ends:
     """End states of the lanes that stand still; idle lanes write outside and are dropped."""
     slot = jnp.where(block.running, ends.t.shape[0], block.slot)
 
-    def put(into, values):
+    def put(into: Array, values: Array) -> Array:
         return into.at[..., slot].set(values, mode="drop")
 
-    return Ends(
-        put(ends.y, block.y),
-        put(ends.t, block.t),
-        put(ends.steps, block.steps),
-        put(ends.status, block.status),
-        block.sweeps,
-    )
+    at = block.at
+    steps, status = put(ends.steps, at.steps), put(ends.status, at.status)
+    return Ends(put(ends.y, at.y), put(ends.t, at.t), steps, status, ends.sweeps)
 
 
 def _refill(block: _Block, queue: _Block) -> _Block:
@@ -193,33 +186,32 @@ def _refill(block: _Block, queue: _Block) -> _Block:
     place = block.taken + jnp.cumsum(free) - 1
     take = free & (place < size)
     source = jnp.where(take, place, 0)
-
-    def mix(old, new):
-        return jnp.where(take, new[..., source], old)
-
+    at = jax.tree.map(lambda old, new: jnp.where(take, new[..., source], old), block.at, queue.at)
     slot = jnp.where(take, queue.slot[source], jnp.where(free, size, block.slot))
-    lanes = jax.tree.map(mix, _lanes(block), _lanes(queue))
     running = block.running | (take & queue.running[source])
-    return _Block(slot, running, *lanes, block.taken + jnp.sum(take), block.sweeps)
+    return _Block(slot, running, at, block.taken + jnp.sum(take), block.sweeps)
 
 
-def _lanes(b: _Block):
-    return b.y, b.f, b.t, b.h, b.steps, b.status, b.equation, b.atol, b.t1
+def _narrowed(block: _Block, width: int) -> _Block:
+    """The first `width` lanes after those that run have been moved to the front."""
+    front = jnp.argsort(~block.running, stable=True)[:width]
+    at = jax.tree.map(lambda x: x[..., front], block.at)
+    return _Block(block.slot[front], block.running[front], at, block.taken, jnp.zeros((), int))
 
 
 def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> _Block:
     """The queue: first slopes and step sizes; what is decided at once stands at its far end."""
+    scale = (limits.rtol, limits.atol)
     f = equation(jnp.zeros_like(limits.t1), y0, None)
-    h = first_step(equation, y0, f, (limits.atol, limits.rtol), order)
+    h = _first_step(equation, y0, f, scale, order)
     able = sound(y0, f) & jnp.isfinite(h)
-    done = _finished(equation, y0, (limits.rtol, limits.atol), until) | (limits.t1 <= 0)
+    done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
     status = jnp.where(able, jnp.where(done, 1, 0), -1)
     running = able & ~done & (limits.max_steps > 0)
-    first = jnp.argsort(~running, stable=True)
-    zero = jnp.zeros_like(status)
-    whole = (y0, f, jnp.zeros_like(h), h, zero, status, equation, limits.atol, limits.t1)
-    lanes = jax.tree.map(lambda x: x[..., first], whole)
-    return _Block(first, running[first], *lanes, jnp.sum(running), jnp.zeros((), int))
+    zero = jnp.zeros_like(h)
+    at = _Lanes(y0, f, zero, h, zero.astype(int), status, equation, limits.atol, limits.t1)
+    block = _Block(jnp.arange(h.shape[0]), running, at, jnp.sum(running), jnp.zeros((), int))
+    return _narrowed(block, h.shape[0])
 
 
 def _integrate(
@@ -231,49 +223,48 @@ def _integrate(
     width: int,
 ) -> Ends:
     size = y0.shape[1]
-    order = int(solver.order(None))  # pyright: ignore[reportArgumentType]
-    queue = _prepare(equation, y0, limits, order, until)
-    many = queue.taken  # starts that need work
-    ends = Ends(y0, jnp.zeros(size), jnp.zeros(size, int), jnp.zeros(size, int), queue.sweeps)
-    ends = _write(ends, eqx.tree_at(lambda q: q.running, queue, jnp.zeros(size, bool)))
-    idle = jnp.full(size, size)
-    block = _Block(idle, jnp.zeros(size, bool), *_lanes(queue), jnp.zeros((), int), queue.sweeps)
-    queue = eqx.tree_at(lambda q: q.slot, queue, jnp.where(queue.running, queue.slot, size))
+    queue = _prepare(equation, y0, limits, int(solver.order(None)), until)  # pyright: ignore
+    many = queue.taken  # starts that need a step
+    none = jnp.zeros(size, int)
+    ends = Ends(y0, jnp.zeros_like(limits.t1), none, none, jnp.zeros(2, int))
+    idle = jnp.zeros(size, bool)
+    ends = _write(ends, _Block(queue.slot, idle, queue.at, many, many))
+    slot = jnp.where(queue.running, queue.slot, size)
+    queue = _Block(slot, queue.running, queue.at, many, many)
+    block = _Block(none + size, idle, queue.at, jnp.zeros((), int), many)
 
     # The slowest lanes end in a narrow block, where a step costs less.
-    for lanes, keep in ((width, width // NARROW), (max(width // NARROW, 1), 0)):
+    sweeps = []
+    narrow = max(width // NARROW, 1)
+    for lanes, keep in ((width, width // NARROW), (narrow, 0)):
         block = _narrowed(block, lanes)
 
-        def busy(block: _Block, lanes=lanes, keep=keep):
+        def busy(block: _Block, lanes: int = lanes, keep: int = keep) -> Bool[Array, ""]:
             wanted = jnp.where(block.taken < many, lanes - lanes // REFILL, keep + 1)
             return jnp.sum(block.running) >= wanted
 
-        def work(carry, busy=busy):
+        def work(carry: Any, busy: Any = busy) -> tuple[_Block, Ends]:
             block, ends = carry
             block = _refill(block, queue)
             block = jax.lax.while_loop(busy, lambda b: _step(b, limits, solver, until), block)
             return block, _write(ends, block)
 
-        def unfinished(carry, keep=keep):
+        def unfinished(carry: Any, keep: int = keep) -> Bool[Array, ""]:
             block, _ = carry
             return (jnp.sum(block.running) > keep) | (block.taken < many)
 
         block, ends = jax.lax.while_loop(unfinished, work, (block, ends))
-    return ends
-
-
-def _narrowed(block: _Block, width: int) -> _Block:
-    """The first `width` lanes after those that run have been moved to the front."""
-    front = jnp.argsort(~block.running, stable=True)[:width]
-    lanes = jax.tree.map(lambda x: x[..., front], _lanes(block))
-    return _Block(block.slot[front], block.running[front], *lanes, block.taken, block.sweeps)
+        sweeps.append(block.sweeps)
+    return Ends(ends.y, ends.t, ends.steps, ends.status, jnp.stack(sweeps))
 
 
 @functools.cache
-def _compiled(platform: str):
+def _compiled(platform: str) -> Any:
+    jit: Any = eqx.filter_jit
     # Wide vectors pay on CPUs that have them; the flag is unknown elsewhere.
-    options = {"xla_cpu_prefer_vector_width": 512} if platform == "cpu" else None
-    return eqx.filter_jit(_integrate, compiler_options=options)
+    if platform == "cpu":
+        return jit(_integrate, compiler_options={"xla_cpu_prefer_vector_width": 512})
+    return jit(_integrate)
 
 
 def integrate(

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from . import lanes
-from ._checks import concrete, finite, real, refuse
+from ._checks import finite, real, refuse
 from ._settings import MAX_STEPS, absolute, budget, tolerance
-from ._types import Equation, Outcome, State, Stop, Vector, Verdict
+from ._types import Equation, Outcome, State, Stop, Verdict
 from ._workers import in_parallel, workers
 
 TILE = 16384  # starts handed to the engine at once, at most
@@ -55,6 +55,7 @@ def _assemble(equation: Equation, y: State, t: Any, steps: Any, status: Any) -> 
 
 
 def check_verdict(equation: Any) -> None:
+    """Refuse an equation that cannot say how its runs end."""
     if not callable(getattr(equation, "verdict", None)):
         refuse(
             "equation",
@@ -130,9 +131,10 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
         max_steps=max_steps,
         throw=False,
     )
-    y = solution.ys[-1]
+    y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
     status = jnp.where(lanes.sound(y, equation(0.0, y, None)), 0, -1)
-    return _assemble(equation, y, solution.ts[-1], solution.stats["num_steps"], status)
+    time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
+    return _assemble(equation, y, time, solution.stats["num_steps"], status)
 
 
 def classify_block(

@@ -7,11 +7,10 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from . import radiation
-from ._checks import concrete, finite, real, refuse, where_valid
+from ._checks import finite, real, refuse, where_valid
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, State, Vector
 
@@ -197,5 +196,5 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
         max_steps=max_steps,
         throw=options.get("throw", True),
     )
-    ys = solution.ys
+    ys: Any = solution.ys
     return Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)

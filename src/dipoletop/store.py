@@ -8,20 +8,18 @@ bytes.
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ._checks import refuse
 from .basin import CHANGED, FIELDS, Basin
 
-if TYPE_CHECKING:
-    import zarr
-
+Group = Any  # of zarr, whose item types are too wide to be of use
 FORMAT = "dipoletop basin, version 1"
 
 
-def create(path: Any, header: dict[str, Any], coords: dict[str, np.ndarray]) -> "zarr.Group":
+def create(path: Any, header: dict[str, Any], coords: dict[str, np.ndarray]) -> Group:
     """A new store, or the one at `path` if it belongs to the same sweep.
 
     `header` holds dims, shape, tile (starts in a chunk), columns (their names), attrs, and a
@@ -56,17 +54,17 @@ def create(path: Any, header: dict[str, Any], coords: dict[str, np.ndarray]) -> 
     return zarr.open_group(place, mode="r+")
 
 
-def write_tile(group: "zarr.Group", tile: int, columns: dict[str, np.ndarray]) -> None:
+def write_tile(group: Group, tile: int, columns: dict[str, np.ndarray]) -> None:
     """Write one tile, then its flag."""
-    start = tile * group.attrs["tile"]  # pyright: ignore[reportOperatorIssue]
+    start = tile * group.attrs["tile"]
     for name, values in columns.items():
-        group[name][start : start + len(values)] = values  # pyright: ignore[reportIndexIssue]
-    group["done"][tile] = 1  # pyright: ignore[reportIndexIssue]
+        group[name][start : start + len(values)] = values
+    group["done"][tile] = 1
 
 
-def unfinished(group: "zarr.Group") -> list[int]:
+def unfinished(group: Group) -> list[int]:
     """The tiles that have to be computed."""
-    return np.flatnonzero(np.asarray(group["done"][:]) == 0).tolist()  # pyright: ignore
+    return np.flatnonzero(np.asarray(group["done"][:]) == 0).tolist()
 
 
 def save(basin: Basin, path: Any) -> None:
@@ -96,7 +94,7 @@ def load(path: Any) -> Basin:
     except Exception as error:
         refuse("path", "hold an undamaged basin", f"{path} cannot be read ({error})")
     if left:
-        tiles = group["done"].shape[0]  # pyright: ignore[reportAttributeAccessIssue]
+        tiles = group["done"].shape[0]
         refuse(
             "path",
             "hold a finished sweep",
@@ -105,11 +103,11 @@ def load(path: Any) -> Basin:
     return basin
 
 
-def view(group: "zarr.Group", seconds: float = np.nan) -> Basin:
+def view(group: Group, seconds: float = np.nan) -> Basin:
     """The basin in a store, read from disk column by column when asked."""
     header: Any = dict(group.attrs)
     coords = {
-        name: np.asarray(group[f"axis_{name}"][:])  # pyright: ignore[reportIndexIssue]
+        name: np.asarray(group[f"axis_{name}"][:])
         for name in header["dims"]
         if f"axis_{name}" in group
     }
@@ -118,7 +116,7 @@ def view(group: "zarr.Group", seconds: float = np.nan) -> Basin:
     return Basin(dims, shape, coords, columns, dict(header["attrs"]), seconds)
 
 
-def _open(place: Path, argument: str) -> "zarr.Group":
+def _open(place: Path, argument: str) -> Group:
     import zarr
 
     if not place.exists():

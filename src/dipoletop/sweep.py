@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import lanes, store as disk
+from . import lanes
+from . import store as disk
 from ._checks import refuse
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
@@ -40,7 +41,7 @@ def sweep(
     confirm: float | None = None,
     store: Any = None,
     progress: bool | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> Basin:
     """Outcomes of a problem on every point of a grid or a sample.
 
@@ -124,8 +125,8 @@ def sweep(
         "fingerprint": _fingerprint(build, size),
     }
     group = disk.create(store, header, over.coords)
-    keep = functools.partial(disk.write_tile, group)
-    _work(run, disk.unfinished(group), keep, crew, (size, tile, progress))
+    write = functools.partial(disk.write_tile, group)
+    _work(run, disk.unfinished(group), write, crew, (size, tile, progress))
     return disk.view(group, time.perf_counter() - began)
 
 

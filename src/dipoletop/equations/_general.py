@@ -1,40 +1,43 @@
 """When the outcome of a general body is certain: any inertia tensor, any dipole, every level.
 
-Written in the frame (n, a, b): n along the dipole, a and b the principal directions across it
-if n is a principal axis. Lengths of time and inertia are J_d = n·In and 1/|w|, w = n·Ω, so that
-a = J_a/J_d, b = J_b/J_d, μ = |d|²|w|/J_d, and y = (x_a, ±x_b)/|w| with the sign of w (a reflection
+Written in the frame (n, a, b): n along the dipole, a and b the principal directions across it if
+n is a principal axis. Moments are measured in J_d = n·In and times in 1/|w|, w = n·Ω, so that
+a = J_a/J_d, b = J_b/J_d, μ = |d|²|w|/J_d and y = (x_a, ±x_b)/|w| with the sign of w (a reflection
 of the body that keeps the dipole). At every level
 
-    ẏ = ℓ(μ) y + (cubic and higher, odd in y),      ẇ/w = g y_a y_b exactly,   g = a − b.
+    y′ = ℓ(μ) y + odd terms from the third power on,      w′/w = g y_a y_b exactly,   g = a − b.
 
-Why these tests are sound, and where: the balance law d/dt(E − d₁·d₂) = −|d₂|² is exact for the
-full equation, and holds for the reduced levels up to terms smaller by |d|²|Ω|/J. There a motion
-ends where d₂ = 0 for ever: at rest, or, if n is a principal axis, on the line Ω ∥ n. `REACH`
-bounds |d|²|Ω|/J where that is used; it limits the level, and says nothing of how fast a top
-has to be. What no test decides stays undecided.
+The balance law d/dt(E − d₁·d₂) = −|d₂|² is exact for the full equation and holds for the reduced
+levels up to terms smaller by |d|²|Ω|/J. Where these are small a motion ends where d₂ = 0 for ever:
+at rest or, if n is a principal axis, on the line Ω ∥ n. `REACH` bounds |d|²|Ω|/J where that is
+used: it limits the level, and does not decide by slowness. What no test decides stays undecided.
 """
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._linalg import Vec, cross, dot, inverse, matvec, scale
+from .._linalg import cross, dot, inverse, matvec, scale
 from .._types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body
 from . import _regions
 
 Flag = Bool[Array, "*lanes"]
 Two = tuple[Real, Real, Real, Real]
-"""A 2×2 matrix by rows."""
+"""A 2×2 matrix, by rows."""
 Form = tuple[Real, Real, Real]
-"""A symmetric 2×2 matrix: 11, 12, 22."""
+"""A symmetric 2×2 matrix: its elements 11, 12 and 22."""
+Nodes = Float[Array, "nodes *lanes"]
 
-REACH = 0.2  # |d|²|Ω| tr(I⁻¹) up to which the balance law holds well enough at the reduced levels
-CUBIC = 3.0  # |cubic terms of ẋ_i| ≤ 3 |d|²|x|²|x_i|/J_i at order 1, by J_a ≤ J_b + J_d and so on
-HIGHER = 2.0  # what the other levels add to that, as a factor, for |d|²|Ω|/J within REACH
-GRID = 16  # nodes on which the slow flow is searched for a barrier
-SAME = 4096  # two moments, or two directions, are equal if they differ by so many roundings
+REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law well enough
+CUBIC = 3.0  # order 1: |odd terms of x′_i| ≤ 3 |d|²|x|²|x_i|/J_i, because J_a ≤ J_b + J_d and so on
+HIGHER = 2.0  # the same for the other levels within REACH, as a factor
+DRIFT = 0.1  # largest relative change of w that a residual region may allow
+NODES = 16  # on which the slow flow is searched for a barrier
+WAVER = 4.0  # the slow flow is exact up to this times |d|²|Ω|/J, measured in x and in f
+SAME = 4096  # moments or directions that differ by so many roundings are the same
 
 
 class Frame(NamedTuple):
@@ -46,16 +49,22 @@ class Frame(NamedTuple):
     """|Ω|."""
     w: Real
     """n·Ω."""
-    x: tuple[Real, Real]
-    """Components of Ω along a and b."""
-    moments: tuple[Real, Real, Real]
-    """J_d, J_a, J_b."""
+    xa: Real
+    """a·Ω."""
+    xb: Real
+    """b·Ω."""
+    jd: Real
+    """n·In."""
+    ja: Real
+    """a·Ia."""
+    jb: Real
+    """b·Ib."""
     principal: Flag
     """Whether n is a principal axis, to rounding."""
 
 
 def verdict(equation: Any, y: Vector) -> Verdict:
-    """What `Reduced` or `SemiReduced` of any body say of the state y.
+    """What a reduced or semi-reduced equation of any body says of the state y.
 
     Args:
         equation: has a `body` and, if it is a reduced equation, an `order`.
@@ -63,32 +72,313 @@ def verdict(equation: Any, y: Vector) -> Verdict:
 
     Returns:
         RESIDUAL where a Lyapunov function of the line shows that it attracts y; STOP where no
-        line can attract y, or where the slow flow has a barrier before it; never certified.
+        line is left that could attract y, or the slow flow has a barrier before it.
     """
-    body, order = equation.body, getattr(equation, "order", None)
-    frame = seen_from_dipole(body, y)
-    jd, ja, jb = frame.moments
-    same = _rounding(y) * (jd + ja + jb)
-    across = (jnp.abs(ja - jd) <= same) | (jnp.abs(jb - jd) <= same)
-    round_ = jnp.abs(ja - jb) <= same  # the dipole lies on a symmetry axis
+    order = getattr(equation, "order", None)
+    frame = seen_from_dipole(equation.body, y)
+    near = _reach(equation.body, frame) <= REACH
+    same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
+    round_about_n = jnp.abs(frame.ja - frame.jb) <= same
+    touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
+    general = _general(frame, order, near, round_about_n)
+    degenerate = frame.principal & touches & ~round_about_n
+    return jax.tree.map(
+        lambda one, two: jnp.where(degenerate, one, two), _transverse(frame, order), general
+    )
 
-    near = _reach(body, frame) <= REACH
-    caught, value, error = _residual(frame, order)
-    keeps = round_ & (frame.w != 0) & (near if order is not None and order > 1 else True)
-    spin = _axis_spin(frame)
-    middle = _unstable_line(frame, order) & near
-    walled = _behind_barrier(frame) & near
-    stop = ~frame.principal & near | frame.principal & (spin | ~round_ & (middle | walled))
+
+def _general(frame: Frame, order: int | None, near: Flag, round_about_n: Flag) -> Verdict:
+    """The verdict but for an axisymmetric body with its dipole across the axis."""
+    caught, value, error = _residual(frame, order, near)
+    if order is not None and order > 1:  # at large amplitude these levels run away
+        round_about_n = round_about_n & near
+    keeps = round_about_n & (frame.w != 0)  # then w is constant
+    spin = _on_other_axis(frame, round_about_n)
+    middle = near & _no_stable_line(frame, order)
+    held = near & _behind_barrier(frame)
+    stop = jnp.where(frame.principal, spin | (~keeps & (middle | held)), near)
     residual = frame.principal & ~stop & (keeps | caught)
-    kind = jnp.where(frame.principal & (spin | middle & _ends_on_axis(frame)), Stop.AXIS, Stop.TUMBLING)
-
-    outcome = jnp.where(stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, 0))
-    general = Verdict(
-        outcome,
+    axis = frame.principal & (spin | (middle & _ends_on_axis(frame)))
+    sound = jnp.isfinite(frame.size + frame.jd + frame.ja + frame.jb + frame.strength)
+    stop, residual = stop & sound, residual & sound
+    return Verdict(
+        jnp.where(stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)),
         jnp.where(stop, 0.0, jnp.where(residual, jnp.where(keeps, frame.w, value), jnp.nan)),
         jnp.zeros_like(stop),
-        jnp.where(stop, kind, Stop.NONE),
+        jnp.where(stop, jnp.where(axis, Stop.AXIS, Stop.TUMBLING), Stop.NONE),
         jnp.where(stop | keeps, 0.0, error),
     )
-    degenerate = frame.principal & across & ~round_
-    return _select(degenerate, _transverse(frame, order), general)
+
+
+def seen_from_dipole(body: Body, omega: Vector) -> Frame:
+    """The frame (n, a, b), right-handed, by one Jacobi rotation about n."""
+    inertia, d = body.inertia, body.dipole
+    strength = dot(d, d)
+    n = scale(1 / jnp.sqrt(strength), d)
+    # the coordinate axis least along n, so that an axis of the body stays one exactly
+    least = jnp.argmin(jnp.abs(n), axis=0)
+    e = jnp.stack([jnp.where(least == i, 1.0, 0.0) for i in range(3)])
+    e = cross(n, e)
+    e = scale(1 / jnp.sqrt(dot(e, e)), e)
+    f = cross(n, e)
+    ie, jf = matvec(inertia, e), matvec(inertia, f)
+    half, mixed = (dot(e, ie) - dot(f, jf)) / 2, dot(e, jf)
+    done = (half == 0) & (mixed == 0)
+    turn = jnp.arctan2(jnp.where(half < 0, -mixed, mixed), jnp.where(done, 1.0, jnp.abs(half))) / 2
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    first = scale(cos, e) + scale(sin, f)
+    second = scale(cos, f) - scale(sin, e)
+    lever = matvec(inertia, n)
+    jd, gain = dot(n, lever), mixed * jnp.tan(turn)
+    off = lever - scale(jd, n)
+    rounding = _rounding(jd) * (inertia[0, 0] + inertia[1, 1] + inertia[2, 2])
+    return Frame(
+        strength,
+        _root(dot(omega, omega)),
+        dot(n, omega),
+        dot(first, omega),
+        dot(second, omega),
+        jd,
+        dot(e, ie) + gain,
+        dot(f, jf) - gain,
+        dot(off, off) <= rounding**2,
+    )
+
+
+def _rounding(like: Real) -> float:
+    return SAME * float(jnp.finfo(like.dtype).eps)
+
+
+def _guarded(denominator: Real) -> Real:
+    """1 in place of 0, so that no unused branch divides by it."""
+    return jnp.where(denominator == 0, 1.0, denominator)
+
+
+def _root(square: Real) -> Real:
+    """Square root with derivative 0 at 0."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def _reach(body: Body, frame: Frame) -> Real:
+    """|d|²|Ω|/J with 1/J = √tr(I⁻²), at least one over the smallest moment."""
+    back = inverse(body.inertia)
+    return frame.strength * frame.size * jnp.sqrt(sum(dot(back[i], back[i]) for i in range(3)))
+
+
+# --- the line Ω = w n -----------------------------------------------------------------------
+
+
+def line(a: Real, b: Real, mu: Real, order: int | None) -> Two:
+    """ℓ(μ), the linear part of the equation across its residual line; `None`: semi-reduced.
+
+    Across the line I⊥ℓ₀ is the gyroscopic part, Ω̇ = ℓ₋x and Ω̈ = ℓ₋²x with ℓ₋ the order before,
+    and the torque of radiation is μ(−1 + ℓ₋² + 2n×ℓ₋)x.
+    """
+    free = ((b - 1) / a, -(a - 1) / b)
+    both = free[0] * free[1]
+    if order is None:
+        # (I⊥ − 2μ n×) ℓ = I⊥ℓ₀ + μ(−1 + ℓ₀²)
+        drag, det = mu * (both - 1), a * b + 4 * mu**2
+        up, down = b - 1, 1 - a
+        return (
+            (b * drag - 2 * mu * down) / det,
+            (b * up - 2 * mu * drag) / det,
+            (a * down + 2 * mu * drag) / det,
+            (a * drag + 2 * mu * up) / det,
+        )
+    l11, l12, l21, l22 = jnp.zeros_like(both), free[0], free[1], jnp.zeros_like(both)
+    for _ in range(order):
+        cross_term, trace = l12 * l21, l11 + l22
+        l11, l12, l21, l22 = (
+            mu / a * (l11**2 + cross_term - 1 - 2 * l21),
+            free[0] + mu / a * (l12 * trace - 2 * l22),
+            free[1] + mu / b * (l21 * trace + 2 * l11),
+            mu / b * (l22**2 + cross_term - 1 + 2 * l12),
+        )
+    return l11, l12, l21, l22
+
+
+def _lyapunov(m: Two, q: Form) -> Form:
+    """P of MᵀP + PM = −Q: [det Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
+    m11, m12, m21, m22 = m
+    q11, q12, q22 = q
+    det = m11 * m22 - m12 * m21
+    below = _guarded(-2 * (m11 + m22) * det)
+    return (
+        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) / below,
+        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) / below,
+        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) / below,
+    )
+
+
+def _extremes(p: Form) -> tuple[Real, Real]:
+    """Smallest and largest eigenvalue of a symmetric matrix."""
+    mean, spread = (p[0] + p[2]) / 2, _root((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
+    return mean - spread, mean + spread
+
+
+def _value(p: Form, y: tuple[Real, Real]) -> Real:
+    """yᵀPy."""
+    return p[0] * y[0] ** 2 + 2 * p[1] * y[0] * y[1] + p[2] * y[1] ** 2
+
+
+def _balancing(m: Two) -> Real:
+    """Scale s such that y_b/s makes ℓ balanced: a slow precession has y_b ~ μ y_a."""
+    down, up, rate = jnp.abs(m[2]), jnp.abs(m[1]), _guarded(jnp.abs(m[0] + m[3]))
+    square = (down + rate * jnp.minimum(1.0, rate / _guarded(up))) / (
+        up + rate * jnp.minimum(1.0, rate / _guarded(down))
+    )
+    return jnp.sqrt(square)
+
+
+def _scaled(m: Two, s: Real) -> Two:
+    """The matrix for (y_a, y_b/s)."""
+    return m[0], m[1] * s, m[2] / s, m[3]
+
+
+def _residual(frame: Frame, order: int | None, near: Flag) -> tuple[Flag, Real, Real]:
+    """Whether the line attracts the state; ω∞ and its relative error.
+
+    With V = yᵀPy, ℓᵀP + Pℓ = −1 at the present w, let V₀ be its present value. As long as
+    V ≤ V₀ and w has changed by no more than a part η: V′ ≤ −½|y|². Then ∫|y|² ≤ 2V₀, which
+    keeps the change of w below η = |g| s V₀: the two conditions hold each other up for ever.
+    """
+    one = _guarded(jnp.abs(frame.w))
+    a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength * one / frame.jd
+    matrix = line(a, b, mu, order)
+    s = _balancing(matrix)
+    y = frame.xa / one, jnp.sign(frame.w) * frame.xb / (one * s)
+    now = _scaled(matrix, s)
+    stable = (now[0] + now[3] < 0) & (now[0] * now[3] > now[1] * now[2])
+    unit, none = jnp.ones_like(s), jnp.zeros_like(s)
+    p = _lyapunov(now, (unit, none, unit))
+    low, high = _extremes(p)
+    v = _value(p, y)
+    g = a - b
+    eta = jnp.abs(g) * s * v
+    odd = CUBIC * (1.0 if order == 1 else HIGHER) * mu / jnp.minimum(a, b)
+    odd = odd * jnp.maximum(1.0, s**2) * v / jnp.where(low > 0, low, 1.0)
+    held = stable & (low > 0) & (eta <= DRIFT) & (8 * high * odd <= 1)
+    for part in (1 - eta, 1 + eta):
+        held = held & (_decay(_scaled(line(a, b, mu * part, order), s), p) * part >= 0.75)
+    if order != 1:
+        held = held & near
+    # w + xᵀSx is constant up to the fourth power of x
+    form = _lyapunov(now, (none, g * s / 2, none))
+    least, most = _extremes(form)
+    size = jnp.maximum(jnp.abs(least), jnp.abs(most))
+    error = 2 * eta**2 + 4 * v * size * odd
+    return held & (frame.w != 0), frame.w * (1 + _value(form, y)), error
+
+
+def _decay(m: Two, p: Form) -> Real:
+    """Smallest eigenvalue of −(MᵀP + PM)."""
+    m11, m12, m21, m22 = m
+    return _extremes(
+        (
+            -2 * (p[0] * m11 + p[1] * m21),
+            -(p[0] * m12 + p[1] * (m11 + m22) + p[2] * m21),
+            -2 * (p[1] * m12 + p[2] * m22),
+        )
+    )[0]
+
+
+# --- stops ----------------------------------------------------------------------------------
+
+
+def _on_other_axis(frame: Frame, round_about_n: Flag) -> Flag:
+    """Spin about a principal axis across the dipole, or rest: the motion stays there."""
+    none = 8 * float(jnp.finfo(frame.w.dtype).eps) * frame.size
+    other = round_about_n | (jnp.abs(frame.xa) <= none) | (jnp.abs(frame.xb) <= none)
+    return (jnp.abs(frame.w) <= none) & other
+
+
+def _no_stable_line(frame: Frame, order: int | None) -> Flag:
+    """Dipole on the middle axis, and energy too small to reach a stable part of the line.
+
+    The line is unstable while μ² + (1 − a)(1 − b) < 0 (physics of the full equation), which the
+    reduced levels change by a factor near 1 + μ. Energy bounds w: J_d w² ≤ 2E, but for what the
+    near field lends.
+    """
+    a, b = frame.ja / frame.jd, frame.jb / frame.jd
+    energy = frame.w**2 + a * frame.xa**2 + b * frame.xb**2
+    mu = frame.strength * _root(energy) / frame.jd
+    m11, m12, m21, m22 = line(a, b, mu, order)
+    return (4 * mu**2 <= (a - 1) * (1 - b)) & (m11 * m22 < m12 * m21)
+
+
+def _ends_on_axis(frame: Frame) -> Flag:
+    """Dipole on the middle axis J₂: the stop is a spin about J₃ iff J₂J₁² < (J₃−J₂)(J₃−J₁)²."""
+    low, high = jnp.minimum(frame.ja, frame.jb), jnp.maximum(frame.ja, frame.jb)
+    return frame.jd * low**2 < (high - frame.jd) * (high - low) ** 2
+
+
+def _behind_barrier(frame: Frame) -> Flag:
+    """Dipole on the smallest moment, h = 2E/L² below a repeller of the slow flow.
+
+    Averaged over free rotation dh/ds = f(h). Where f < 0 at some node between the state and the
+    separatrix, h cannot rise; the distance in x and the depth of f leave room for what the
+    average leaves out, which is of the order of |d|²|Ω|/J and falls with |Ω|.
+    """
+    a, b = frame.ja / frame.jd, frame.jb / frame.jd
+    p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
+    momentum = frame.w**2 + (a * frame.xa) ** 2 + (b * frame.xb) ** 2
+    h = (frame.w**2 + a * frame.xa**2 + b * frame.xb**2) / _guarded(momentum)
+    fine = float(jnp.finfo(h.dtype).eps) ** 0.5
+    usable = (1 - p2 > fine) & (p2 - p3 > fine)
+    p2, p3 = jnp.where(usable, p2, 0.8), jnp.where(usable, p3, 0.6)
+    nodes = (jnp.arange(1, NODES + 1) / (NODES + 1)).astype(h.dtype)
+    nodes = jnp.broadcast_to(nodes.reshape((NODES,) + (1,) * h.ndim), (NODES, *h.shape))
+    waver = WAVER * frame.strength * frame.size / frame.jd
+    barrier = _slow_flow(p2[None], p3[None], nodes) < -waver[None] / WAVER
+    behind = nodes >= ((h - p3) / (p2 - p3) + waver)[None]
+    return usable & jnp.any(barrier & behind, axis=0)
+
+
+def _slow_flow(p2: Nodes, p3: Nodes, x: Nodes) -> Nodes:
+    """The rate f = dh/ds, dipole on J₁, h = p₃ + (p₂ − p₃)x below the separatrix; p₁ = 1."""
+    h = p3 + (p2 - p3) * x
+    w = _ratio_e_k((1 - p2) * x / (1 - h))
+    y1 = (
+        h**2 * (p2 + p3 - 2 * p2 * p3)
+        + h * (-2 * p2**2 + p2 * p3 - 2 * p3**2 + 2 * p2**2 * p3 + 2 * p2 * p3**2)
+        + (p2 - p3) ** 2
+        - (p2 * p3) ** 2
+    )
+    first = (p2 - h) * ((p2 - p3) ** 2 - p2 * p3**2 - h * p2 * (p2 - p3))
+    return (1 - h) / (1 - p2) * (first - w * (p2 - p3) * y1 / (1 - p3))
+
+
+def _ratio_e_k(m: Nodes) -> Nodes:
+    """E(m)/K(m) = 1 − Σ 2ⁿ⁻¹cₙ² by the arithmetic-geometric mean, 0 ≤ m ≤ 0.99."""
+    one, other, total, weight = jnp.ones_like(m), jnp.sqrt(1 - m), m / 2, 1.0
+    for _ in range(6):
+        half = (one - other) / 2
+        one, other = (one + other) / 2, jnp.sqrt(one * other)
+        total = total + weight * half**2
+        weight = 2 * weight
+    return 1 - total
+
+
+# --- axisymmetric body, dipole across the axis ------------------------------------------------
+
+
+def _transverse(frame: Frame, order: int | None) -> Verdict:
+    """The regions of the transverse top, in its units: ω = |d|²Ω/J_d, δ = 1 − J₃/J_d."""
+    first = jnp.abs(frame.ja - frame.jd) <= jnp.abs(frame.jb - frame.jd)
+    third = jnp.where(first, frame.jb, frame.ja)
+    delta = jnp.maximum(1 - third / frame.jd, -1.0)
+    unit = frame.strength / frame.jd
+    omega = jnp.stack(
+        [frame.w, jnp.where(first, frame.xa, frame.xb), jnp.where(first, frame.xb, -frame.xa)]
+    )
+    regions = {None: _regions.semi_reduced, 1: _regions.first_order}
+    found = regions.get(order, _regions.higher_order)(delta, scale(unit, omega))
+    return Verdict(
+        found.outcome,
+        found.omega_inf / unit,
+        jnp.zeros_like(found.certified),
+        jnp.broadcast_to(found.stop, found.outcome.shape),
+        jnp.broadcast_to(found.error, found.outcome.shape),
+    )

@@ -6,7 +6,7 @@ S = sgn(ω₃)·2ω₁ω₂/u. On the residual side T = ω₂/ω₁, Z = ω₃/�
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from .._types import Outcome, Real, Stop, Vector, Verdict
 

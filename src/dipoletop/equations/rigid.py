@@ -12,10 +12,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import dot, inverse, matvec, scale, solve
-from .._types import Vector
+from .._types import Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from .transverse import check_order
+from . import _general
+from ._base import check_order, order_label, unchanged
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
@@ -60,18 +61,16 @@ class Reduced(eqx.Module):
         torque = radiation_torque(body, y, rate, second) - gyroscopic_torque(body, y)
         return matvec(inverse(body.inertia), torque)
 
-    def lift(self, omega0: Vector) -> Vector:
-        """The state is Ω itself."""
-        return omega0
+    lift = omega = unchanged
 
-    def omega(self, y: Vector) -> Vector:
-        """The state is Ω itself."""
-        return y
+    def verdict(self, y: Vector) -> Verdict:
+        """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
+        return _general.verdict(self, y)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "reduced, order 1 (the paper's)" if self.order == 1 else f"reduced, order {self.order}"
+        return order_label(self.order)
 
 
 class SemiReduced(eqx.Module):
@@ -99,13 +98,11 @@ class SemiReduced(eqx.Module):
         matrix = jnp.stack([column(i) for i in range(3)], axis=1)
         return solve(matrix, known - gyroscopic_torque(body, y))
 
-    def lift(self, omega0: Vector) -> Vector:
-        """The state is Ω itself."""
-        return omega0
+    lift = omega = unchanged
 
-    def omega(self, y: Vector) -> Vector:
-        """The state is Ω itself."""
-        return y
+    def verdict(self, y: Vector) -> Verdict:
+        """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
+        return _general.verdict(self, y)
 
     @property
     def level(self) -> str:

@@ -16,16 +16,33 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import real, refuse, where_valid
+from .._checks import real, where_valid
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
+from ._base import check_order, order_label, unchanged
 
 
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
     """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
     array = real("delta", delta)
     return where_valid("delta", array, (array >= -1) & (array < 1), "lie in [-1, 1)")
+
+
+def top(self: Any) -> Body:
+    """The top that the equation moves, for energies and powers."""
+    return axisymmetric(self.delta)
+
+
+def to_cylindrical(self: Any, omega0: Vector) -> Vector:
+    """(ω⊥, ω₃, φ) of a Cartesian ω."""
+    w1, w2, w3 = omega0
+    return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])
+
+
+def to_cartesian(self: Any, y: Vector) -> Vector:
+    """ω of a state (ω⊥, ω₃, φ)."""
+    return cylindrical(y[0], y[1], y[2])
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
@@ -85,13 +102,7 @@ class TransverseReduced(eqx.Module):
             ]
         )
 
-    def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
-        return y
+    lift = omega = unchanged
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
@@ -99,21 +110,12 @@ class TransverseReduced(eqx.Module):
             return _regions.first_order(self.delta, y)
         return _regions.higher_order(self.delta, y)
 
-    @property
-    def body(self) -> Body:
-        """The top this equation moves, for energies and powers."""
-        return axisymmetric(self.delta)
+    body = property(top)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "reduced, order 1 (the paper's)" if self.order == 1 else f"reduced, order {self.order}"
-
-
-def check_order(order: Any) -> None:
-    """Orders beyond 4 cost about four times more each and the series diverges."""
-    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 4:
-        refuse("order", "be 1, 2, 3 or 4", f"is {order!r}")
+        return order_label(self.order)
 
 
 class TransverseSemi(eqx.Module):
@@ -145,22 +147,13 @@ class TransverseSemi(eqx.Module):
         p3 = (r3 + 2 * w1 * r2) / determinant
         return jnp.stack([d * w2 * w3, p2, p3])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
-        return y
+    lift = omega = unchanged
 
     def verdict(self, y: Vector) -> Verdict:
         """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
         return _regions.semi_reduced(self.delta, y)
 
-    @property
-    def body(self) -> Body:
-        """The top this equation moves, for energies and powers."""
-        return axisymmetric(self.delta)
+    body = property(top)
 
     @property
     def level(self) -> str:
@@ -191,9 +184,7 @@ class TransverseFull(eqx.Module):
         zero = jnp.zeros_like(w)
         rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
         balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
-        return jnp.stack(
-            [rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])]
-        )
+        return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
 
     def lift(self, omega0: Vector) -> Float[Array, "5 *lanes"]:
         """Onto the physical branch as the reduction of order 3 has it: error O(ω⁹) at most."""
@@ -204,10 +195,7 @@ class TransverseFull(eqx.Module):
         """The first three components."""
         return y[:3]
 
-    @property
-    def body(self) -> Body:
-        """The top this equation moves, for energies and powers."""
-        return axisymmetric(self.delta)
+    body = property(top)
 
     @property
     def level(self) -> str:
@@ -240,27 +228,18 @@ class TransverseCylindrical(eqx.Module):
         axial = w**2 + w3**2 + d * (2 * cos**2 - sin**2) * w**2
         return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """(ω⊥, ω₃, φ) of a Cartesian start."""
-        return _to_cylindrical(omega0)
-
-    def omega(self, y: Vector) -> Vector:
-        """Back to Cartesian components."""
-        return cylindrical(y[0], y[1], y[2])
+    lift, omega = to_cylindrical, to_cartesian
 
     def verdict(self, y: Vector) -> Verdict:
         """As order 1 in Cartesian components."""
         return _regions.first_order(self.delta, self.omega(y))
 
-    @property
-    def body(self) -> Body:
-        """The top this equation moves, for energies and powers."""
-        return axisymmetric(self.delta)
+    body = property(top)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "reduced, order 1 (the paper's)"
+        return order_label(1)
 
 
 class TransverseAveraged(eqx.Module):
@@ -291,28 +270,14 @@ class TransverseAveraged(eqx.Module):
             ]
         )
 
-    def lift(self, omega0: Vector) -> Vector:
-        """(ω⊥, ω₃, φ) of a Cartesian start."""
-        return _to_cylindrical(omega0)
+    lift, omega = to_cylindrical, to_cartesian
 
-    def omega(self, y: Vector) -> Vector:
-        """Back to Cartesian components."""
-        return cylindrical(y[0], y[1], y[2])
-
-    @property
-    def body(self) -> Body:
-        """The top this equation moves, for energies and powers."""
-        return axisymmetric(self.delta)
+    body = property(top)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "reduced, order 1, averaged"
-
-
-def _to_cylindrical(omega0: Vector) -> Vector:
-    w1, w2, w3 = omega0
-    return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])
+        return f"{order_label(1)}, averaged"
 
 
 def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
