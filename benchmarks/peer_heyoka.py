@@ -1,13 +1,14 @@
 """The peer heyoka, in batch mode, driven as fast as we found.
 
-What was tried, slowest first: a Python step callback or the certificate after every `step()`
-(numpy on 8 lanes costs more than the step), `ensemble_propagate_for_batch` (copies the
-compiled integrator for every batch), and what is used here. All starts go forward by rounds of
-a few steps, `propagate_for(..., max_steps=k)` on batches of the SIMD width; after each round
-one vectorised certificate looks at every start, and the undecided ones are packed together.
+What was tried and is no faster: `ensemble_propagate_for_batch` (copies the compiled integrator for
+every batch, about a thousand steps' worth), a Python callback or the certificate after every
+`step()` (numpy on 8 lanes costs tens of steps), threads (half of the time is Python's), wider
+batches, compact mode. What is used: all starts go forward by rounds of a few steps,
+`propagate_for(..., max_steps=k)` on batches of the SIMD width; after each round one vectorised
+certificate looks at every start, and the undecided ones are packed together.
 
 heyoka's tolerance is absolute below 1, so the variables are y = ω/|ω₀| and s = |ω₀|τ: then the
-tolerance is relative to |ω₀|, as it is for the others, and no label goes wrong at 1e-8.
+tolerance is relative to |ω₀|, as it is for the others.
 Coefficients that depend on δ and |ω₀| only are parameters, computed once for each start.
 """
 

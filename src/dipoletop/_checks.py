@@ -19,13 +19,17 @@ def refuse(name: str, must: str, was: Any) -> NoReturn:
     raise ValueError(f"Argument `{name}` must {must}, but {was}.")
 
 
-def real(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-    """`value` as a float array of the natural `shape`, or with one batch axis in front.
+def real(
+    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
+) -> Float[Array, "..."]:
+    """`value` as a float array of the natural `shape`, or (if `batch`) one more axis in front.
 
     A length of -1 in `shape` stands for any length.
     """
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
+    if isinstance(value, str | bytes):
+        refuse(name, kind, f"is {value!r}")
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
@@ -34,11 +38,12 @@ def real(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..
         jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
     ):
         refuse(name, kind, f"has dtype {array.dtype}")
-    if array.ndim not in (len(shape), len(shape) + 1) or any(
+    if array.ndim not in (len(shape), len(shape) + batch) or any(
         length not in (-1, got)
         for length, got in zip(reversed(shape), reversed(array.shape), strict=False)
     ):
-        refuse(name, f"have shape {wanted}, or one batch axis in front", f"has shape {array.shape}")
+        also = ", or one batch axis in front" if batch else ""
+        refuse(name, f"have shape {wanted}{also}", f"has shape {array.shape}")
     return array.astype(jnp.result_type(float))
 
 
@@ -60,7 +65,9 @@ def _some(values: np.ndarray) -> str:
     return shown + (f" and {values.size - 3} more" if values.size > 3 else "")
 
 
-def finite(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+def finite(
+    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
+) -> Float[Array, "..."]:
     """A real array without NaN or inf."""
-    array = real(name, value, shape)
+    array = real(name, value, shape, batch=batch)
     return where_valid(name, array, jnp.isfinite(array), "be finite")

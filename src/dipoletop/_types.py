@@ -1,16 +1,15 @@
 """Words that every module shares: outcomes, the ways of stopping, and a verdict."""
 
 import enum
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int
 
-Real = Float[Array, "*lanes"]
+Real = Float[Array, "*#lanes"]
 """One real number for each lane; no lane axis for a single top."""
-Vector = Float[Array, "3 *lanes"]
+Vector = Float[Array, "3 *#lanes"]
 """Three body-frame components on axis 0, lanes (if any) behind."""
-State = Float[Array, "n *lanes"]
+State = Float[Array, "n *#lanes"]
 """The state of an equation: components on axis 0, lanes (if any) behind."""
 
 
@@ -59,6 +58,7 @@ class Verdict(NamedTuple):
     """Estimated error of `omega_inf`, relative to it."""
 
 
+@runtime_checkable
 class Equation(Protocol):
     """What the library asks of a first-order equation of motion, yours included.
 
@@ -78,5 +78,3 @@ class Equation(Protocol):
         """The angular velocity of a state, in body axes."""
         ...
 
-
-Judge = Callable[[State], Verdict]

@@ -99,9 +99,7 @@ def classify(
         ('RESIDUAL', True)
     """
     check_verdict(equation)
-    start = finite("omega0", omega0, (3,))
-    if start.ndim != 1:
-        refuse("omega0", "have shape (3,)", f"has shape {start.shape}; see classify_many")
+    start = finite("omega0", omega0, (3,), batch=False)
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, start)
     until = "value" if value else "outcome"
@@ -188,9 +186,7 @@ def classify_many(
         array([1, 2])
     """
     check_verdict(equations)
-    starts = real("omegas", omegas, (3,))
-    if starts.ndim != 2:
-        refuse("omegas", "have shape (N, 3)", f"has shape {starts.shape}; see classify")
+    starts = real("omegas", omegas, (-1, 3), batch=False)
     size = starts.shape[0]
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")

@@ -145,7 +145,7 @@ def simulate(
 
 
 def _times(ts: Any) -> Float[Array, "T"]:
-    times = finite("ts", jnp.asarray(real("ts", jnp.atleast_1d(jnp.asarray(ts))[None], (-1,)))[0])
+    times = finite("ts", ts, (-1,), batch=False)
     if times.shape[0] < 2:
         refuse("ts", "hold at least two times, the start first", f"has shape {times.shape}")
     return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
@@ -154,13 +154,13 @@ def _times(ts: Any) -> Float[Array, "T"]:
 def _state(equation: Any, omega0: Any) -> State:
     """The start: lifted from ω₀, or a whole state as it is."""
     whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
-    start = finite("omega0", jnp.asarray(omega0)[None], (-1,))[0] if jnp.ndim(omega0) == 1 else None
-    if start is not None and start.shape == (3,):
+    start = finite("omega0", omega0, (-1,), batch=False)
+    if start.shape == (3,):
         return equation.lift(start)
-    if start is not None and start.shape == whole:
-        return start
-    also = "" if whole == (3,) else f", or {whole} for a whole state"
-    refuse("omega0", f"have shape (3,){also}", f"has shape {jnp.shape(omega0)}")
+    if start.shape != whole:
+        also = "" if whole == (3,) else f", or {whole} for a whole state"
+        refuse("omega0", f"have shape (3,){also}", f"has shape {start.shape}")
+    return start
 
 
 @eqx.filter_jit

@@ -40,7 +40,7 @@ def sweep(
     value: bool = True,
     confirm: float | None = None,
     store: Any = None,
-    progress: bool | None = None,
+    progress: bool | str | None = None,
     devices: Sequence[Any] | None = None,
 ) -> Basin:
     """Outcomes of a problem on every point of a grid or a sample.
@@ -56,7 +56,8 @@ def sweep(
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
         store: a folder for the result. Run the same sweep again and it goes on where it was
             stopped; a grid of any size then needs little memory.
-        progress: whether to show a progress bar; None shows it on a terminal.
+        progress: whether to show a progress bar; None shows it on a terminal, a text with that
+            label.
         devices: which devices to use; None means all.
 
     Returns:
@@ -136,9 +137,16 @@ def _work(run, jobs, keep, crew, extent) -> None:
 
     size, tile, progress = extent
     hide = None if progress is None else not progress
+    label = progress if isinstance(progress, str) else None
     done = size - sum(min(tile, size - job * tile) for job in jobs)
     with tqdm(
-        total=size, initial=done, unit="start", unit_scale=True, disable=hide, file=sys.stderr
+        desc=label,
+        total=size,
+        initial=done,
+        unit="start",
+        unit_scale=True,
+        disable=hide,
+        file=sys.stderr,
     ) as bar:
         for job, found in in_parallel(run, jobs, crew):
             keep(job, found)

@@ -1,7 +1,7 @@
 """Regions of the transverse top from which the outcome is certain, and ω∞ inside them.
 
-Each function takes δ and ω and returns a `Verdict`. Exact invariant sets come first. Shorthand
-of the regions: u = ω₁² + ω₂², U = u + Mω₃², M = 1 + δ + δ², q = 2|δω₃|/U, and
+Each public function takes δ and ω and returns a `Verdict`. Exact invariant sets come first.
+Shorthand of the regions: u = ω₁² + ω₂², M = 1 + δ + δ², U = u + Mω₃², q = 2|δω₃|/U and
 S = sgn(ω₃)·2ω₁ω₂/u. On the residual side T = ω₂/ω₁, Z = ω₃/ω₁² and v = ω₁².
 """
 
@@ -9,8 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from .._types import Outcome, Real, Stop, Vector, Verdict
+from ._residual import residual_first_order, residual_higher_order, residual_semi_reduced
 
-Flag = Bool[Array, "*lanes"]
+Flag = Bool[Array, "*#lanes"]
+
+WOBBLING_FROM = 0.7532357993909
+"""δ above which the consistent levels have a stable wobbling cycle in the small-amplitude limit."""
 
 
 def _guarded(denominator: Real) -> Real:
@@ -18,73 +22,138 @@ def _guarded(denominator: Real) -> Real:
     return jnp.where(denominator == 0, 1.0, denominator)
 
 
-def _verdict(residual: Flag, stop: Flag, omega_inf: Real, certified: Flag, kind, error) -> Verdict:
-    """Assemble; `stop` wins over `residual`, which the exact sets rely on."""
+def _swing(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
+    """q and S."""
+    w1, w2, w3 = w
+    q = 2 * jnp.abs(d * w3) / _guarded(u + (1 + d + d**2) * w3**2)
+    return q, jnp.sign(w3) * 2 * w1 * w2 / _guarded(u)
+
+
+def _verdict(residual: Flag, stop: Flag, kind: Real, certified: Flag, value: tuple) -> Verdict:
+    """Put a verdict together; a stop wins over a residual, which the exact sets rely on."""
+    omega_inf, error = value
     outcome = jnp.where(
         stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)
     )
-    value = jnp.where(stop, 0.0, jnp.where(residual, omega_inf, jnp.nan))
+    omega_inf = jnp.where(stop, 0.0, jnp.where(residual, omega_inf, jnp.nan))
     kind = jnp.where(stop, kind, Stop.NONE)
-    return Verdict(
-        outcome.astype(int), value, certified & (residual | stop), kind.astype(int), error
-    )
+    return Verdict(outcome.astype(int), omega_inf, certified, kind.astype(int), error)
 
 
 def first_order(delta: Real, w: Vector) -> Verdict:
-    """Order 1, all proven, any amplitude: where a run of (4.2)–(4.4) may end."""
+    """Order 1, (4.2)–(4.4): every region is proven, for any amplitude."""
     d = delta
     w1, w2, w3 = w
     u = w1**2 + w2**2
+    finite = jnp.isfinite(u + jnp.abs(w3) + d)
     # Exact: ω₃ = 0 and δ = 0 keep ω₁; ω⊥ = 0 and ω₁ = ω₃ = 0 are axes of decaying spin.
     keeps = (w3 == 0) | (d == 0)
-    axis = ((w1 == 0) & (w2 == 0)) | (keeps & (w1 == 0))
+    axis = (w1 == 0) & ((w2 == 0) | keeps)
 
-    narrow = jnp.where(d >= 0, 0.5, (1 + 2 * d) / (2 + d))
-    low = (1 - d) * narrow / jnp.where(d >= 0, 1.0, 2 + d)
-    flat = jnp.where(d >= 0, 2 * d * jnp.abs(w3) <= u, _within(d, w3, u, low))
-    residual = (d > -0.5) & (w1 != 0) & (w2**2 <= narrow * u) & flat
+    share = jnp.where(d >= 0, 0.5, (1 + 2 * d) / (2 + d))
+    flat = (d * w3) ** 2 <= u**2 * jnp.where(d >= 0, 0.25, share * (1 - d) / (2 + d))
+    residual = (d > -0.5) & (w1 != 0) & (w2**2 <= share * u) & flat
 
-    turning = (d <= -0.5) & (w3 != 0)
-    stop = axis | turning | ((d > -0.5) & (d < 0) & _rotating_first_order(d, w, u))
-    value, error = _residual_first_order(d, w)
-    kind = jnp.where(axis, Stop.AXIS, Stop.ROTATING)
-    value = jnp.where(keeps, w1, value)
-    error = jnp.where(keeps, 0.0, error)
-    sound = jnp.isfinite(u + jnp.abs(w3) + d)
-    return _verdict((residual | keeps) & sound, stop & sound, value, sound, kind, error)
-
-
-def _within(d: Real, w3: Real, u: Real, low: Real) -> Flag:
-    """|ω₃| ≤ u √((1−δ)(1+2δ)) / (|δ|(2+δ)), squared; `low` = (1−δ)(1+2δ)/(2+δ)²."""
-    return (d * w3) ** 2 <= low * u**2
-
-
-def _rotating_first_order(d: Real, w: Vector, u: Real) -> Flag:
-    """The proven region of the rotating stop, −1/2 < δ < 0."""
-    w1, w2, w3 = w
     fast = (1 + d + d**2) * w3**2
-    q = 2 * jnp.abs(d * w3) / _guarded(u + fast)
-    swing = jnp.sign(w3) * 2 * w1 * w2 / _guarded(u)
-    safe = jnp.where(q > 0, q, 1.0)
-    level = jnp.log(safe) + swing / safe
-    return (q > swing) & (q > 0) & (level > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
+    q, swing = _swing(d, w, u)
+    level = jnp.log(_guarded(q)) + swing / _guarded(q)
+    spins = (q > swing) & (q > 0) & (level > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
+    turning = (d < 0) & ~keeps & (spins | (d <= -0.5))
+
+    omega_inf, error = residual_first_order(d, w)
+    value = jnp.where(keeps, w1, omega_inf), jnp.where(keeps, 0.0, error)
+    stop, residual = (axis | turning) & finite, (residual | keeps) & finite
+    return _verdict(
+        residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, value
+    )
 
 
-def _residual_first_order(d: Real, w: Vector) -> tuple[Real, Real]:
-    """ω∞ = ω₁ + δω₂ω₃/((1+β)ω₁²) − δ²ω₃²/(2β(1+β)ω₁³), β = (1+2δ)/(1−δ)."""
+def semi_reduced(delta: Real, w: Vector) -> Verdict:
+    """Semi-reduced level: residual (proven for most δ), rotating and wobbling stop (tested)."""
+    d = delta
+    w1, w2, w3 = w
+    u = w1**2 + w2**2
+    finite = jnp.isfinite(u + jnp.abs(w3) + d)
+    # Exact: ω⊥ = 0 and ω₁ = ω₃ = 0 are axes of decaying spin; δ = 0 keeps ω₁.
+    keeps = d == 0
+    axis = (w1 == 0) & ((w2 == 0) | (w3 == 0) | keeps)
+    line = (w2 == 0) & (w3 == 0) & (w1 != 0)
+
+    residual = _residual_region(d, w) & (w1 != 0)
+    proven = (w1**2 <= 10) & (((d >= -1) & (d <= -0.01)) | ((d >= 0.02) & (d <= 0.99)))
+
+    q, swing = _swing(d, w, u)
+    p = u / _guarded(u + (1 + d + d**2) * w3**2)
+    a = -3 * d / (2 * (1 - d))
+    level = jnp.log(_guarded(q)) + p * (1 + a - 2 * a * p) * swing / _guarded(q)
+    spins = (q > swing) & (q > 0) & (level >= jnp.maximum(0.88, 1.15 - jnp.abs(d)))
+    turning = (d < 0) & (u > 0) & spins
+
+    stop = (axis | turning | _wobbling_region(d, w)) & finite
+    residual = (residual | keeps | line) & finite
+    kind = jnp.where(axis, Stop.AXIS, jnp.where(d < 0, Stop.ROTATING, Stop.WOBBLING))
+    certified = (stop & axis) | (residual & ~stop & (proven | keeps | line))
+    omega_inf, error = residual_semi_reduced(d, w)
+    exact = keeps | line
+    value = jnp.where(exact, w1, omega_inf), jnp.where(exact, 0.0, error)
+    return _verdict(residual, stop, kind, certified, value)
+
+
+def _residual_region(d: Real, w: Vector) -> Flag:
+    """D(T²+Z²) + [(1+2δ)T + (2v−δ(1−δ))Z]² + [(1−δ)Z − 2T]² ≤ c(δ)."""
     w1, w2, w3 = w
     one = _guarded(w1)
-    t, z = w2 / one, w3 / one**2
-    beta = (1 + 2 * d) / (1 - d)
-    beta = jnp.where(beta > 0, beta, 1.0)
-    pull = d * z / (1 + beta)
-    value = w1 * (1 + t * pull - pull * d * z / (2 * beta))
-    return value, (jnp.abs(t) + jnp.abs(z)) ** 4
+    t, z, v = w2 / one, w3 / one**2, w1**2
+    size = jnp.abs(_guarded(d))
+    bound = jnp.where(d < 0, jnp.minimum(1.75 / size**2, 17 / size), 3.3 / size)
+    first = (1 + 2 * d) * t + (2 * v - d * (1 - d)) * z
+    second = (1 - d) * z - 2 * t
+    return (1 - d + 4 * v) * (t**2 + z**2) + first**2 + second**2 <= bound
 
 
-def semi_reduced(delta, w):
-    return first_order(delta, w)
+def _wobbling_region(d: Real, w: Vector) -> Flag:
+    """Inside the stable manifold of the saddle, near the section ω₁ = 0.
+
+    The manifold crosses the section at z = ω₃/u = z_W(δ); `reach` is its Taylor series in the
+    angle ε from there, less what the series leaves out and what a finite amplitude changes.
+    z_W is a fit from below, within 6e-6 for δ ≤ 0.999.
+    """
+    w1, w2, w3 = w
+    u = w1**2 + w2**2
+    x = 1 - d
+    room = jnp.where(d > WOBBLING_FROM, d, 0.9)  # any value at which the series is regular
+    y = 1 - room
+    crossing = (0.725869 + y * (-0.512807147 + y * (-0.243160085 - 0.135716127 * y))) / y
+    crossing = crossing * (1 - 3e-6)
+    c2 = -(1 + room) / (2 * room**2 * y * crossing)
+    c3 = (4 * c2 + (2 + room) / y * crossing) / (3 * room * crossing)
+    z = w3 / _guarded(u)
+    # The angle from the section, by the series of arcsin; it counts against z, by symmetry.
+    sine = -w1 * jnp.sign(w2) * jnp.where(z < 0, -1.0, 1.0) / jnp.sqrt(_guarded(u))
+    s2 = sine**2
+    e = sine * (1 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112 + s2 * 35 / 1152))))
+    reach = crossing * (1 - 0.005 - 10 * u / y - 0.3 * e**4) + e * (-1 / room + e * (c2 + e * c3))
+    small = u <= 10 * x * (d - WOBBLING_FROM)
+    return (d > WOBBLING_FROM) & (u > 0) & small & (w1**2 <= 0.31 * u) & (jnp.abs(z) <= reach)
 
 
-def higher_order(delta, w):
-    return first_order(delta, w)
+def higher_order(delta: Real, w: Vector) -> Verdict:
+    """Orders 2–4: the regions of the semi-reduced level at small amplitude, tested only.
+
+    The levels agree there up to O(ω²), which the error of ω∞ includes.
+    """
+    d = delta
+    size = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
+    small = size <= 0.1 * jnp.where(d <= 0.3, 1.0, jnp.minimum(1.0, (1 - d) ** 2))
+    outcome, omega_inf, _, stop, error = semi_reduced(d, w)
+    exact = error == 0
+    value, gap = residual_higher_order(d, w)
+    residual = small & (outcome == Outcome.RESIDUAL)
+    omega_inf = jnp.where(residual & ~exact, value, jnp.where(small, omega_inf, jnp.nan))
+    return Verdict(
+        jnp.where(small, outcome, Outcome.UNDECIDED),
+        omega_inf,
+        jnp.zeros_like(small),
+        jnp.where(small, stop, Stop.NONE),
+        jnp.where(exact, 0.0, gap),
+    )

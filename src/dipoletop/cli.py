@@ -1,0 +1,332 @@
+"""The command line: `dipoletop map`, `dipoletop simulate`, `dipoletop validate`."""
+
+import functools
+import math
+import os
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+LEVELS = click.Choice(["order-1", "order-2", "order-3", "order-4", "semi"])
+NAMES = click.Choice(["delta", "w-perp", "w3", "phi", "amplitude", "theta"])
+FORMATS = click.Choice(["png", "pdf", "svg"])
+
+TERMS = """\b
+Quantities (dimensionless: ω = τ₀Ω and τ = t/τ₀, with τ₀ = 2d²/(3c³I₁) in Gaussian units):
+  delta      δ = 1 − I₃/I₁, the shape: -1 a disc, 0 a sphere, towards 1 a needle
+  w-perp     ω⊥, angular velocity across the symmetry axis
+  w3         ω₃, angular velocity along the symmetry axis
+  phi        φ, angle from the dipole to ω⊥, in radians; may be written pi/30
+  amplitude  |ω|; with theta, the angle from the symmetry axis to ω, in place of
+             w-perp and w3
+
+\b
+Levels of the equation of motion:
+  order-1    the paper's reduced equation (4.2)-(4.4). For this top it lacks a leading
+             term of the full equation: some outcomes, and its threshold at δ = -1/2,
+             are not those of the full equation
+  order-2 … order-4   the same reduction carried to higher order, without that defect
+  semi       semi-reduced: only the second derivative of ω is replaced; without it too
+
+\b
+Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (out of
+steps), failed (not a number). Certified: decided in a region that is proven to decide."""
+
+
+class Number(click.ParamType):
+    """A finite number; multiples of π as pi/30, 2pi or 2*pi/3."""
+
+    name = "number"
+    WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Read one."""
+        try:
+            number = self._read(str(value))
+        except (ValueError, ZeroDivisionError):
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number such as 0.2, 1e-3 or pi/30.", param, ctx)
+        return number
+
+    def _read(self, text: str) -> float:
+        parts = self.WITH_PI.fullmatch(text)
+        if not parts:
+            return float(text)
+        sign, factor, divisor = parts.groups()
+        return float(f"{sign}{factor or 1}") * math.pi / float(divisor or 1)
+
+
+class Size(click.ParamType):
+    """N, or NXxNY."""
+
+    name = "N or NXxNY"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """Read one or two."""
+        if isinstance(value, tuple):
+            return value
+        parts = re.fullmatch(r"(\d+)(?:x(\d+))?", str(value))
+        if not parts or min(int(n) for n in parts.groups() if n) < 2:
+            self.fail(f"{value!r} is not a size such as 512 or 512x256, at least 2.", param, ctx)
+        return int(parts[1]), int(parts[2] or parts[1])
+
+
+NUMBER = Number()
+Command = Callable[..., None]
+SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+@click.group(epilog=TERMS, context_settings=SHOWN)
+@click.version_option(package_name="dipoletop", message="%(prog)s %(version)s")
+def main() -> None:
+    """Rotation of a rigid electric dipole that radiates: does it keep rotating, or stop?"""
+
+
+def _computing(run: Command) -> Command:
+    """float64 is on before anything is computed; a refusal is one line, and status 2."""
+
+    @functools.wraps(run)
+    def wrapped(**options: Any) -> None:
+        import jax
+        import matplotlib
+
+        jax.config.update("jax_enable_x64", True)
+        matplotlib.use("Agg")
+        try:
+            run(**options)
+        except (ValueError, OSError) as error:
+            refused = click.ClickException(str(error))
+            refused.exit_code = 2
+            raise refused from None
+
+    return wrapped
+
+
+def _quantities(run: Command) -> Command:
+    """The options --delta, --w-perp, …."""
+    usual = (
+        "δ = 1 − I₃/I₁.  [default: -0.2]",
+        "ω⊥, across the symmetry axis.  [default: 0.2]",
+        "ω₃, along the symmetry axis.  [default: 0.2]",
+        "φ, from the dipole to ω⊥.  [default: pi/30]",
+        "|ω|, with --theta in place of w-perp and w3.  [default: 0.2]",
+        "Angle from the symmetry axis to ω.  [default: pi/4]",
+    )
+    for name, text in reversed(list(zip(NAMES.choices, usual, strict=True))):
+        run = click.option(f"--{name}", type=NUMBER, help=text)(run)
+    return run
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: options[name.replace("-", "_")] for name in NAMES.choices}
+
+
+def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
+    """The beginning of all file names, and the picture; in a folder they are called `name`."""
+    base = Path(output)
+    if output.endswith(("/", os.sep)) or base.is_dir():
+        base = base / name
+    if base.suffix[1:] in FORMATS.choices:
+        suffix, base = suffix or base.suffix[1:], base.with_suffix("")
+    base.parent.mkdir(parents=True, exist_ok=True)
+    return base, base.with_name(f"{base.name}.{suffix or 'png'}")
+
+
+@main.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
+@click.option(
+    "--level",
+    type=LEVELS,
+    metavar="LEVEL",
+    multiple=True,
+    default=("order-1", "semi"),
+    help="Level of the equation; give two to compare them.",
+)
+@click.option("--x", type=NAMES, metavar="AXIS", default="phi", help="Horizontal axis.")
+@click.option("--y", type=NAMES, metavar="AXIS", default="w3", help="Vertical axis.")
+@click.option(
+    "--range",
+    "ranges",
+    type=(NAMES, NUMBER, NUMBER),
+    multiple=True,
+    metavar="AXIS LOW HIGH",
+    help="Range of an axis; one for each, if wanted.",
+)
+@_quantities
+@click.option("--size", type=Size(), metavar="N[xM]", default="512", help="Starts on x [and on y].")
+@click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance, also that of ω∞.")
+@click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of each run.")
+@click.option(
+    "--confirm", type=NUMBER, metavar="RTOL", help="Run all again at this tolerance and compare."
+)
+@click.option("--device", type=click.Choice(["cpu", "gpu"]), help="[default: all there is]")
+@click.option(
+    "--output", default="dipoletop-map", help="Folder, or beginning of the names of all files."
+)
+@click.option("--format", "suffix", type=FORMATS, help="Of the picture.  [default: png]")
+@click.option(
+    "--store/--no-store",
+    default=True,
+    help="Keep the data, in OUTPUT-LEVEL.zarr; the same command goes on where it was stopped.",
+)
+@click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
+@_computing
+def map_(**options: Any) -> None:
+    """Map which starts keep rotating and which stop, over any two quantities.
+
+    Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
+    equation and by the semi-reduced one, with the starts outlined whose outcome differs.
+    """
+    from . import _mapping
+
+    levels, axes = options["level"], (options["x"], options["y"])
+    if len(set(levels)) != len(levels) or len(levels) > 2:
+        raise ValueError("--level must be one level, or two different ones.")
+    ranges = {name: (low, high) for name, low, high in options["ranges"]}
+    grid, text = _mapping.make_grid(_given(options), axes, ranges, options["size"])
+    base, picture = _files(options["output"], options["suffix"], "map")
+    settings = {name: options[name] for name in ("rtol", "max_steps", "confirm")}
+    settings["devices"] = _devices(options["device"])
+    show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
+    click.echo(f"{text}.")
+    runs = []
+    try:
+        for level in levels:
+            store = base.with_name(f"{base.name}-{level}.zarr") if options["store"] else None
+            progress = level if show else False
+            run = _mapping.run_level(level, grid, store, progress=progress, **settings)
+            runs.append(run)
+    except KeyboardInterrupt:
+        kept = "finished tiles are kept, and the same command goes on from there"
+        nothing = "nothing is kept without a store"
+        click.echo(f"Stopped: {kept if options['store'] else nothing}.", err=True)
+        raise SystemExit(130) from None
+    _draw([run.basin for run in runs], axes, picture)
+    click.echo(_mapping.report(runs))
+    click.echo(f"Picture: {picture}")
+    for run in runs:
+        if run.store:
+            click.echo(f"Data: {run.store} (dipoletop.Basin.load reads it)")
+
+
+def _devices(kind: str | None) -> Any:
+    import jax
+
+    try:
+        return kind and jax.devices(kind)
+    except RuntimeError:
+        raise ValueError(f"--device {kind}: JAX finds none on this machine.") from None
+
+
+def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
+    from . import plots
+
+    if len(basins) == 2:
+        figure: Any = plots.compare(*basins)
+    else:
+        x, y = (name.replace("-", "_") for name in axes)
+        figure = plots.basin(basins[0], x=x, y=y).figure
+    figure.savefig(picture, dpi=150)
+
+
+@main.command(epilog=TERMS, short_help="One top: its motion and its end.")
+@click.option("--level", type=LEVELS, metavar="LEVEL", default="order-1", help="Level of the equation.")
+@_quantities
+@click.option("--tau-max", type=NUMBER, default="1000", help="End of the run.")
+@click.option("--points", type=click.IntRange(2), default=1001, help="Times in picture and table.")
+@click.option("--rtol", type=NUMBER, default="1e-10", help="Relative tolerance.")
+@click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of the run.")
+@click.option(
+    "--output", default="dipoletop-trajectory", help="Folder, or beginning of the file names."
+)
+@click.option("--format", "suffix", type=FORMATS, help="Of the picture.  [default: png]")
+@_computing
+def simulate(**options: Any) -> None:
+    """Follow one top, and say how it ends.
+
+    Without options: figure 2a of the paper (δ = -1/5, ω⊥ = ω₃ = 1/5, φ = π/30).
+    """
+    import numpy as np
+
+    from . import _mapping, outcomes, plots, simulate
+
+    if options["tau_max"] <= 0:
+        raise ValueError(f"--tau-max must be positive, but is {options['tau_max']:g}.")
+    at = _mapping.quantities(_given(options))
+    equation, start = _mapping.equation(options["level"], at["delta"]), _mapping.start(at)
+    settings = {name: options[name] for name in ("rtol", "max_steps")}
+    times = np.linspace(0.0, options["tau_max"], options["points"])
+    try:
+        trajectory = simulate(equation, start, times, **settings)
+    except RuntimeError as error:
+        raise ValueError(f"The run failed: {str(error).strip().splitlines()[0]}") from None
+    base, picture = _files(options["output"], options["suffix"], "trajectory")
+    table = base.with_name(f"{base.name}.csv")
+    rows = np.column_stack([trajectory.ts, trajectory.omega, trajectory.energy, trajectory.power])
+    header = "tau,omega_1,omega_2,omega_3,energy,power"
+    np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    figure: Any = plots.trajectory(trajectory).figure
+    figure.savefig(picture, dpi=150)
+    click.echo(f"{_mapping.describe(at)}. Level: {equation.level}.")
+    click.echo(_state_table(rows))
+    click.echo(_ending(outcomes.classify(equation, start, **settings)))
+    click.echo(f"Picture: {picture}\nData: {table}")
+
+
+def _state_table(rows: Any) -> str:
+    """The start, and every tenfold time up to the end."""
+    last = len(rows) - 1
+    shown = sorted({0, *(max(1, round(last / 10**k)) for k in range(4))})
+    lines = [f"{'τ':>10} {'ω₁':>16} {'ω₂':>16} {'ω₃':>16} {'energy':>12} {'power':>12}"]
+    for tau, *omega, energy, power in rows[shown]:
+        states = " ".join(f"{value:16.9e}" for value in omega)
+        lines.append(f"{tau:10g} {states} {energy:12.5e} {power:12.5e}")
+    return "\n".join(lines)
+
+
+def _ending(verdict: Any) -> str:
+    from ._types import Outcome, Stop
+
+    outcome = Outcome(int(verdict.outcome))
+    if outcome == Outcome.FAILED:
+        return "Outcome: failed, the state is not a number."
+    if outcome == Outcome.UNDECIDED:
+        return (
+            f"Outcome: undecided after {int(verdict.steps)} steps, τ = {float(verdict.time):.6g}."
+        )
+    text = "stop" if outcome == Outcome.STOP else "residual rotation"
+    kind = Stop(int(verdict.stop))
+    if kind != Stop.NONE:
+        text += f" ({kind.name.lower()})"
+    proof = "proven" if verdict.certified else "tested, not proven,"
+    where = f"in a region {proof} to decide, at τ = {float(verdict.time):.6g}"
+    return (
+        f"Outcome: {text}; {'certified' if verdict.certified else 'not certified'}: {where}.\n"
+        f"Residual angular velocity ω∞ = {float(verdict.omega_inf):.12g}"
+    )
+
+
+@main.command(short_help="Check this installation against exact values.")
+@_computing
+def validate() -> None:
+    """Check this installation against exact solutions, identities and reference digits.
+
+    Takes under a minute; the exit status is 1 if a check fails.
+    """
+    from . import validation
+
+    click.echo(validation.environment())
+    click.echo(f"{'check':46} {'expected':>20} {'found':>20} {'error':>8} {'allowed':>8}")
+    failed = 0
+    for check in validation.run():
+        failed += not check.passed
+        click.echo(
+            f"{check.name:46} {check.expected:20.12g} {check.found:20.12g} "
+            f"{check.error:8.1e} {check.tolerance:8.1e} {'ok' if check.passed else 'FAILED'}"
+        )
+    click.echo(f"{failed} failed." if failed else "All passed.")
+    raise SystemExit(1 if failed else 0)

@@ -1,0 +1,238 @@
+"""Does this installation give what is known exactly? What `dipoletop validate` runs.
+
+Every expected value is a closed form, an identity, a second route to the same number, or comes
+from an integration in extended precision.
+"""
+
+import platform
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from . import radiation
+from ._types import Outcome
+from .equations.rigid import Reduced, SemiReduced
+from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from .grids import Sample
+from .outcomes import classify, classify_many
+from .simulate import simulate
+
+RTOL = 1e-12
+TIMES = np.array([0.0, 10.0, 100.0, 1000.0, 10_000.0])
+STATES = 64  # random states of an identity
+MANY = 4096  # starts through the engine: always as many, so that it compiles once
+
+# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at the times above (the start apart).
+RESIDUAL_ORBIT = (
+    (0.185555686561096036045, 0.05743298900673097677, 0.130962297180287836067),
+    (0.1209087994924958206313, 0.05090107187023380722, 0.02679120426570824635),
+    (0.09887339256908715014567, 0.00077847913870556059, 0.00019391247310483405),
+)
+STOPPING_ORBIT = (
+    (0.05404559122058723876573, 0.1260617421411106762582, 0.127760780811526733152),
+    (-0.04514019174161701474, 0.03591698188708402409, 0.04922850368292863180),
+    (0.02613354341674689589, -0.00382910795663942604, 0.01195041984961604198),
+    (0.00271573533552523797, 0.00929826240567040816, 0.00236759169485001768),
+)
+RESIDUAL_ROTATION = 0.09887029638156489613509
+# δ = −0.2, |ω₀| = 0.2: residual share of 200 000 isotropic starts.
+RESIDUAL_SHARE = 0.5197
+
+
+class Check(NamedTuple):
+    """One number against what it must be."""
+
+    name: str
+    expected: float
+    found: float
+    scale: float
+    """What the error is measured against."""
+    tolerance: float
+
+    @property
+    def error(self) -> float:
+        """|found − expected| / scale."""
+        return abs(self.found - self.expected) / self.scale
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is allowed; never, if it is not a number."""
+        return self.error <= self.tolerance
+
+
+def environment() -> str:
+    """Versions and devices."""
+    names = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy")
+    versions = ", ".join(f"{name} {version(name)}" for name in names)
+    devices = ", ".join(f"{device.platform}:{device.id}" for device in jax.devices())
+    return f"Python {platform.python_version()}, {versions}; devices {devices}"
+
+
+def run() -> Iterator[Check]:
+    """All checks, one by one; one that breaks down is a failed check with its reason."""
+    for check in CHECKS:
+        try:
+            yield from check()
+        except Exception as error:
+            reason = str(error).strip().splitlines()
+            name = f"{check.__name__}: {reason[0] if reason else type(error).__name__}"
+            yield Check(name, np.nan, np.nan, 1.0, 0.0)
+
+
+def _worst(name: str, expected: Any, found: Any, *, scale: float, tolerance: float) -> Check:
+    """The entry with the largest error, or the first that is not a number."""
+    wanted, got = np.ravel(np.asarray(expected)), np.ravel(np.asarray(found))
+    worst = int(np.argmax(np.abs(got - wanted)))
+    return Check(name, float(wanted[worst]), float(got[worst]), scale, tolerance)
+
+
+def float64() -> list[Check]:
+    """Arithmetic in double precision."""
+    spacing = float(jnp.asarray(1.0) + 2.0**-52) - 1
+    return [Check("double precision: (1 + 2⁻⁵²) − 1", 2.0**-52, spacing, 2.0**-52, 0.0)]
+
+
+def figure_2() -> list[Check]:
+    """The two orbits of the paper's figure 2."""
+    checks = []
+    for part, phi, orbit in (("a", np.pi / 30, RESIDUAL_ORBIT), ("b", np.pi / 3, STOPPING_ORBIT)):
+        run = simulate(TransverseReduced(-0.2), cylindrical(0.2, 0.2, phi), TIMES, rtol=RTOL)
+        for tau, expected, found in zip(TIMES[1:], orbit, np.asarray(run.omega)[1:], strict=False):
+            scale = float(np.linalg.norm(expected))
+            name = f"figure 2{part}, ω at τ = {tau:.0f}"
+            checks.append(_worst(name, expected, found, scale=scale, tolerance=1e-9))
+    return checks
+
+
+def residual_rotation() -> list[Check]:
+    """ω∞ of figure 2a."""
+    found = classify(TransverseReduced(-0.2), cylindrical(0.2, 0.2, np.pi / 30), rtol=RTOL)
+    value, scale = float(found.omega_inf), RESIDUAL_ROTATION
+    return [Check("figure 2a, residual rotation ω∞", RESIDUAL_ROTATION, value, scale, 1e-9)]
+
+
+def _decay(w1: float, w0: float) -> Float[np.ndarray, "T"]:
+    """w′ = −(ω₁² + w²) w with ω₁ constant, from w0, at the times above."""
+    if w1 == 0:
+        return w0 / np.sqrt(1 + 2 * w0**2 * TIMES)  # (2.4)
+    part = w0**2 / (w1**2 + w0**2) * np.exp(-2 * w1**2 * TIMES)
+    return w1 * np.sqrt(part / (1 - part))
+
+
+def exact_solutions() -> list[Check]:
+    """Motions that can be written down."""
+    first, semi = TransverseReduced, TransverseSemi
+    cases = (
+        ("rotator (2.4), order 1", first(0.3), (0.0, 0.5, 0.0)),
+        ("rotator (2.4), semi-reduced", semi(0.3), (0.0, 0.5, 0.0)),
+        ("plane motion ω₃ = 0, order 1", first(-0.3), (0.03, 0.4, 0.0)),
+        ("sphere δ = 0, order 1", first(0.0), (0.03, 0.24, 0.32)),
+    )
+    checks = []
+    for name, equation, start in cases:
+        across = float(np.hypot(start[1], start[2]))
+        way = np.array([0.0, start[1] / across, start[2] / across])
+        expected = np.array([start[0], 0, 0]) + _decay(start[0], across)[:, None] * way
+        found = simulate(equation, np.array(start), TIMES, rtol=RTOL).omega
+        checks.append(_worst(name, expected, found, scale=across, tolerance=1e-10))
+    return checks
+
+
+def sphere() -> list[Check]:
+    """δ = 0: ω₁ is constant, so ω∞ = ω₁ at the start."""
+    starts = _starts(1)
+    found = classify_many(TransverseReduced(0.0), starts).omega_inf
+    name = f"sphere δ = 0, ω∞ of {MANY} starts"
+    return [_worst(name, starts[:, 0], found, scale=0.2, tolerance=1e-12)]
+
+
+def _starts(seed: int) -> Float[Array, "n 3"]:
+    return Sample(MANY, amplitude=0.2, seed=seed).points(np.arange(MANY))
+
+
+def _random_states(components: int) -> tuple[Float[Array, "n"], Float[Array, "n c"]]:
+    rng = np.random.default_rng(0)
+    delta = rng.uniform(-0.9, 0.9, STATES)
+    return jnp.asarray(delta), jnp.asarray(rng.normal(size=(STATES, components)))
+
+
+def closed_forms() -> list[Check]:
+    """The closed forms of section 4 against the equation of motion of a general body."""
+    pairs = (
+        ("order 1", TransverseReduced, Reduced),
+        ("order 2", lambda d: TransverseReduced(d, 2), lambda body: Reduced(body, 2)),
+        ("semi-reduced", TransverseSemi, SemiReduced),
+    )
+    checks = []
+    for level, special, general in pairs:
+
+        def both(delta: Any, omega: Any, special=special, general=general):
+            equation = special(delta)
+            return equation(0.0, omega), general(equation.body)(0.0, omega)
+
+        expected, found = jax.jit(jax.vmap(both))(*_random_states(3))
+        scale = float(jnp.max(jnp.abs(expected)))
+        name = f"closed form = general body, {level}"
+        checks.append(_worst(name, expected, found, scale=scale, tolerance=1e-12))
+    return checks
+
+
+def energy_balance() -> list[Check]:
+    """Full equation: d/dτ(E − d₁·d₂) = −|d₂|² at every state."""
+
+    def rates(delta: Any, y: Any):
+        equation = TransverseFull(delta)
+
+        def stored(y: Any) -> Any:
+            omega, rate = y[:3], equation(0.0, y)[:3]
+            schott = radiation.schott_energy(equation.body, omega, rate)
+            return radiation.kinetic_energy(equation.body, omega) - schott
+
+        flow = equation(0.0, y)
+        power = radiation.radiated_power(equation.body, y[:3], flow[:3])
+        return -power, jax.jvp(stored, (y,), (flow,))[1]
+
+    expected, found = jax.jit(jax.vmap(rates))(*_random_states(5))
+    scale = float(jnp.max(jnp.abs(expected)))
+    name = "energy balance, full equation"
+    return [_worst(name, expected, found, scale=scale, tolerance=1e-12)]
+
+
+def engine() -> list[Check]:
+    """The engine of the maps against one run after the other through diffrax."""
+    few = slice(0, MANY, 32)
+    starts, deltas = _starts(2), jnp.linspace(-0.45, 0.2, MANY)
+    found = jax.tree.map(lambda x: x[few], classify_many(TransverseReduced(deltas), starts))
+    one = jax.vmap(lambda d, w: classify(TransverseReduced(d), w))(deltas[few], starts[few])
+    size = len(found.outcome)
+    same = int(np.sum(np.asarray(one.outcome) == found.outcome))
+    name = "maps' engine = diffrax, ω∞ of the same"
+    value = _worst(name, one.omega_inf, found.omega_inf, scale=0.2, tolerance=1e-6)
+    return [Check(f"maps' engine = diffrax, {size} outcomes", size, same, size, 0.0), value]
+
+
+def residual_share() -> list[Check]:
+    """The share of random starts that keep rotating: within four standard errors."""
+    found = classify_many(TransverseReduced(-0.2), _starts(3))
+    share = float(np.mean(found.outcome == Outcome.RESIDUAL))
+    spread = np.sqrt(RESIDUAL_SHARE * (1 - RESIDUAL_SHARE) * (1 / MANY + 1 / 200_000))
+    name = f"residual share of {MANY} random starts"
+    return [Check(name, RESIDUAL_SHARE, share, 1.0, 4 * float(spread))]
+
+
+CHECKS: tuple[Callable[[], list[Check]], ...] = (
+    float64,
+    figure_2,
+    residual_rotation,
+    exact_solutions,
+    sphere,
+    closed_forms,
+    energy_balance,
+    engine,
+    residual_share,
+)

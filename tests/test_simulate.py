@@ -1,0 +1,185 @@
+"""One trajectory: reference digits, exact solutions, balance laws, options, refusals."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+
+# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5 (Fig. 2), from an integration in extended precision.
+FIG_2 = {
+    "a": (
+        jnp.pi / 30,
+        {
+            10.0: [0.185555686561096036045, 0.05743298900673097677, 0.130962297180287836067],
+            100.0: [0.1209087994924958206313, 0.05090107187023380722, 0.02679120426570824635],
+            1000.0: [0.09887339256908715014567, 0.00077847913870556059, 0.00019391247310483405],
+        },
+    ),
+    "b": (
+        jnp.pi / 3,
+        {
+            10.0: [0.05404559122058723876573, 0.1260617421411106762582, 0.127760780811526733152],
+            100.0: [-0.04514019174161701474, 0.03591698188708402409, 0.04922850368292863180],
+            1000.0: [0.02613354341674689589, -0.00382910795663942604, 0.01195041984961604198],
+            10000.0: [0.00271573533552523797, 0.00929826240567040816, 0.00236759169485001768],
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FIG_2)
+def test_figure_2_to_the_last_digits(case):
+    phi, expected = FIG_2[case]
+    ts = jnp.array([0.0, *expected])
+    run = dt.simulate(
+        dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, phi), ts, rtol=1e-14, atol=1e-17
+    )
+    error = np.abs(run.omega[1:] - np.array(list(expected.values())))
+    assert error.max() < 5e-14
+
+
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Dopri5(), diffrax.Tsit5()])
+def test_error_follows_the_tolerance(solver):
+    """Plane rotator (2.4): Ω = Ω₀/√(1 + 2Ω₀²τ); any solver of diffrax may be passed."""
+    for rtol in (1e-6, 1e-9):
+        run = dt.simulate(
+            dt.TransverseReduced(0.4),
+            [0.0, 0.8, 0.0],
+            jnp.array([0.0, 50.0]),
+            rtol=rtol,
+            solver=solver,
+        )
+        assert abs(float(run.omega[-1, 1]) * np.sqrt(1 + 2 * 0.64 * 50) / 0.8 - 1) < 20 * rtol
+
+
+@pytest.mark.parametrize("phi", [jnp.pi / 30, jnp.pi / 3])
+def test_full_equation_keeps_the_energy_balance(phi):
+    """d/dt(E − d₁·d₂) = −|d₂|² exactly, on and off the slow manifold."""
+    for equation in (dt.TransverseFull(-0.2), dt.Full(dt.axisymmetric(-0.2))):
+        run = dt.simulate(
+            equation, dt.cylindrical(0.2, 0.2, phi), jnp.array([0.0, 6.0]), rtol=1e-13, balance=True
+        )
+        assert float(jnp.max(jnp.abs(run.balance_defect))) < 1e-12
+
+
+def test_defect_of_a_reduced_level_falls_with_the_amplitude():
+    """Order 1 leaves a defect of order ω²; higher orders leave less."""
+
+    def defect(order, size):
+        run = dt.simulate(
+            dt.TransverseReduced(-0.4, order=order),
+            dt.cylindrical(size, 0.5 * size, 0.6),
+            jnp.array([0.0, 1 / size**2]),
+            rtol=1e-12,
+            balance=True,
+        )
+        return abs(float(run.balance_defect[-1]))
+
+    assert defect(1, 0.05) < defect(1, 0.1) / 1.5
+    assert defect(3, 0.05) < defect(2, 0.05) / 2 < defect(1, 0.05)
+
+
+def test_energy_and_power_are_those_of_the_top():
+    delta, w = -0.2, jnp.array([0.3, 0.1, 0.2])
+    run = dt.simulate(dt.TransverseReduced(delta), w, jnp.array([0.0, 0.1]))
+    expected = (w[0] ** 2 + w[1] ** 2 + (1 - delta) * w[2] ** 2) / 2
+    assert abs(float(run.energy[0] - expected)) < 1e-15
+    # d = (1, 0, 0): d₂ = Ω×(Ω×d) + Ω̇×d written out.
+    _, p2, p3 = dt.TransverseReduced(delta)(0.0, w)
+    second = jnp.array([-(w[1] ** 2) - w[2] ** 2, w[0] * w[1] + p3, w[0] * w[2] - p2])
+    assert abs(float(run.power[0] - jnp.sum(second**2))) < 1e-15
+
+
+def test_cylindrical_form_runs_the_same_motion():
+    start, ts = dt.cylindrical(0.3, 0.2, 1.0), jnp.array([0.0, 40.0])
+    flat = dt.simulate(dt.TransverseReduced(0.3), start, ts, rtol=1e-12)
+    round_ = dt.simulate(dt.TransverseCylindrical(0.3), start, ts, rtol=1e-12)
+    assert jnp.allclose(flat.omega, round_.omega, rtol=0, atol=1e-11)
+    assert jnp.allclose(flat.omega_dot, round_.omega_dot, rtol=0, atol=1e-11)
+
+
+def test_dense_output_and_statistics():
+    run = dt.simulate(
+        dt.TransverseReduced(-0.2),
+        dt.cylindrical(0.2, 0.2, jnp.pi / 30),
+        jnp.array([0.0, 100.0]),
+        rtol=1e-12,
+        dense=True,
+        balance=True,
+    )
+    assert jnp.allclose(run.evaluate(10.0), np.array(FIG_2["a"][1][10.0]), rtol=0, atol=1e-9)
+    assert int(run.stats["num_steps"]) > 5
+    assert run.level == "reduced, order 1 (the paper's)"
+
+
+def test_adjoint_controller_and_gradient_pass_through():
+    def end(delta, adjoint):
+        run = dt.simulate(
+            dt.TransverseReduced(delta),
+            jnp.array([0.2, 0.1, 0.2]),
+            jnp.array([0.0, 20.0]),
+            rtol=1e-12,
+            adjoint=adjoint,
+            stepsize_controller=diffrax.PIDController(1e-12, 1e-14),
+        )
+        return run.omega[-1, 0]
+
+    reverse = jax.grad(end)(-0.2, diffrax.RecursiveCheckpointAdjoint())
+    forward = jax.jvp(lambda d: end(d, diffrax.ForwardMode()), (-0.2,), (1.0,))[1]
+    h, direct = 1e-3, diffrax.RecursiveCheckpointAdjoint()
+    stencil = [(-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12)]
+    difference = sum(c * end(-0.2 + k * h, direct) for k, c in stencil) / h
+    assert abs(float(reverse - forward)) < 1e-11
+    assert abs(float(reverse - difference)) < 1e-9
+
+
+def test_vmap_over_starts():
+    starts = jnp.asarray(np.random.default_rng(3).normal(size=(4, 3)))
+    ts = jnp.array([0.0, 3.0])
+    many = jax.vmap(lambda w: dt.simulate(dt.TransverseSemi(0.2), w, ts).omega)(starts)
+    for one, start in zip(many, starts, strict=True):
+        assert jnp.allclose(one, dt.simulate(dt.TransverseSemi(0.2), start, ts).omega, atol=1e-9)
+
+
+EQUATION = dt.TransverseReduced(-0.2)
+TS = jnp.array([0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: dt.simulate(EQUATION, [0.1, 0.2], TS), r"`omega0` must have shape \(3,\), but"),
+        (lambda: dt.simulate(EQUATION, 0.1, TS), r"`omega0` must have shape \(n,\), but has shape"),
+        (
+            lambda: dt.simulate(dt.TransverseFull(0.1), jnp.ones(4), TS),
+            r"shape \(3,\), or \(5,\) for a whole state, but has shape \(4,\)",
+        ),
+        (lambda: dt.simulate(EQUATION, [0.1, jnp.nan, 0], TS), "`omega0` must be finite"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), [0.0]), "`ts` must hold at least two times"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), [1.0, 0.0]), "`ts` must increase"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), [0.0, jnp.inf]), "`ts` must be finite"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, rtol=1e-17), "`rtol` must lie between"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, rtol=jnp.nan), "`rtol` must lie between"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, atol=-1.0), "`atol` must be a real number"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, max_steps=0), "`max_steps` must be a pos"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, method=1), "but one is `method`"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS).evaluate(0.5), "`dense` must be True"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS).balance_defect, "`balance` must be True"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_failure_raises_unless_told_otherwise():
+    start = jnp.array([0.2, 0.1, 0.2, 5.0, 5.0])  # far off the slow manifold: a runaway
+    with pytest.raises(Exception, match="max"):
+        dt.simulate(dt.TransverseFull(-0.2), start, jnp.array([0.0, 1e3]), max_steps=200)
+    run = dt.simulate(
+        dt.TransverseFull(-0.2), start, jnp.array([0.0, 1e3]), max_steps=200, throw=False
+    )
+    assert not bool(jnp.isfinite(run.omega[-1]).all())
