@@ -33,7 +33,7 @@ class Quantity(NamedTuple):
 QUANTITIES = {
     "delta": Quantity("δ", -0.2, -1.0, 0.9),
     "w-perp": Quantity("ω⊥", 0.2, 0.0, 0.5),
-    "w3": Quantity("ω₃", 0.2, 0.0, 0.5),
+    "w3": Quantity("ω₃", 0.2, 0.0, 0.6),
     "phi": Quantity("φ", math.pi / 30, 0.0, math.pi),
     "amplitude": Quantity("|ω|", 0.2, 0.02, 0.5),
     "theta": Quantity("θ", math.pi / 4, 0.0, math.pi / 2),
@@ -107,7 +107,7 @@ def make_grid(
 ) -> tuple[Grid, str]:
     """The grid over two quantities, and a line that describes it.
 
-    What is fixed is an axis of length 1, so that the data say everything.
+    What is fixed is an axis of length 1, so that the data say everything; x is the last axis.
 
     Raises:
         ValueError: axes, ranges or values that do not go together.
@@ -132,7 +132,8 @@ def make_grid(
         spans.append(f"{symbol} from {_text(low)} to {_text(high)}")
     fixed = describe({name: value for name, value in values.items() if name not in axes})
     text = f"{size[0]} × {size[1]} starts: {', '.join(spans)}, at {fixed}"
-    return Grid(**{name.replace("-", "_"): value for name, value in values.items()}), text
+    order = sorted(values, key=lambda name: (name in axes) + (name == axes[0]))
+    return Grid(**{name.replace("-", "_"): values[name] for name in order}), text
 
 
 def describe(values: dict[str, float]) -> str:
@@ -237,8 +238,9 @@ def _column(run: Run) -> dict[str, str]:
     if run.before:
         column["found in the store"] = f"{run.before} starts"
     if new:
-        column["computed"] = f"{new} starts in {seconds:.1f} s: {new / seconds:,.0f} per second"
-        column["compiled"] = f"in {run.compiling:.1f} s (apart)"
+        column["computed"] = f"{new} starts in {seconds:.1f} s"
+        column["starts per second"] = f"{new / seconds:,.0f}"
+        column["compilation, apart"] = f"{run.compiling:.1f} s"
     column["decided at τ = 0"] = f"{np.sum(known & (steps == 0))} starts, without a step"
     column["steps"] = f"{np.mean(steps):.1f} on average, at most {np.max(steps)}"
     ended = basin.time[known]

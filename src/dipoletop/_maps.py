@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -12,8 +12,6 @@ from ._checks import refuse
 from ._types import Outcome, Stop
 from .basin import Basin
 from .symmetry import unfold
-
-Shading = Literal["omega_inf", "time"] | None
 
 CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.RESIDUAL, Stop.NONE): ("residual rotation", "#0072b2"),
@@ -72,7 +70,7 @@ class Plane(NamedTuple):
 
 
 def plane(
-    basin: Basin, shading: Shading, extend: bool, names: tuple[str | None, str | None]
+    basin: Basin, shading: str | None, extend: bool, names: tuple[str | None, str | None]
 ) -> Plane:
     """Two axes and the columns over them; axes of length 1 become part of the title."""
     if not basin.coords:
@@ -145,7 +143,7 @@ def percent(share: float) -> str:
     return "< 0.1 %" if share > 0 and down == 0 else f"{down:g} %"
 
 
-def shades(shading: Shading, planes: list[Plane]) -> list[Shade]:
+def shades(shading: str | None, planes: list[Plane]) -> list[Shade]:
     """One scale for every outcome that is shaded and occurs, common to all planes."""
     if shading is None:
         return []

@@ -146,7 +146,7 @@ def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
     default=("order-1", "semi"),
     help="Level of the equation; give two to compare them.",
 )
-@click.option("--x", type=NAMES, metavar="AXIS", default="phi", help="Horizontal axis.")
+@click.option("--x", type=NAMES, metavar="AXIS", default="phi", help="Horizontal axis; phi always is.")
 @click.option("--y", type=NAMES, metavar="AXIS", default="w3", help="Vertical axis.")
 @click.option(
     "--range",

@@ -28,6 +28,9 @@ NARROW = 8  # the last lanes end in a block narrower by this factor
 VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
 
 
+RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1  # states of a lane
+
+
 class Limits(eqx.Module):
     """Tolerances and budget of a run, all traced: a new value compiles nothing.
 
@@ -48,7 +51,7 @@ class Ends(eqx.Module):
     steps: Int[Array, "N"]
     """Steps tried, rejected ones included."""
     status: Int[Array, "N"]
-    """1 finished, 0 out of budget, −1 failed (not finite, a runaway, or step size underflow)."""
+    """FINISHED, EXHAUSTED (no steps left) or BROKEN (not finite, a runaway, a step too small)."""
     sweeps: Int[Array, "2"]
     """Steps of the wide and of the narrow block."""
 
@@ -71,10 +74,18 @@ class _Block(eqx.Module):
     """Runs with their places among the starts: the lanes at work, or the queue behind them."""
 
     slot: Int[Array, "B"]  # which start; past the end when idle
-    running: Bool[Array, "B"]
     at: _Lanes
     taken: Int[Array, ""]  # how much of the queue has been handed out
     sweeps: Int[Array, ""]
+
+    @property
+    def running(self) -> Bool[Array, "B"]:
+        return self.at.status == RUNNING
+
+
+def _largest(components: Any) -> Real:
+    """The largest component, lane by lane; a chain, since XLA:CPU does not vectorise `max`."""
+    return functools.reduce(jnp.maximum, list(components))
 
 
 def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Array, "*lanes"]:
@@ -90,7 +101,7 @@ def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Arra
 def sound(y: State, rate: State) -> Bool[Array, "*lanes"]:
     """Whether a state can be integrated further: no runaway, and a finite rate."""
     limit = float(jnp.finfo(y.dtype).max) ** 0.1  # leaves room for the powers in the rates
-    return (jnp.max(jnp.abs(y), 0) < limit) & jnp.all(jnp.isfinite(rate), 0)
+    return (_largest(jnp.abs(y)) < limit) & (_largest(jnp.abs(rate)) < jnp.inf)
 
 
 def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*lanes"]:
@@ -103,7 +114,8 @@ def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, 
 def _error_ratio(error: State, y0: State, y1: State, scale: Any) -> Float[Array, "*lanes"]:
     """Largest component of the error over what is allowed."""
     rtol, atol = scale
-    return jnp.max(jnp.abs(error) / (atol[None] + rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1))), 0)
+    allowed = atol[None] + rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1))
+    return _largest(jnp.abs(error) / allowed)
 
 
 def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Real:
@@ -153,18 +165,19 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
 
     y = jnp.where(accept[None], new, at.y)
     f = jnp.where(accept[None], slope, at.f)
-    steps = at.steps + block.running.astype(int)
+    steps = at.steps + block.running.astype(at.steps.dtype)
     # A rejected step that would hardly have moved the state is the end of the line.
     eps = jnp.finfo(h.dtype).eps
-    stuck = jnp.max(jnp.abs(h[None] * at.f), 0) < 1e-3 * eps * jnp.max(jnp.abs(at.y), 0)
-    broken = block.running & (~sound(y, f) | (stuck & ~accept))
+    stuck = _largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * _largest(jnp.abs(at.y))
+    broken = ~sound(y, f) | (stuck & ~accept)
     done = accept & (last | _finished(at.equation, y, scale, until))
-    status = jnp.where(broken, -1, jnp.where(done, 1, at.status))
+    status = jnp.where(steps < limits.max_steps, RUNNING, EXHAUSTED)
+    status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
+    status = jnp.where(block.running, status, at.status).astype(at.status.dtype)
     t = jnp.where(accept, at.t + h, at.t)
     h = jnp.where(block.running, h * factor, at.h)
-    running = block.running & ~broken & ~done & (steps < limits.max_steps)
     moved = _Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
-    return _Block(block.slot, running, moved, block.taken, block.sweeps + 1)
+    return _Block(block.slot, moved, block.taken, block.sweeps + 1)
 
 
 def _write(ends: Ends, block: _Block) -> Ends:
@@ -181,22 +194,21 @@ def _write(ends: Ends, block: _Block) -> Ends:
 
 def _refill(block: _Block, queue: _Block) -> _Block:
     """Give the lanes that stand still the next starts of the queue."""
-    size = queue.running.shape[0]
+    size = queue.slot.shape[0]
     free = ~block.running
     place = block.taken + jnp.cumsum(free) - 1
     take = free & (place < size)
     source = jnp.where(take, place, 0)
     at = jax.tree.map(lambda old, new: jnp.where(take, new[..., source], old), block.at, queue.at)
     slot = jnp.where(take, queue.slot[source], jnp.where(free, size, block.slot))
-    running = block.running | (take & queue.running[source])
-    return _Block(slot, running, at, block.taken + jnp.sum(take), block.sweeps)
+    return _Block(slot, at, block.taken + jnp.sum(take), block.sweeps)
 
 
 def _narrowed(block: _Block, width: int) -> _Block:
     """The first `width` lanes after those that run have been moved to the front."""
     front = jnp.argsort(~block.running, stable=True)[:width]
     at = jax.tree.map(lambda x: x[..., front], block.at)
-    return _Block(block.slot[front], block.running[front], at, block.taken, jnp.zeros((), int))
+    return _Block(block.slot[front], at, block.taken, jnp.zeros((), int))
 
 
 def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> _Block:
@@ -206,12 +218,13 @@ def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: U
     h = _first_step(equation, y0, f, scale, order)
     able = sound(y0, f) & jnp.isfinite(h)
     done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
-    status = jnp.where(able, jnp.where(done, 1, 0), -1)
-    running = able & ~done & (limits.max_steps > 0)
+    status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
+    status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
     zero = jnp.zeros_like(h)
-    at = _Lanes(y0, f, zero, h, zero.astype(int), status, equation, limits.atol, limits.t1)
-    block = _Block(jnp.arange(h.shape[0]), running, at, jnp.sum(running), jnp.zeros((), int))
-    return _narrowed(block, h.shape[0])
+    steps = zero.astype("int32")
+    at = _Lanes(y0, f, zero, h, steps, status, equation, limits.atol, limits.t1)
+    count = jnp.sum(status == RUNNING)
+    return _narrowed(_Block(jnp.arange(h.shape[0]), at, count, count), h.shape[0])
 
 
 def _integrate(
@@ -225,13 +238,13 @@ def _integrate(
     size = y0.shape[1]
     queue = _prepare(equation, y0, limits, int(solver.order(None)), until)  # pyright: ignore
     many = queue.taken  # starts that need a step
-    none = jnp.zeros(size, int)
+    none = jnp.zeros(size, "int32")
     ends = Ends(y0, jnp.zeros_like(limits.t1), none, none, jnp.zeros(2, int))
-    idle = jnp.zeros(size, bool)
-    ends = _write(ends, _Block(queue.slot, idle, queue.at, many, many))
+    ends = _write(ends, queue)
     slot = jnp.where(queue.running, queue.slot, size)
-    queue = _Block(slot, queue.running, queue.at, many, many)
-    block = _Block(none + size, idle, queue.at, jnp.zeros((), int), many)
+    idle = eqx.tree_at(lambda at: at.status, queue.at, none)
+    queue = _Block(slot, queue.at, many, many)
+    block = _Block(jnp.full(size, size), idle, jnp.zeros((), int), many)
 
     # The slowest lanes end in a narrow block, where a step costs less.
     sweeps = []

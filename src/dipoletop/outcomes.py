@@ -42,8 +42,9 @@ class Classification(eqx.Module):
 def _assemble(equation: Equation, y: State, t: Any, steps: Any, status: Any) -> Classification:
     """The final verdict on end states; a state that is not a number decides nothing."""
     verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
-    known = (status >= 0) & (verdict.outcome != Outcome.UNDECIDED)
-    missing = jnp.where(status < 0, Outcome.FAILED, Outcome.UNDECIDED)
+    broken = status == lanes.BROKEN
+    known = ~broken & (verdict.outcome != Outcome.UNDECIDED)
+    missing = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(known, verdict.omega_inf, jnp.nan),
@@ -130,7 +131,7 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
         throw=False,
     )
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
-    status = jnp.where(lanes.sound(y, equation(0.0, y, None)), 0, -1)
+    status = jnp.where(lanes.sound(y, equation(0.0, y, None)), lanes.FINISHED, lanes.BROKEN)
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
     return _assemble(equation, y, time, solution.stats["num_steps"], status)
 

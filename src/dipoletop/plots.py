@@ -15,7 +15,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from . import _maps
 from ._checks import refuse
-from ._maps import Plane, Shade, Shading
+from ._maps import Plane, Shade
 from ._types import Outcome
 from .basin import Basin
 from .symmetry import unfold as unfold
@@ -27,7 +27,7 @@ def basin(
     basin: Basin,
     *,
     ax: Axes | None = None,
-    shade: Shading = "omega_inf",
+    shade: str | None = "omega_inf",
     unfold: bool = True,
     x: str | None = None,
     y: str | None = None,
