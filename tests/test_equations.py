@@ -75,7 +75,9 @@ def test_orders_approach_the_slow_manifold(phi, expected):
     """(ω₂′, ω₃′) on the physical branch of the full equation, physics of section 4."""
     start = dt.cylindrical(0.2, 0.2, phi)
     errors = [
-        float(np.max(np.abs(dt.TransverseReduced(-0.2, order=m)(0.0, start)[1:] - np.array(expected))))
+        float(
+            np.max(np.abs(dt.TransverseReduced(-0.2, order=m)(0.0, start)[1:] - np.array(expected)))
+        )
         for m in (1, 2, 3, 4)
     ]
     assert all(later < earlier / 2 for earlier, later in zip(errors, errors[1:], strict=False))

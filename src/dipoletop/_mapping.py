@@ -192,10 +192,10 @@ def _compiling() -> Iterator[Callable[[], float]]:
     """Measures for how long JAX traces or compiles in any thread: a function of the seconds."""
     spans: list[tuple[float, float]] = []
 
-    def listen(event: str, seconds: float, **_: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: Any) -> None:
         if event.startswith("/jax/core/compile/"):
             now = time.perf_counter()
-            spans.append((now - seconds, now))
+            spans.append((now - duration_secs, now))
 
     def union() -> float:
         total, end = 0.0, -math.inf

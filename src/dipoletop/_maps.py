@@ -155,7 +155,7 @@ def shades(shading: str | None, planes: list[Plane]) -> list[Shade]:
         if residual.size == 0:
             return []
         most = float(np.max(np.abs(residual))) or 1.0
-        label = r"residual rotation $\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)"
+        label = r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)"
         signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
         norm = Normalize(-most, most)
         return [Shade(Outcome.RESIDUAL, shading, SIGNED, norm, label, signs)]

@@ -76,6 +76,12 @@ class Size(click.ParamType):
         return int(parts[1]), int(parts[2] or parts[1])
 
 
+class Refusal(click.ClickException):
+    """One line, and the exit status of a command that cannot be."""
+
+    exit_code = 2
+
+
 NUMBER = Number()
 Command = Callable[..., None]
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -100,9 +106,7 @@ def _computing(run: Command) -> Command:
         try:
             run(**options)
         except (ValueError, OSError) as error:
-            refused = click.ClickException(str(error))
-            refused.exit_code = 2
-            raise refused from None
+            raise Refusal(str(error)) from None
 
     return wrapped
 
@@ -146,7 +150,13 @@ def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
     default=("order-1", "semi"),
     help="Level of the equation; give two to compare them.",
 )
-@click.option("--x", type=NAMES, metavar="AXIS", default="phi", help="Horizontal axis; phi always is.")
+@click.option(
+    "--x",
+    type=NAMES,
+    metavar="AXIS",
+    default="phi",
+    help="Horizontal axis; phi always, in comparisons.",
+)
 @click.option("--y", type=NAMES, metavar="AXIS", default="w3", help="Vertical axis.")
 @click.option(
     "--range",
@@ -234,7 +244,9 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
 
 
 @main.command(epilog=TERMS, short_help="One top: its motion and its end.")
-@click.option("--level", type=LEVELS, metavar="LEVEL", default="order-1", help="Level of the equation.")
+@click.option(
+    "--level", type=LEVELS, metavar="LEVEL", default="order-1", help="Level of the equation."
+)
 @_quantities
 @click.option("--tau-max", type=NUMBER, default="1000", help="End of the run.")
 @click.option("--points", type=click.IntRange(2), default=1001, help="Times in picture and table.")
@@ -260,13 +272,16 @@ def simulate(**options: Any) -> None:
     equation, start = _mapping.equation(options["level"], at["delta"]), _mapping.start(at)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, options["tau_max"], options["points"])
-    try:
-        trajectory = simulate(equation, start, times, **settings)
-    except RuntimeError as error:
-        raise ValueError(f"The run failed: {str(error).strip().splitlines()[0]}") from None
+    trajectory = simulate(equation, start, times, throw=False, **settings)
     base, picture = _files(options["output"], options["suffix"], "trajectory")
     table = base.with_name(f"{base.name}.csv")
     rows = np.column_stack([trajectory.ts, trajectory.omega, trajectory.energy, trajectory.power])
+    if not np.all(np.isfinite(rows)):
+        steps, most = trajectory.stats["num_steps"], options["max_steps"]
+        raise ValueError(
+            f"The run did not reach τ = {options['tau_max']:g}: "
+            f"it ended after {steps} steps of at most {most}."
+        )
     header = "tau,omega_1,omega_2,omega_3,energy,power"
     np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     figure: Any = plots.trajectory(trajectory).figure

@@ -98,10 +98,15 @@ def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Arra
     return certain & (settled | (verdict.outcome != Outcome.RESIDUAL))
 
 
-def sound(y: State, rate: State) -> Bool[Array, "*lanes"]:
-    """Whether a state can be integrated further: no runaway, and a finite rate."""
+def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:
+    """Whether a state can be integrated further: a finite rate, and no runaway.
+
+    A runaway is too large, or large and so fast that floating-point time does not resolve it.
+    """
+    size, speed = _largest(jnp.abs(y)), _largest(jnp.abs(rate))
     limit = float(jnp.finfo(y.dtype).max) ** 0.1  # leaves room for the powers in the rates
-    return (_largest(jnp.abs(y)) < limit) & (_largest(jnp.abs(rate)) < jnp.inf)
+    blurred = (size > 1) & (100 * jnp.finfo(y.dtype).eps * speed * t > size)
+    return (size < limit) & (speed < jnp.inf) & ~blurred
 
 
 def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*lanes"]:
@@ -169,12 +174,12 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
     # A rejected step that would hardly have moved the state is the end of the line.
     eps = jnp.finfo(h.dtype).eps
     stuck = _largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * _largest(jnp.abs(at.y))
-    broken = ~sound(y, f) | (stuck & ~accept)
+    t = jnp.where(accept, at.t + h, at.t)
+    broken = ~sound(t, y, f) | (stuck & ~accept)
     done = accept & (last | _finished(at.equation, y, scale, until))
     status = jnp.where(steps < limits.max_steps, RUNNING, EXHAUSTED)
     status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
     status = jnp.where(block.running, status, at.status).astype(at.status.dtype)
-    t = jnp.where(accept, at.t + h, at.t)
     h = jnp.where(block.running, h * factor, at.h)
     moved = _Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
     return _Block(block.slot, moved, block.taken, block.sweeps + 1)
@@ -216,7 +221,7 @@ def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: U
     scale = (limits.rtol, limits.atol)
     f = equation(jnp.zeros_like(limits.t1), y0, None)
     h = _first_step(equation, y0, f, scale, order)
-    able = sound(y0, f) & jnp.isfinite(h)
+    able = sound(0 * h, y0, f) & jnp.isfinite(h)
     done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
     status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")

@@ -71,7 +71,7 @@ def classify(
     *,
     rtol: Any = 1e-8,
     atol: Any = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: Any = MAX_STEPS,
     value: bool = True,
 ) -> Classification:
     """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
@@ -113,10 +113,10 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
 
     def ended(t, y, args, **_):
         done = lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
-        return done | ~lanes.sound(y, equation(t, y, None))
+        return done | ~lanes.sound(t, y, equation(t, y, None))
 
     # Decided or broken at once: no time to integrate.
-    t1 = jnp.where(ended(0.0, y0, None), 0.0, jnp.inf)
+    t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, jnp.inf)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(equation),
         diffrax.Dopri8(),
@@ -131,8 +131,9 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
         throw=False,
     )
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
-    status = jnp.where(lanes.sound(y, equation(0.0, y, None)), lanes.FINISHED, lanes.BROKEN)
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
+    able = lanes.sound(time, y, equation(time, y, None))
+    status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
     return _assemble(equation, y, time, solution.stats["num_steps"], status)
 
 
@@ -159,7 +160,7 @@ def classify_many(
     *,
     rtol: Any = 1e-8,
     atol: Any = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: Any = MAX_STEPS,
     value: bool = True,
 ) -> Classification:
     """How N runs end, by the lane engine, on all cores or devices.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from . import radiation
-from ._checks import finite, real, refuse, where_valid
+from ._checks import finite, refuse, where_valid
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, State, Vector
 
@@ -100,7 +100,7 @@ def simulate(
     *,
     rtol: Any = 1e-10,
     atol: Any = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: Any = MAX_STEPS,
     **options: Any,
 ) -> Trajectory:
     """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.

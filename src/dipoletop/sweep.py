@@ -36,7 +36,7 @@ def sweep(
     *,
     rtol: Any = 1e-8,
     atol: Any = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: Any = MAX_STEPS,
     value: bool = True,
     confirm: float | None = None,
     store: Any = None,

@@ -161,15 +161,17 @@ def _random_states(components: int) -> tuple[Float[Array, "n"], Float[Array, "n 
     return jnp.asarray(delta), jnp.asarray(rng.normal(size=(STATES, components)))
 
 
+CLOSED_FORMS: tuple[tuple[str, Callable[..., Any], Callable[..., Any]], ...] = (
+    ("order 1", TransverseReduced, Reduced),
+    ("order 2", lambda delta: TransverseReduced(delta, 2), lambda body: Reduced(body, 2)),
+    ("semi-reduced", TransverseSemi, SemiReduced),
+)
+
+
 def closed_forms() -> list[Check]:
     """The closed forms of section 4 against the equation of motion of a general body."""
-    pairs = (
-        ("order 1", TransverseReduced, Reduced),
-        ("order 2", lambda d: TransverseReduced(d, 2), lambda body: Reduced(body, 2)),
-        ("semi-reduced", TransverseSemi, SemiReduced),
-    )
     checks = []
-    for level, special, general in pairs:
+    for level, special, general in CLOSED_FORMS:
 
         def both(delta: Any, omega: Any, special=special, general=general):
             equation = special(delta)

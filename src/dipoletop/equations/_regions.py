@@ -23,13 +23,13 @@ def _guarded(denominator: Real) -> Real:
 
 
 def _swing(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
-    """q and S."""
+    """The pair q, S."""
     w1, w2, w3 = w
     q = 2 * jnp.abs(d * w3) / _guarded(u + (1 + d + d**2) * w3**2)
     return q, jnp.sign(w3) * 2 * w1 * w2 / _guarded(u)
 
 
-def _verdict(residual: Flag, stop: Flag, kind: Real, certified: Flag, value: tuple) -> Verdict:
+def _verdict(residual: Flag, stop: Flag, kind: Array, certified: Flag, value: tuple) -> Verdict:
     """Put a verdict together; a stop wins over a residual, which the exact sets rely on."""
     omega_inf, error = value
     outcome = jnp.where(

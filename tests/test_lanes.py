@@ -1,0 +1,173 @@
+"""The lane engine: it agrees with diffrax, and no lane disturbs another."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop import lanes
+
+RNG = np.random.default_rng(5)
+N = 384  # a multiple of every block width, as the tiles of a sweep are
+DELTAS = jnp.asarray(RNG.uniform(-0.9, 0.9, N))
+STARTS = jnp.asarray(RNG.normal(size=(3, N)) * 0.3)
+
+
+def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
+    size = jnp.sqrt(jnp.sum(starts**2, axis=0))
+    return lanes.Limits(
+        jnp.asarray(rtol), rtol * size, jnp.full(starts.shape[1], t1), jnp.asarray(max_steps)
+    )
+
+
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Bosh3()])
+def test_end_states_equal_those_of_diffrax(solver):
+    """Same equation, same tableau, two step controllers: equal within the tolerance."""
+    rtol = 1e-9 if solver.order(None) > 3 else 1e-6
+    ends = lanes.integrate(
+        dt.TransverseSemi(DELTAS), STARTS, limits(STARTS, rtol, 30.0), solver=solver, until="time"
+    )
+    assert bool(jnp.all(ends.status == lanes.FINISHED))
+    assert bool(jnp.all(ends.t == 30.0))
+    for i in range(0, N, 50):
+        run = dt.simulate(
+            dt.TransverseSemi(DELTAS[i]), STARTS[:, i], jnp.array([0.0, 30.0]), rtol=1e-12
+        )
+        error = jnp.max(jnp.abs(ends.y[:, i] - run.omega[-1]))
+        assert float(error) < 100 * rtol * float(jnp.linalg.norm(STARTS[:, i]))
+
+
+def test_exact_solution_and_error_in_proportion_to_the_tolerance():
+    """Plane rotator (2.4) in every lane, each with its own Ω₀."""
+    speeds = jnp.linspace(0.1, 3.0, 64)
+    starts = jnp.stack([0 * speeds, speeds, 0 * speeds])
+    equation = dt.TransverseReduced(jnp.full(64, -0.3))
+    exact = speeds / jnp.sqrt(1 + 2 * speeds**2 * 40)
+    for rtol in (1e-5, 1e-8, 1e-11):
+        ends = lanes.integrate(equation, starts, limits(starts, rtol, 40.0), until="time")
+        assert float(jnp.max(jnp.abs(ends.y[1] - exact) / speeds)) < 20 * rtol
+
+
+def test_a_lane_does_not_see_its_neighbours():
+    """Position in the queue, block width and company change no bit of a result."""
+    equation = dt.TransverseReduced(DELTAS)
+    ends = lanes.integrate(equation, STARTS, limits(STARTS), until="outcome")
+    order = RNG.permutation(N)
+    moved = limits(STARTS[:, order])
+    mixed = lanes.integrate(
+        dt.TransverseReduced(DELTAS[order]), STARTS[:, order], moved, until="outcome"
+    )
+    narrow = lanes.integrate(equation, STARTS, limits(STARTS), until="outcome", width=64)
+    for name in ("y", "t", "steps", "status"):
+        first = np.asarray(getattr(ends, name))
+        assert np.array_equal(first[..., order], np.asarray(getattr(mixed, name)))
+        assert np.array_equal(first, np.asarray(getattr(narrow, name)))
+
+
+def test_bad_lanes_fail_at_once_and_harm_no_other():
+    starts = np.array(STARTS)
+    bad = {3: np.nan, 50: np.inf, 120: 1e200, 121: -1e40}
+    for lane, value in bad.items():
+        starts[1, lane] = value
+    starts[:, 200] = 0.0
+    deltas = DELTAS.at[250].set(jnp.nan)
+    clean = lanes.integrate(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome")
+    ends = lanes.integrate(
+        jax.vmap(dt.TransverseReduced)(deltas), jnp.asarray(starts), limits(STARTS), until="outcome"
+    )
+    lost = [*bad, 250]
+    assert np.all(np.asarray(ends.status)[lost] == lanes.BROKEN)
+    assert np.all(np.asarray(ends.steps)[lost] == 0)
+    assert ends.status[200] == lanes.FINISHED
+    others = np.setdiff1d(np.arange(N), [*lost, 200])
+    assert np.array_equal(np.asarray(ends.y)[:, others], np.asarray(clean.y)[:, others])
+    assert np.array_equal(np.asarray(ends.steps)[others], np.asarray(clean.steps)[others])
+
+
+def test_budget_is_counted_in_steps():
+    ends = lanes.integrate(
+        dt.TransverseReduced(DELTAS), STARTS, limits(STARTS, max_steps=3), until="outcome"
+    )
+    assert int(jnp.max(ends.steps)) == 3
+    assert bool(jnp.all(ends.status[ends.steps == 3] != lanes.BROKEN))
+    assert bool(jnp.any(ends.status == lanes.EXHAUSTED))
+
+
+def test_lanes_are_refilled():
+    """The blocks make far fewer lane-steps than lockstep would: slowest lane times all lanes."""
+    ends = lanes.integrate(
+        dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome", width=32
+    )
+    wide, narrow = (int(n) for n in ends.sweeps)
+    made, used = wide * 32 + narrow * 4, int(jnp.sum(ends.steps))
+    assert used <= made < 0.2 * N * int(jnp.max(ends.steps))
+
+
+class Decay(eqx.Module):
+    """A user's own equation: y′ = −r y in two components, decided when it has halved."""
+
+    rate: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -self.rate[None] * y if y.ndim == 2 else -self.rate * y
+
+    def lift(self, omega0):
+        return omega0[:2]
+
+    def omega(self, y):
+        return jnp.concatenate([y, y[:1]])
+
+    def verdict(self, y):
+        done = y[0] < 0.5
+        return (
+            jnp.where(done, int(dt.Outcome.RESIDUAL), 0),
+            jnp.where(done, self.rate, jnp.nan),
+            done,
+        )
+
+
+def test_a_users_own_equation():
+    """Three methods and a three-valued verdict are all that the engine asks for."""
+    rates = jnp.linspace(0.5, 2.0, 10)
+    found = dt.classify_many(Decay(rates), jnp.ones((10, 3)))
+    assert np.all(found.outcome == dt.Outcome.RESIDUAL)
+    assert np.allclose(found.omega_inf, rates)
+    assert np.all(found.time >= np.log(2) / rates)
+    one = dt.classify(Decay(jnp.asarray(0.7)), jnp.ones(3))
+    assert float(one.omega_inf) == 0.7
+
+
+class Explosion(Decay):
+    """y′ = +y³: runs away in a finite time and is never decided."""
+
+    def __call__(self, t, y, args=None):
+        return y**3
+
+    def verdict(self, y):
+        never = y[0] < -1.0
+        return never.astype(int), y[0] * jnp.nan, never
+
+
+def test_a_runaway_is_failed_in_bounded_work():
+    found = dt.classify_many(Explosion(jnp.ones(4)), jnp.ones((4, 3)))
+    assert np.all(found.outcome == dt.Outcome.FAILED)
+    assert found.steps.max() < 2000
+    assert np.all(found.time <= 0.5 + 1e-9)
+    one = dt.classify(Explosion(jnp.asarray(1.0)), jnp.ones(3))
+    assert int(one.outcome) == dt.Outcome.FAILED
+
+
+def test_a_second_call_with_other_values_compiles_nothing():
+    def run(shift):
+        start = STARTS + shift
+        equation = dt.TransverseReduced(DELTAS * (1 - shift))
+        return lanes.integrate(equation, start, limits(start, 1e-8 + shift * 1e-9), until="outcome")
+
+    run(0.0)
+    with jax.log_compiles(), jax.checking_leaks():
+        before = lanes._compiled("cpu")._cached._cache_size()
+        run(0.01)
+        assert lanes._compiled("cpu")._cached._cache_size() == before
