@@ -67,9 +67,8 @@ def equations(level: str, inertia, dipole):
 
 
 def moments(rng, n: int) -> np.ndarray:
-    """Principal moments of real bodies: J_i = ½ Σ of the other two second moments; shape (n, 3)."""
-    second = rng.dirichlet(np.ones(3), n)
-    return 1 - second
+    """Principal moments of real bodies, uniform in the triangle J₁+J₂+J₃ = 2; shape (n, 3)."""
+    return 1 - rng.dirichlet(np.ones(3), n)  # from the moments of second order ⟨x_i²⟩ > 0
 
 
 def random_rotations(rng, n: int) -> np.ndarray:
@@ -113,7 +112,8 @@ def starts(family: str, level: str, n: int, seed: int = 0) -> Starts:
     omega *= (speed / np.linalg.norm(omega, axis=1))[:, None]
     inertia = np.einsum("nij,nj,nkj->nik", turn, j, turn)
     inertia = (inertia + inertia.transpose(0, 2, 1)) / 2
-    return Starts(inertia, np.einsum("nij,nj->ni", turn, axis), np.einsum("nij,nj->ni", turn, omega))
+    dipole, omega = np.einsum("nij,knj->kni", turn, np.stack([axis, omega]))
+    return Starts(inertia, dipole, omega)
 
 
 def limits(y, max_steps: int) -> lanes.Limits:
@@ -129,13 +129,9 @@ def _judge(equation, y):
 
 
 @jax.jit
-def _growth(equation, y, axis):
-    """Largest real part over |w| of the two eigenvalues across the line, from the 3×3 Jacobian."""
-    w = jnp.sum(axis * y, axis=0)
-    jacobian = jax.vmap(jax.jacfwd(lambda v, e: e(0.0, v)), in_axes=(-1, -1))(
-        w[None] * axis, equation
-    )
-    return jacobian, w
+def _jacobians(equation, axis, w):
+    """Jacobian of the equation at w n, shape (N, 3, 3)."""
+    return jax.vmap(jax.jacfwd(lambda v, e: e(0.0, v)), in_axes=(-1, -1))(w[None] * axis, equation)
 
 
 class Comparison(NamedTuple):
@@ -164,13 +160,12 @@ def compare(
     axis = jnp.asarray((sample.dipole / np.linalg.norm(sample.dipole, axis=1)[:, None]).T)
     size = jnp.linalg.norm(ends.y, axis=0)
     settling = Settling(equation, axis, size / fall)
-    steps = budgets[1] * (ends.status == 1).any()
-    later = lanes.integrate(settling, ends.y, limits(ends.y, steps), until="outcome")
+    later = lanes.integrate(settling, ends.y, limits(ends.y, budgets[1]), until="outcome")
     judged = settling.verdict(later.y)
-    jacobian, w = _growth(equation, later.y, axis)
-    eigenvalues = np.sort(np.linalg.eigvals(np.nan_to_num(jacobian)).real, axis=1)
-    # one eigenvalue is 0, along the line; the other two must be negative
-    attracts = np.where(w != 0, eigenvalues[:, 1], 0) < 0
+    jacobians = np.nan_to_num(_jacobians(equation, axis, judged.omega_inf))
+    # One eigenvalue is 0, along the line; the other two must have negative real parts.
+    rates = np.sort(np.linalg.eigvals(jacobians).real, axis=1)
+    attracts = (rates[:, 1] < 0) & (rates[:, 2] <= 1e-6 * np.abs(rates[:, 0]))
     final = np.asarray(jnp.where(later.status == 1, judged.outcome, 0))
     final = np.where((final == Outcome.RESIDUAL) & ~attracts, Outcome.UNDECIDED, final)
     outcome = np.where(np.asarray(ends.status) == 1, found.outcome, np.asarray(ends.status))
@@ -219,7 +214,8 @@ def main() -> None:
     for level in args.levels:
         for family in args.families:
             sample = starts(family, level, args.n, args.seed)
-            print(row(level, family, compare(level, sample, args.fall, tuple(args.budget))), flush=True)
+            result = compare(level, sample, args.fall, tuple(args.budget))
+            print(row(level, family, result), flush=True)
 
 
 if __name__ == "__main__":

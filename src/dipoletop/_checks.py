@@ -28,7 +28,7 @@ def real(
     """
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
-    if isinstance(value, str | bytes):
+    if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
         refuse(name, kind, f"is {value!r}")
     try:
         array = jnp.asarray(value)

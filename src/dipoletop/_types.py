@@ -66,15 +66,14 @@ class Equation(Protocol):
     only by runs that are to end at an outcome.
     """
 
-    def __call__(self, t: Any, y: State, args: Any = None) -> State:
+    def __call__(self, t: Any, y: State, args: Any = None, /) -> State:
         """The right-hand side dy/dτ."""
         ...
 
-    def lift(self, omega0: Vector) -> State:
+    def lift(self, omega0: Vector, /) -> State:
         """The state that starts at the angular velocity `omega0`."""
         ...
 
-    def omega(self, y: State) -> Vector:
+    def omega(self, y: State, /) -> Vector:
         """The angular velocity of a state, in body axes."""
         ...
-

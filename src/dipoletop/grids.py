@@ -106,7 +106,7 @@ class Sample:
     dims = ("sample",)
 
     def __init__(
-        self, n: int, amplitude: Any = 1.0, *, seed: int = 0, draw: Draw | None = None
+        self, n: Any, amplitude: Any = 1.0, *, seed: Any = 0, draw: Draw | None = None
     ) -> None:
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             refuse("n", "be a positive whole number", f"is {n!r}")

@@ -87,14 +87,14 @@ def load(path: Any) -> Basin:
     """The basin at `path`; see `Basin.load`."""
     group = _open(Path(os.fspath(path)), "path")
     try:
-        left = len(unfinished(group))
+        left, tiles = len(unfinished(group)), group["done"].shape[0]
         basin = view(group)
-        for name in basin.columns:
-            basin.column(name)
+        if not left:
+            for name in basin.columns:
+                basin.column(name)
     except Exception as error:
         refuse("path", "hold an undamaged basin", f"{path} cannot be read ({error})")
     if left:
-        tiles = group["done"].shape[0]
         refuse(
             "path",
             "hold a finished sweep",

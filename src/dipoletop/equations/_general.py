@@ -24,12 +24,12 @@ from .._types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body
 from . import _regions
 
-Flag = Bool[Array, "*lanes"]
+Flag = Bool[Array, "*#lanes"]
 Two = tuple[Real, Real, Real, Real]
 """A 2×2 matrix, by rows."""
 Form = tuple[Real, Real, Real]
 """A symmetric 2×2 matrix: its elements 11, 12 and 22."""
-Nodes = Float[Array, "nodes *lanes"]
+Nodes = Float[Array, "#nodes *#lanes"]
 
 REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law well enough
 # |odd terms of x′_i| ≤ 3 |d|²|x|²|x_i|/J_i at order 1, because J_a ≤ J_b + J_d and so on; sampled,

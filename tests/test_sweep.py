@@ -1,0 +1,320 @@
+"""Sweeps: grids and samples, agreement with `classify`, fractions, storage, refusals."""
+
+import importlib
+import json
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from dipoletop import Outcome
+
+
+def reduced(w3, phi, delta=-0.2):
+    return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
+
+
+GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 10), phi=np.linspace(0.0, 3.0, 26))
+
+
+@pytest.fixture(scope="module")
+def basin():
+    return dt.sweep(reduced, GRID)
+
+
+def test_labels_equal_classify_point_by_point(basin):
+    assert basin.shape == (10, 26)
+    run = jax.jit(lambda w3, phi: dt.classify(*reduced(w3, phi)))
+    for i in range(0, 10, 3):
+        for j in range(0, 26, 5):
+            one = run(GRID.axes["w3"][i], GRID.axes["phi"][j])
+            assert int(basin.outcome[i, j]) == int(one.outcome)
+            assert bool(basin.certified[i, j]) == bool(one.certified)
+            assert abs(basin.omega_inf[i, j] - float(one.omega_inf)) < 1e-8
+
+
+def test_labels_equal_an_independent_integrator_on_500_points():
+    """scipy's DOP853 at 1e-12, run until rotation or the residual line has plainly won."""
+
+    def shape(w3, phi, delta):
+        return reduced(w3, phi, delta)
+
+    def draw(key):
+        a, b, c = jax.random.split(key, 3)
+        return {
+            "w3": jax.random.uniform(a, (), float, 0.02, 0.5),
+            "phi": jax.random.uniform(b, (), float, 0, jnp.pi),
+            "delta": jax.random.uniform(c, (), float, -0.45, -0.15),
+        }
+
+    sample = dt.Sample(n=500, seed=4, draw=draw)
+    found = dt.sweep(shape, sample, value=False)
+    points = jax.tree.map(np.asarray, sample.points(np.arange(500)))
+    for i in range(500):
+        w3, phi, d = (float(points[name][i]) for name in ("w3", "phi", "delta"))
+        start = [0.2 * np.cos(phi), 0.2 * np.sin(phi), w3]
+        assert found.outcome[i] == _destiny(d, start), (d, start)
+
+
+def _destiny(d, y):
+    """(4.2)–(4.4) typed again; no certificate: the line attracts, or rotation is far ahead."""
+
+    def rate(_, w):
+        s = w @ w
+        return [
+            d * w[1] * w[2],
+            -d * w[0] * w[2] - (s + d * (1 + d) * w[2] ** 2) * w[1],
+            -(s + d * (2 * w[0] ** 2 - w[1] ** 2)) * w[2] / (1 - d),
+        ]
+
+    def won(_, w):
+        u = w[0] ** 2 + w[1] ** 2
+        along = (w[1] / w[0]) ** 2 + (d * w[2] / w[0] ** 2) ** 2 if w[0] else np.inf
+        return min(along - 1e-4, 6 - abs(d * w[2]) / u)
+
+    won.terminal = True
+    run = solve_ivp(rate, (0, 1e12), y, "DOP853", rtol=1e-12, atol=1e-16, events=won)
+    w = run.y[:, -1]
+    assert run.status == 1, "no decision by τ = 1e12"
+    return Outcome.RESIDUAL if abs(w[1]) < 0.1 * abs(w[0]) and w[0] ** 2 > abs(d * w[2]) else 2
+
+
+@pytest.mark.parametrize(
+    ("level", "amplitude", "delta", "expected", "error"),
+    [
+        # 200 000 starts each, with their standard errors
+        (dt.TransverseReduced, 0.2, -0.4, 0.1402, 0.0008),
+        (dt.TransverseReduced, 0.2, -0.2, 0.5197, 0.0011),
+        (dt.TransverseReduced, 0.2, -0.1, 0.7755, 0.0009),
+        (dt.TransverseReduced, 0.2, -0.05, 0.8972, 0.0007),
+        # 20 000 starts each
+        (dt.TransverseSemi, 0.2, -0.9, 0.0675, 0.0018),
+        (dt.TransverseSemi, 0.2, -0.5, 0.2096, 0.0029),
+        (dt.TransverseSemi, 0.2, -0.2, 0.5894, 0.0035),
+        (dt.TransverseSemi, 1.0, -0.5, 0.6541, 0.0034),
+        (dt.TransverseSemi, 0.01, -0.2, 0.0437, 0.0014),
+    ],
+)
+def test_residual_fractions(level, amplitude, delta, expected, error):
+    """Isotropic starts, N = 20 000: within four standard errors of both samples."""
+    n = 20_000
+    sample = dt.Sample(n=n, amplitude=amplitude, seed=1)
+    found = dt.sweep(lambda w: (level(delta), w), sample, value=False)
+    share = found.fractions()["RESIDUAL"].share
+    both = np.hypot(error, np.sqrt(expected * (1 - expected) / n))
+    assert abs(share - expected) < 4 * both
+    assert found.fractions().keys() <= {"RESIDUAL", "STOP"}
+
+
+def test_sample_depends_on_seed_and_number_only():
+    long, short = dt.Sample(n=100, seed=3), dt.Sample(n=10, seed=3)
+    assert np.array_equal(long.points(np.arange(10)), short.points(np.arange(10)))
+    assert np.array_equal(long.points(np.array([7])), short.points(np.arange(10))[7:8])
+    assert not np.array_equal(
+        long.points(np.arange(10)), dt.Sample(n=10, seed=4).points(np.arange(10))
+    )
+
+
+def test_isotropic_starts_are_isotropic():
+    w = np.asarray(dt.Sample(n=20_000, amplitude=0.2, seed=0).points(np.arange(20_000)))
+    assert np.allclose(np.linalg.norm(w, axis=1), 0.2, rtol=1e-14)
+    assert np.all(np.abs(w.mean(0)) < 4 * 0.2 / np.sqrt(3 * 20_000))
+    assert np.allclose(np.cov(w.T) / 0.04 * 3, np.eye(3), atol=0.05)
+    sizes = np.linalg.norm(dt.Sample(n=5000, amplitude=(1e-3, 1.0)).points(np.arange(5000)), axis=1)
+    assert abs(np.log(sizes).mean() - np.log(1e-3) / 2) < 0.15
+    box = np.asarray(
+        dt.Sample(n=500, draw=dt.uniform_box([0, 1, 2], [1, 2, 4])).points(np.arange(500))
+    )
+    assert np.all((box >= [0, 1, 2]) & (box <= [1, 2, 4]))
+
+
+def test_axes_of_any_kind():
+    """Shapes, amplitudes and directions as axes; a single number is an axis of length 1."""
+    ways = np.array([[1.0, 0.2, 0.1], [0.1, 0.2, 1.0]])
+
+    def problem(delta, size, way):
+        return dt.TransverseSemi(delta), size * way
+
+    grid = dt.Grid(delta=-0.3, size=[0.1, 0.3], way=ways)
+    found = dt.sweep(problem, grid)
+    assert found.shape == (1, 2, 2)
+    for i, size in enumerate([0.1, 0.3]):
+        for j, way in enumerate(ways):
+            one = dt.classify(dt.TransverseSemi(-0.3), size * way)
+            assert int(found.outcome[0, i, j]) == int(one.outcome)
+
+
+def test_bad_points_are_failed_lanes():
+    found = dt.sweep(reduced, dt.Grid(delta=[-0.2, 1.0, -3.0], w3=0.2, phi=[0.1, 1.0]))
+    assert np.all(found.outcome[1:] == Outcome.FAILED)
+    assert np.all(np.isnan(found.omega_inf[1:]))
+    assert found.outcome[0, 0, 0] == Outcome.RESIDUAL
+
+
+def test_symmetry_cell():
+    grid = dt.symmetry_cell(n_phi=8, n_w3=5, w3_max=0.4)
+    assert grid.shape == (5, 8)
+    assert grid.axes["phi"][-1] == np.pi * 7 / 8
+    assert grid.axes["w3"][-1] == 0.4
+
+
+def test_confirmation_at_a_second_tolerance():
+    found = dt.sweep(reduced, GRID, rtol=1e-4, confirm=1e-9)
+    exact = dt.sweep(reduced, GRID, rtol=1e-9)
+    assert np.array_equal(found.changed, found.outcome != exact.outcome)
+    fine = dt.Grid(w3=np.linspace(0.1, 0.5, 60), phi=np.linspace(0, 3, 60))
+    assert dt.sweep(reduced, fine, rtol=0.1, confirm=1e-9).changed.any()
+
+
+def test_xarray_names_units_and_sources(basin):
+    data = basin.to_xarray()
+    assert data.omega_inf.dims == ("w3", "phi")
+    assert data.omega_inf.attrs["units"] == "1/tau_0"
+    assert np.array_equal(data.phi, GRID.axes["phi"])
+    assert data.attrs["level"] == "reduced, order 1 (the paper's)"
+    assert data.attrs["rtol"] == 1e-8
+    assert data.attrs["version_dipoletop"] == dt.__version__
+
+
+def same(a, b):
+    return all(np.array_equal(a.column(n), b.column(n), equal_nan=True) for n in a.columns)
+
+
+def test_save_and_load(basin, tmp_path):
+    basin.save(tmp_path / "map.zarr")
+    back = dt.Basin.load(tmp_path / "map.zarr")
+    assert same(basin, back)
+    assert back.attrs == basin.attrs
+    assert np.array_equal(back.coords["w3"], basin.coords["w3"])
+    with pytest.raises(ValueError, match="`path` must not exist yet"):
+        basin.save(tmp_path / "map.zarr")
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    """Killed half-way, with a torn tile: the same bytes as a run in one go."""
+    monkeypatch.setattr(importlib.import_module("dipoletop.sweep"), "TILE", 128)
+    grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
+    whole = dt.sweep(reduced, grid, store=tmp_path / "whole.zarr")
+    place = tmp_path / "again.zarr"
+    shutil.copytree(tmp_path / "whole.zarr", place)
+    for tile in (0, 3, 7):
+        (place / "done" / "c" / str(tile)).unlink()
+    (place / "omega_inf" / "c" / "3").unlink()
+    (place / "outcome" / "c" / "7").write_bytes(b"torn")
+    with pytest.raises(ValueError, match="lacks 3 of 8 tiles; run the sweep again with this store"):
+        dt.Basin.load(place)
+
+    made = []
+    store = importlib.import_module("dipoletop.store")
+    write = store.write_tile
+    monkeypatch.setattr(store, "write_tile", lambda g, t, c: (made.append(t), write(g, t, c)))
+    again = dt.sweep(reduced, grid, store=place)
+    assert sorted(made) == [0, 3, 7]
+    assert same(whole, again)
+    assert files(place) == files(tmp_path / "whole.zarr")
+    assert same(whole, dt.sweep(reduced, grid, store=place))
+    assert sorted(made) == [0, 3, 7]
+
+
+def test_a_foreign_store_is_refused_and_untouched(tmp_path):
+    place = tmp_path / "map.zarr"
+    grid = dt.Grid(w3=[0.1, 0.2], phi=[0.1, 1.0])
+    dt.sweep(reduced, grid, store=place)
+    before = files(place)
+    others = [
+        (lambda w3, phi: (dt.TransverseSemi(-0.2), dt.cylindrical(0.2, w3, phi)), grid, {}),
+        (lambda w3, phi: (dt.TransverseReduced(-0.3), dt.cylindrical(0.2, w3, phi)), grid, {}),
+        (reduced, dt.Grid(w3=[0.1, 0.3], phi=[0.1, 1.0]), {}),
+        (reduced, dt.Grid(w3=[0.1, 0.2, 0.3], phi=[0.1]), {}),
+        (reduced, grid, {"rtol": 1e-9}),
+    ]
+    for problem, over, options in others:
+        with pytest.raises(ValueError, match="`store` must be new or hold this very sweep"):
+            dt.sweep(problem, over, store=place, **options)
+    assert files(place) == before
+
+
+def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
+    with pytest.raises(ValueError, match="`path` must be a folder with a basin, but .* not exist"):
+        dt.Basin.load(tmp_path / "none.zarr")
+    (tmp_path / "text").write_text("hello")
+    with pytest.raises(ValueError, match="`path` must be a folder with a basin"):
+        dt.Basin.load(tmp_path / "text")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="`path` must be a folder with a basin"):
+        dt.Basin.load(tmp_path / "empty")
+    basin.save(tmp_path / "good.zarr")
+    meta = tmp_path / "good.zarr" / "zarr.json"
+    header = json.loads(meta.read_text())
+    header["attributes"]["format"] = "something else"
+    shutil.copytree(tmp_path / "good.zarr", tmp_path / "other.zarr")
+    (tmp_path / "other.zarr" / "zarr.json").write_text(json.dumps(header))
+    with pytest.raises(ValueError, match="`path` must be a dipoletop basin, version 1, but"):
+        dt.Basin.load(tmp_path / "other.zarr")
+    for victim in ("time/c/0", "steps/zarr.json"):
+        shutil.copytree(tmp_path / "good.zarr", tmp_path / "bad.zarr")
+        (tmp_path / "bad.zarr" / victim).write_bytes(b"damaged")
+        with pytest.raises(ValueError, match="`path` must hold an undamaged basin, but"):
+            dt.Basin.load(tmp_path / "bad.zarr")
+        shutil.rmtree(tmp_path / "bad.zarr")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: dt.Grid(), "`axes` must name at least one axis"),
+        (lambda: dt.Grid(w3=[]), "`w3` must hold at least one value"),
+        (lambda: dt.Grid(w3=[0.1, np.nan]), "`w3` must be finite"),
+        (lambda: dt.Grid(w3=["a"]), "`w3` must be a real array"),
+        (lambda: dt.Sample(n=0), "`n` must be a positive whole number, but is 0"),
+        (lambda: dt.Sample(n=5, seed=0.5), "`seed` must be a whole number, but is 0.5"),
+        (lambda: dt.Sample(n=5, amplitude=-1.0), "`amplitude` must be positive, or a pair"),
+        (lambda: dt.Sample(n=5, amplitude=(1.0, 0.1)), "`amplitude` must be positive, or a pair"),
+        (
+            lambda: dt.sweep(reduced, dt.Grid(w3=[0.1], theta=[0.2])),
+            r"`over` must have the arguments of `problem` .* but has w3, theta",
+        ),
+        (lambda: dt.sweep(lambda w: w, dt.Sample(n=5)), "`problem` must return .equation, omega0."),
+        (
+            lambda: dt.sweep(lambda w: (dt.TransverseReduced(0.1), w[:2]), dt.Sample(n=5)),
+            r"`problem` must return a start of shape \(3,\), but its start has shape \(2,\)",
+        ),
+        (
+            lambda: dt.sweep(lambda w: (dt.TransverseAveraged(0.1), w), dt.Sample(n=5)),
+            "`equation` must have a method",
+        ),
+        (lambda: dt.sweep(reduced, GRID, confirm=1e-20), "`confirm` must lie between"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_memory_and_work_do_not_grow_with_padding():
+    """The last tile is filled up with starts that take no step."""
+    found = dt.sweep(reduced, dt.Grid(w3=[0.2], phi=[np.pi / 3]))
+    assert found.shape == (1, 1)
+    assert found.steps[0, 0] > 0
+
+
+def test_a_second_sweep_with_other_values_compiles_nothing():
+    from dipoletop import lanes
+
+    dt.sweep(reduced, GRID)
+    before = lanes._compiled("cpu")._cached._cache_size()
+
+    def other(w3, phi):
+        return dt.TransverseReduced(-0.31), dt.cylindrical(0.25, w3, phi)
+
+    grid = dt.Grid(w3=np.linspace(0.1, 0.4, 10), phi=np.linspace(0.1, 2.0, 26))
+    dt.sweep(other, grid, rtol=1e-7, max_steps=1000)
+    assert lanes._compiled("cpu")._cached._cache_size() == before
