@@ -9,6 +9,7 @@ every principal axis, or one that is bound to stop, must do the second, a residu
 """
 
 import argparse
+import functools
 import time
 from typing import Any, NamedTuple
 
@@ -46,6 +47,12 @@ class Settling(eqx.Module):
     def __call__(self, t, y, args=None):
         return self.equation(t, y, args)
 
+    def lift(self, omega0):
+        return omega0
+
+    def omega(self, y):
+        return y
+
     def verdict(self, y):
         w = jnp.sum(self.axis * y, axis=0)
         across = y - w[None] * self.axis
@@ -55,15 +62,18 @@ class Settling(eqx.Module):
         return Verdict(outcome, w, slow, 0, jnp.zeros_like(w))
 
 
-def equations(level: str, inertia, dipole):
-    """A batch of equations with trailing lanes."""
-    order = LEVELS[level]
-
-    def one(i, d):
-        body = Body(i, d)
+@functools.cache
+def _builder(order: int | None):
+    def one(inertia, dipole):
+        body = Body(inertia, dipole)
         return SemiReduced(body) if order is None else Reduced(body, order)
 
-    return jax.vmap(one, out_axes=-1)(jnp.asarray(inertia), jnp.asarray(dipole))
+    return jax.jit(jax.vmap(one, out_axes=-1))
+
+
+def equations(level: str, inertia, dipole):
+    """A batch of equations with trailing lanes."""
+    return _builder(LEVELS[level])(jnp.asarray(inertia), jnp.asarray(dipole))
 
 
 def moments(rng, n: int) -> np.ndarray:

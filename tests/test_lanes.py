@@ -112,7 +112,7 @@ class Decay(eqx.Module):
     rate: jax.Array
 
     def __call__(self, t, y, args=None):
-        return -self.rate[None] * y if y.ndim == 2 else -self.rate * y
+        return jnp.stack([-self.rate * y[0], -self.rate * y[1]])
 
     def lift(self, omega0):
         return omega0[:2]
@@ -138,6 +138,22 @@ def test_a_users_own_equation():
     assert np.all(found.time >= np.log(2) / rates)
     one = dt.classify(Decay(jnp.asarray(0.7)), jnp.ones(3))
     assert float(one.omega_inf) == 0.7
+
+
+class Swing(Decay):
+    """y′ = r cos(τ) y, whose right-hand side depends on time: y = exp(r sin τ)."""
+
+    def __call__(self, t, y, args=None):
+        return jnp.stack([self.rate * jnp.cos(t) * y[0], self.rate * jnp.cos(t) * y[1]])
+
+
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Heun()])
+def test_a_right_hand_side_that_depends_on_time(solver):
+    rates, starts = jnp.linspace(0.1, 1.0, 128), jnp.ones((2, 128))
+    ends = lanes.integrate(
+        Swing(rates), starts, limits(starts, 1e-6, 2.0), solver=solver, until="time"
+    )
+    assert float(jnp.max(jnp.abs(ends.y - jnp.exp(rates * jnp.sin(2.0))[None]))) < 1e-4
 
 
 class Explosion(Decay):

@@ -129,7 +129,7 @@ def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) 
     d0, d1 = _error_ratio(y, y, zero, scale), _error_ratio(f, y, zero, scale)
     moves = (d0 > 0) & (d1 > 0)
     h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
-    f1 = equation(jnp.zeros_like(h0), y + h0[None] * f, None)
+    f1 = equation(h0, y + h0[None] * f, None)
     d2 = _error_ratio(f1 - f, y, zero, scale) / h0
     slope = jnp.maximum(jnp.maximum(d1, d2), jnp.finfo(h0.dtype).tiny)
     return jnp.minimum(100 * h0, jnp.exp(jnp.log(0.01 / slope) / order))
@@ -144,14 +144,14 @@ def _combine(weights: np.ndarray, slopes: list[State]) -> State:
 def _runge_kutta(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> tuple[State, ...]:
     """One step of the tableau: y_new, its rate, and the error."""
     slopes, stage = [at.f], at.y
-    for row in tableau.a_lower:
+    for c, row in zip(tableau.c, tableau.a_lower, strict=True):
         stage = at.y + h[None] * _combine(row, slopes)
-        slopes.append(equation(h, stage, None))
+        slopes.append(equation(at.t + float(c) * h, stage, None))
     error = h[None] * _combine(tableau.b_error, slopes)
     if tableau.fsal:
         return stage, slopes[-1], error
     new = at.y + h[None] * _combine(tableau.b_sol, slopes)
-    return new, equation(h, new, None), error
+    return new, equation(at.t + h, new, None), error
 
 
 def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
@@ -163,7 +163,9 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver.tableau, at.equation, at, h)
     ratio = _error_ratio(error, at.y, new, scale)
-    factor = SAFETY * jnp.exp(-jnp.log(jnp.maximum(ratio, 1e-30)) / solver.order(None))
+    # Single precision is plenty for a step size, and XLA:CPU vectorises its logarithm only.
+    log = jnp.log(jnp.maximum(ratio, 1e-30).astype("float32"))
+    factor = SAFETY * jnp.exp(-log / solver.order(None)).astype(h.dtype)
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = block.running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)

@@ -1,0 +1,134 @@
+"""The mixed basin: from starts to certain outcomes, everybody on all cores."""
+
+import inspect
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import dipoletop as dt
+import measure
+import peers
+import problem
+from dipoletop import lanes
+
+RTOL = 1e-8
+OURS = "dipoletop"
+# One vmap over all starts is so slow that fewer starts, once, must do.
+SLOW = ("diffrax vmap whole, tuple", "diffrax vmap whole, (3,)")
+RIVALS = (
+    "heyoka batch",
+    "diffrax vmap repacked, tuple",
+    "diffrax vmap chunked, tuple",
+    *SLOW,
+)
+
+
+class Sizes(NamedTuple):
+    """How much is measured."""
+
+    starts: tuple[int, ...]
+    slow: int
+    """Starts for the slow ones."""
+    truth: int
+    """Starts that scipy follows."""
+    repeats: int
+
+
+def run(
+    deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
+) -> dict[str, Any]:
+    """dipoletop as one of the peers: labels of all starts by `classify_many`."""
+    shapes, starts = jnp.asarray(deltas), jnp.asarray(omegas)
+
+    def classified() -> dt.Classification:
+        equations = dt.TransverseReduced(shapes)
+        return dt.classify_many(
+            equations, starts, rtol=rtol, value=False, max_steps=problem.MAX_STEPS
+        )
+
+    _, first = measure.timed(classified)
+    found, clocks = measure.timed(classified)
+    return clocks | {
+        "labels": found.outcome,
+        "compile_seconds": first["seconds"],
+        "steps": int(found.steps.sum()),
+        "most_steps": int(found.steps.max()),
+        "note": f"dipoletop {dt.__version__}, {measure.cores()} threads",
+    }
+
+
+def lane_efficiency(
+    deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
+) -> dict[str, Any]:
+    """Which part of the lane steps was made for a running start, one core's share at a time."""
+    parts = np.array_split(np.arange(len(deltas)), measure.cores())
+    width = min(inspect.signature(lanes.integrate).parameters["width"].default, len(parts[-1]))
+    made, swept = 0, np.zeros(2, int)
+    for part in parts:
+        y0 = jnp.asarray(omegas[part].T)
+        limits = lanes.Limits(
+            jnp.asarray(rtol),
+            rtol * jnp.linalg.norm(y0, axis=0),
+            jnp.full(len(part), jnp.inf),
+            jnp.asarray(problem.MAX_STEPS),
+        )
+        equation = dt.TransverseReduced(jnp.asarray(deltas[part]))
+        ends = lanes.integrate(equation, y0, limits, until="outcome")
+        made += int(ends.steps.sum())
+        swept += np.asarray(ends.sweeps)
+    paid = int(swept @ [width, max(width // lanes.NARROW, 1)])
+    return {
+        "width": width,
+        "block_steps": swept.tolist(),
+        "lane_steps": made,
+        "efficiency": made / max(paid, 1),
+    }
+
+
+def compare(sizes: Sizes) -> dict[str, Any]:
+    """All peers at all sizes, their labels held to scipy's and to ours."""
+    available, missing = peers.available()
+    truth = peers.truth(*problem.mixed_basin(sizes.truth))
+    everybody = {OURS: run} | {name: available[name] for name in RIVALS if name in available}
+    tables = {}
+    for size in sizes.starts:
+        cases: dict[Any, Callable[[], dict[str, Any]]] = {}
+        for name, peer in everybody.items():
+            starts = problem.mixed_basin(min(size, sizes.slow) if name in SLOW else size)
+            cases[name] = partial(peer, *starts, RTOL)
+        records = measure.interleaved(cases, sizes.repeats, once=SLOW)
+        ours = records[OURS][0]["labels"]
+        tables[size] = {
+            "rows": [_row(name, found, ours, truth["labels"]) for name, found in records.items()],
+            "lanes": lane_efficiency(*problem.mixed_basin(size), RTOL),
+        }
+        jax.clear_caches()  # the next size compiles as if it were the first
+    scipy_row = {
+        "note": truth["note"],
+        "starts": sizes.truth,
+        "microseconds": 1e6 * truth["seconds"] / sizes.truth,
+        "steps": truth["steps"] / sizes.truth,
+    }
+    return {"rtol": RTOL, "missing": missing, "truth": scipy_row, "tables": tables}
+
+
+def _row(name: str, records: list[dict[str, Any]], ours: Any, truth: Any) -> dict[str, Any]:
+    """One line of the table; labels are compared over the starts that both have."""
+    labels = records[0]["labels"]
+    both, known = min(len(labels), len(ours)), min(len(labels), len(truth))
+    return measure.summary(records) | {
+        "name": name,
+        "note": records[0]["note"],
+        "starts": len(labels),
+        "first_seconds": records[0]["compile_seconds"],
+        "steps": records[0]["steps"] / len(labels),
+        "undecided": int(np.sum(labels <= problem.UNDECIDED)),
+        "differ_from_ours": int(np.sum(labels[:both] != ours[:both])),
+        "differ_from_truth": int(np.sum(labels[:known] != truth[:known])),
+        "truth_starts": known,
+    }

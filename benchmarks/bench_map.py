@@ -1,0 +1,126 @@
+"""The default map in a process of its own, so that its memory is its own: time, memory, compiles.
+
+python benchmarks/bench_map.py order-1 512 prints one line of JSON.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import dipoletop as dt
+import measure
+
+LEVELS = ("order-1", "semi")
+REPEATS = 3
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+def measured(level: str, points: int) -> dict[str, Any]:
+    """`report` of a fresh process."""
+    command = [sys.executable, __file__, level, str(points)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def report(level: str, points: int) -> dict[str, Any]:
+    """The first and later sweeps over points × points starts, and what other values compile."""
+    before = peak_memory()
+    grid = dt.symmetry_cell(points, points)
+    basin, first = measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8))
+
+    def again() -> measure.Record:
+        return measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8))[1]
+
+    later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
+    peak = peak_memory()
+    return {
+        "level": basin.level,
+        "points": points,
+        "first": first,
+        "later": later,
+        "starts_per_second": points**2 / later["seconds"]["median"],
+        "steps": float(basin.steps.mean()),
+        "fractions": {name: share.share for name, share in basin.fractions().items()},
+        "peak_bytes": peak,
+        "import_bytes": before,
+        "compilations": _compilations(level, grid),
+    }
+
+
+def _equation(level: str, delta: Any) -> Any:
+    return dt.TransverseSemi(delta) if level == "semi" else dt.TransverseReduced(delta)
+
+
+def _sweep(level: str, grid: dt.Grid, delta: float, rtol: float) -> dt.Basin:
+    def tops(w3: Any, phi: Any) -> Any:
+        return _equation(level, delta), dt.cylindrical(0.2, w3, phi)
+
+    return dt.sweep(tops, grid, rtol=rtol, progress=False)
+
+
+def _compilations(level: str, grid: dt.Grid) -> dict[str, int]:
+    """Programs compiled when δ, starts, times and tolerance change and nothing else does."""
+    omegas = jax.random.normal(jax.random.key(0), (256, 3))
+    deltas = jnp.linspace(-0.4, 0.4, 256)
+    times = jnp.linspace(0.0, 100.0, 11)
+
+    calls: dict[str, Callable[[float, float], Any]] = {
+        "sweep": lambda scale, rtol: _sweep(level, grid, -0.2 * scale, rtol),
+        "classify_many": lambda scale, rtol: dt.classify_many(
+            _equation(level, scale * deltas), scale * omegas, rtol=rtol
+        ),
+        "classify": lambda scale, rtol: dt.classify(
+            _equation(level, -0.2 * scale), scale * omegas[0], rtol=rtol
+        ),
+        "simulate": lambda scale, rtol: dt.simulate(
+            _equation(level, -0.2 * scale), scale * omegas[0], ts=scale * times, rtol=rtol
+        ),
+    }
+    found = {}
+    for name, call in calls.items():
+        call(1.0, 1e-8)
+        found[name] = _compiled(lambda call=call: call(0.9, 1e-9))
+    return found
+
+
+def _compiled(task: Callable[[], Any]) -> int:
+    """How many programs XLA compiles meanwhile, in any thread."""
+    seen: list[str] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        seen.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        task()
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    return seen.count(COMPILED)
+
+
+def peak_memory() -> int | None:
+    """Most memory this process has held, bytes; None where the system does not tell.
+
+    Linux's own counter first: getrusage also remembers the process that started this one.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
+        if "VmHWM" in lines:
+            return 1024 * int(lines["VmHWM"].split()[0])
+    try:
+        import resource
+    except ImportError:
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(report(sys.argv[1], int(sys.argv[2]))))

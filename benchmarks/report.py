@@ -1,0 +1,191 @@
+"""The results as tables for people and as a figure."""
+
+from pathlib import Path
+from typing import Any
+
+from bench_basin import OURS
+from bench_import import BASE
+
+Table = list[list[str]]
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """All tables, in Markdown that is also legible as it stands."""
+    parts = [_machine(results), _basin(results["basin"])]
+    parts += [_precision(results["precision"]), _maps(results["maps"])]
+    parts += [_compilations(results["maps"]), _import(results["import"])]
+    return "\n\n".join(parts)
+
+
+def _layout(table: Table, *, text: int = 1) -> str:
+    """A Markdown table; the first `text` columns to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    head, *body = (
+        [f"{cell:<{w}}" if k < text else f"{cell:>{w}}" for k, (cell, w) in enumerate(cells)]
+        for cells in (list(zip(row, widths, strict=True)) for row in table)
+    )
+    rule = ["-" * w if k < text else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, rule, *body))
+
+
+def _number(value: float) -> str:
+    """Three digits."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}"
+
+
+def _machine(results: dict[str, Any]) -> str:
+    machine = results["machine"]
+    versions = ", ".join(f"{name} {value}" for name, value in machine["versions"].items())
+    busy = " and ".join("unknown" if x is None else f"{x:.1f}" for x in results["load"])
+    return (
+        f"{machine['date']}; {machine['processor']}, {machine['cores']} cores; "
+        f"{machine['system']}; {versions}. "
+        f"Load average before and after (this run's own work included): {busy}."
+    )
+
+
+def _per_start(row: dict[str, Any], clock: str, which: str = "median") -> float:
+    """Microseconds for each start."""
+    return 1e6 * row[clock][which] / row["starts"]
+
+
+def _basin(found: dict[str, Any]) -> str:
+    parts = [f"### Mixed basin, rtol {found['rtol']:.0e}, all cores"]
+    for size, scene in found["tables"].items():
+        parts += [f"N = {size}:", _layout(_basin_table(scene["rows"]))]
+        lanes = scene["lanes"]
+        wide, narrow = lanes["block_steps"]
+        parts.append(
+            f"Lane efficiency of dipoletop: {lanes['efficiency']:.1%} ({lanes['lane_steps']} lane "
+            f"steps in {wide} steps of the block of {lanes['width']}, {narrow} of the narrow one)."
+        )
+    truth = found["truth"]
+    parts.append(
+        f"{truth['note']}: {_number(truth['microseconds'])} µs and {truth['steps']:.1f} steps for "
+        f"each of {truth['starts']} starts, at rtol 1e-12."
+    )
+    return "\n\n".join(parts + [line + "." for line in found["missing"]])
+
+
+def _basin_table(rows: list[dict[str, Any]]) -> Table:
+    ours = next(row for row in rows if row["name"] == OURS)
+    head = ["", "starts × repeats", "wall s, min / median", "processor s, min / median"]
+    head += ["µs/start, wall / processor", "× dipoletop, wall / processor", "before it is warm, s"]
+    head += ["steps/start", "undecided", "differ from dipoletop", "differ from scipy"]
+    table = [head]
+    for row in rows:
+        wall, spent = _per_start(row, "seconds"), _per_start(row, "processor_seconds")
+        ratio = wall / _per_start(ours, "seconds"), spent / _per_start(ours, "processor_seconds")
+        table.append(
+            [
+                row["name"],
+                f"{row['starts']} × {row['repeats']}",
+                " / ".join(_number(row["seconds"][w]) for w in ("min", "median")),
+                " / ".join(_number(row["processor_seconds"][w]) for w in ("min", "median")),
+                f"{_number(wall)} / {_number(spent)}",
+                f"{_number(ratio[0])} / {_number(ratio[1])}",
+                _number(row["first_seconds"]),
+                f"{row['steps']:.1f}",
+                str(row["undecided"]),
+                str(row["differ_from_ours"]),
+                f"{row['differ_from_truth']} of {row['truth_starts']}",
+            ]
+        )
+    return table
+
+
+def _precision(found: dict[str, Any]) -> str:
+    rows = [row | {"starts": found["starts"]} for row in found["rows"]]
+    table = [["", "rtol", "largest error", "median error", "µs/start, wall", "µs/start, processor"]]
+    for row in rows:
+        clocks = [_number(_per_start(row, clock)) for clock in ("seconds", "processor_seconds")]
+        errors = [f"{row[name]:.1e}" for name in ("largest_error", "median_error")]
+        table.append([row["name"], f"{row['rtol']:.0e}", *errors, *clocks])
+    first = ", ".join(f"{name} {_number(s)}" for name, s in found["first_seconds"].items())
+    return "\n\n".join(
+        [
+            f"### Work and precision: end states of {found['starts']} starts at τ = 1000",
+            f"Reference: {found['reference']}. Medians of {rows[0]['repeats']} repeats. "
+            f"The first tolerance with compilation and a first run, s: {first}.",
+            _layout(table),
+        ]
+    )
+
+
+def _maps(found: list[dict[str, Any]]) -> str:
+    head = ["level", "starts", "first sweep, s", "later sweeps, s, min / median"]
+    head += [
+        "processor s, median",
+        "starts/s",
+        "steps/start",
+        "peak memory, MB",
+        "after import, MB",
+    ]
+    table = [head]
+    for row in found:
+        later = row["later"]
+        memory = [row["peak_bytes"], row["import_bytes"]]
+        table.append(
+            [
+                row["level"],
+                f"{row['points']} × {row['points']}",
+                _number(row["first"]["seconds"]),
+                " / ".join(_number(later["seconds"][w]) for w in ("min", "median")),
+                _number(later["processor_seconds"]["median"]),
+                f"{row['starts_per_second']:.0f}",
+                f"{row['steps']:.1f}",
+                *("unknown" if m is None else f"{m / 1e6:.0f}" for m in memory),
+            ]
+        )
+    return f"### The default map, with residual values, rtol 1e-8, all cores\n\n{_layout(table)}"
+
+
+def _compilations(found: list[dict[str, Any]]) -> str:
+    first = {row["level"]: row["compilations"] for row in found}
+    calls = list(next(iter(first.values())))
+    table = [["level", *calls]]
+    table += [[level, *(str(counts[name]) for name in calls)] for level, counts in first.items()]
+    return f"### Programs compiled in a second call with other values\n\n{_layout(table)}"
+
+
+def _import(found: dict[str, Any]) -> str:
+    table = [["", "wall s, min / median", "processor s, min / median"]]
+    for name in (name for name in found if name != "ratio"):
+        clocks = (found[name][clock] for clock in ("seconds", "processor_seconds"))
+        table.append([f"`{name}`", *(" / ".join(map(_number, clock.values())) for clock in clocks)])
+    ratio = found["ratio"]
+    return "\n\n".join(
+        [
+            "### Importing, in fresh processes",
+            _layout(table),
+            f"Median ratio of neighbouring runs to `{BASE}`: {ratio['seconds']:.2f} on the clock, "
+            f"{ratio['processor_seconds']:.2f} in processor seconds.",
+        ]
+    )
+
+
+def figure(found: dict[str, Any], path: Path) -> None:
+    """Cost against true error, one line for each method."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    drawing, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
+    # One core each; the threads' processor seconds are those of one core over again.
+    names = [name for name in found["first_seconds"] if "threads" not in name]
+    for colour, name in zip(("#0072B2", "#E69F00", "#009E73"), names, strict=False):
+        rows = [row for row in found["rows"] if row["name"] == name]
+        cost = [1e6 * row["processor_seconds"]["median"] / found["starts"] for row in rows]
+        for error, style in (("largest_error", "o-"), ("median_error", "o:")):
+            label = f"{name}, {error.replace('_', ' ')}"
+            ax.loglog([row[error] for row in rows], cost, style, color=colour, label=label, ms=4)
+    ax.invert_xaxis()
+    ax.set_xlabel("error of the end state over |ω₀|")
+    ax.set_ylabel("processor µs per start")
+    ax.set_title(f"{found['starts']} starts, δ = −1/5, |ω₀| = 0.2, τ = 1000", fontsize="medium")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize="small")
+    path.parent.mkdir(exist_ok=True)
+    drawing.savefig(path, dpi=150, metadata={"Software": None})
+    plt.close(drawing)

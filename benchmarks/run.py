@@ -1,0 +1,84 @@
+"""All benchmarks in one run: dipoletop beside its peers. What they mean is in README.md here.
+
+python benchmarks/run.py --small     a minute, to see that everything works
+python benchmarks/run.py             the whole thing, printed
+python benchmarks/run.py --write     and kept: README.md, results/latest.json, the figure
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+# A peer's processes import this file again, so what takes long is imported in the functions.
+
+HERE = Path(__file__).parent
+BEGIN, END = "<!-- results -->", "<!-- end of results -->"
+
+
+def measure_all(small: bool, large: bool) -> dict[str, Any]:
+    """Every scene, one after another."""
+    import bench_basin
+    import bench_import
+    import bench_map
+    import bench_precision
+    import measure
+
+    sizes = bench_basin.Sizes((4096, 32768), slow=1024, truth=512, repeats=5)
+    points = [512, 1024] if large else [512]
+    precision: dict[str, Any] = {"n": 4096, "repeats": 7}
+    if small:
+        sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1)
+        points = [16]
+        precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
+    before = measure.load()
+    # Fresh processes first, while this one is small.
+    importing = bench_import.compare(2 if small else 15)
+    maps = [bench_map.measured(level, n) for n in points for level in bench_map.LEVELS]
+    return {
+        "machine": measure.machine(),
+        "import": importing,
+        "maps": maps,
+        "precision": bench_precision.compare(**precision),
+        "basin": bench_basin.compare(sizes),
+        "load": [before, measure.load()],
+    }
+
+
+def keep(results: dict[str, Any], text: str) -> None:
+    """Into the README between its marks, the JSON file and the figure."""
+    import report
+
+    readme = HERE / "README.md"
+    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
+    _, after = rest.split(END)
+    readme.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
+    report.figure(results["precision"], HERE / "results" / "work_precision.png")
+    latest = HERE / "results" / "latest.json"
+    latest.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--small", action="store_true", help="small sizes: does everything work?")
+    size.add_argument("--large", action="store_true", help="the map with 1024 × 1024 starts too")
+    parser.add_argument("--write", action="store_true", help="keep the results")
+    args = parser.parse_args()
+    if args.small and args.write:
+        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
+
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import report
+
+    results = measure_all(args.small, args.large)
+    text = report.markdown(results)
+    print(text)
+    if args.write:
+        keep(results, text)
+
+
+if __name__ == "__main__":
+    main()
