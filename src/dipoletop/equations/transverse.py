@@ -73,10 +73,12 @@ class TransverseReduced(eqx.Module):
         ValueError: δ outside [−1, 1), or an order that is not 1, 2, 3 or 4.
 
     Example:
+        Where ω₃ = 0 it stays so, ω₁ is constant, and ω₂′ = −ω²ω₂:
+
         >>> import jax.numpy as jnp, dipoletop as dt
-        >>> equation = dt.TransverseReduced(delta=-0.2)
-        >>> equation(0.0, jnp.array([0.1, 0.0, 0.0]))  # the residual line is at rest
-        Array([0., 0., 0.], dtype=float64)
+        >>> rate = dt.TransverseReduced(delta=-0.2)(0.0, jnp.array([0.3, 0.4, 0.0]))
+        >>> bool(jnp.allclose(rate, jnp.array([0.0, -0.1, 0.0])))
+        True
     """
 
     delta: Real = eqx.field(converter=shape_parameter)
