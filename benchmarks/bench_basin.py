@@ -78,7 +78,8 @@ def lane_efficiency(
             jnp.asarray(problem.MAX_STEPS),
         )
         equation = dt.TransverseReduced(jnp.asarray(deltas[part]))
-        ends = lanes.integrate(equation, y0, limits, until="outcome")
+        with jax.default_device(jax.devices()[0]):  # as `classify_many` has it: compiled already
+            ends = lanes.integrate(equation, y0, limits, until="outcome")
         made += int(ends.steps.sum())
         swept += np.asarray(ends.sweeps)
     paid = int(swept @ [width, max(width // lanes.NARROW, 1)])

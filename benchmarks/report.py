@@ -170,6 +170,7 @@ def figure(found: dict[str, Any], path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     drawing, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     # One core each; the threads' processor seconds are those of one core over again.
@@ -178,11 +179,14 @@ def figure(found: dict[str, Any], path: Path) -> None:
         rows = [row for row in found["rows"] if row["name"] == name]
         cost = [1e6 * row["processor_seconds"]["median"] / found["starts"] for row in rows]
         for error, style in (("largest_error", "o-"), ("median_error", "o:")):
-            label = f"{name}, {error.replace('_', ' ')}"
+            label = name if style == "o-" else None
             ax.loglog([row[error] for row in rows], cost, style, color=colour, label=label, ms=4)
     ax.invert_xaxis()
-    ax.set_xlabel("error of the end state over |ω₀|")
-    ax.set_ylabel("processor µs per start")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_xlabel("error of the end state over |ω₀|: largest (solid), median (dotted)")
+    ax.set_ylabel("processor time per start, µs")
     ax.set_title(f"{found['starts']} starts, δ = −1/5, |ω₀| = 0.2, τ = 1000", fontsize="medium")
     ax.grid(alpha=0.3)
     ax.legend(fontsize="small")

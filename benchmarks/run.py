@@ -24,7 +24,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     import bench_precision
     import measure
 
-    sizes = bench_basin.Sizes((4096, 32768), slow=1024, truth=512, repeats=5)
+    sizes = bench_basin.Sizes((4096, 32768), slow=1024, truth=1024, repeats=5)
     points = [512, 1024] if large else [512]
     precision: dict[str, Any] = {"n": 4096, "repeats": 7}
     if small:
@@ -33,7 +33,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
     before = measure.load()
     # Fresh processes first, while this one is small.
-    importing = bench_import.compare(2 if small else 15)
+    importing = bench_import.compare(1 if small else 15)
     maps = [bench_map.measured(level, n) for n in points for level in bench_map.LEVELS]
     return {
         "machine": measure.machine(),

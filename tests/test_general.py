@@ -3,6 +3,7 @@
 import importlib.util
 import pathlib
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,7 +77,8 @@ def runs(request):
     smallest = np.tile([0.5, 0.58, 1.0], (LANES, 1)), np.tile([1.0, 0.0, 0.0], (LANES, 1))
     j, dipole = (np.concatenate(part) for part in zip(largest, middle, none, smallest, strict=True))
     sample = turned(rng, j, dipole, isotropic(rng, 4 * LANES, 0.03, 0.15))
-    return labels.compare(request.param, sample, 20.0, (10_000, 10_000))
+    budgets, solver = (20_000, 30_000), diffrax.Tsit5()  # few stages compile faster
+    return labels.compare(request.param, sample, 20.0, budgets=budgets, solver=solver)
 
 
 def test_axis_of_the_dipole_decides(runs):
@@ -213,7 +215,7 @@ def test_residual_value_does_not_change_along_a_run(family):
     value, ratio = jax.jit(drift)(1e-4)
     inside = np.isfinite(value)
     assert inside.sum() > 60
-    assert np.median(ratio[inside]) < 1e-3
+    assert np.quantile(ratio[inside], 0.9) < 1e-3
 
 
 def single(j, dipole, level=1):
