@@ -25,6 +25,7 @@ Until = Literal["outcome", "value", "time"]
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 10  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
+LARGE = 200  # operations of a right-hand side from which the stages become a loop
 VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
 
 
@@ -141,17 +142,44 @@ def _combine(weights: np.ndarray, slopes: list[State]) -> State:
     return functools.reduce(jnp.add, terms)
 
 
-def _runge_kutta(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> tuple[State, ...]:
+def _runge_kutta(solver: Any, equation: Equation, at: _Lanes, h: Real) -> tuple[State, ...]:
     """One step of the tableau: y_new, its rate, and the error."""
-    slopes, stage = [at.f], at.y
-    for c, row in zip(tableau.c, tableau.a_lower, strict=True):
-        stage = at.y + h[None] * _combine(row, slopes)
-        slopes.append(equation(at.t + float(c) * h, stage, None))
+    tableau = solver.tableau
+    if _operations(equation, at.y) > LARGE:
+        slopes = _rolled_stages(tableau, equation, at, h)
+    else:
+        slopes = [at.f]
+        for c, row in zip(tableau.c, tableau.a_lower, strict=True):
+            stage = at.y + h[None] * _combine(row, slopes)
+            slopes.append(equation(at.t + float(c) * h, stage, None))
     error = h[None] * _combine(tableau.b_error, slopes)
-    if tableau.fsal:
-        return stage, slopes[-1], error
     new = at.y + h[None] * _combine(tableau.b_sol, slopes)
+    if tableau.fsal:  # the last stage is the new state
+        return new, slopes[-1], error
     return new, equation(at.t + h, new, None), error
+
+
+def _operations(equation: Equation, y: State) -> int:
+    """How long the right-hand side is."""
+    like = jax.ShapeDtypeStruct(y.shape, y.dtype), jax.ShapeDtypeStruct(y.shape[1:], y.dtype)
+    return len(jax.make_jaxpr(lambda y, t: equation(t, y, None))(*like).eqns)
+
+
+def _rolled_stages(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> list[State]:
+    """The slopes by a loop over the stages: a long right-hand side is compiled once, not s times."""
+    size = len(tableau.c) + 1
+    rows = np.zeros((size, size))
+    for i, row in enumerate(tableau.a_lower, 1):
+        rows[i, :i] = row
+    weights = jnp.asarray(rows, at.y.dtype)
+    times = jnp.asarray(np.append(0.0, tableau.c), at.y.dtype)
+
+    def stage(i: Any, slopes: Array) -> Array:
+        shift = jnp.einsum("s,snb->nb", weights[i], slopes, precision="highest")
+        return slopes.at[i].set(equation(at.t + times[i] * h, at.y + h[None] * shift, None))
+
+    slopes = jnp.zeros((size, *at.y.shape), at.y.dtype).at[0].set(at.f)
+    return list(jax.lax.fori_loop(1, size, stage, slopes))
 
 
 def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
@@ -161,7 +189,7 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
     left = at.t1 - at.t
     last = at.h >= left
     h = jnp.where(last, left, at.h)
-    new, slope, error = _runge_kutta(solver.tableau, at.equation, at, h)
+    new, slope, error = _runge_kutta(solver, at.equation, at, h)
     ratio = _error_ratio(error, at.y, new, scale)
     # Single precision is plenty for a step size, and XLA:CPU vectorises its logarithm only.
     log = jnp.log(jnp.maximum(ratio, 1e-30).astype("float32"))
