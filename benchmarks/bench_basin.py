@@ -37,6 +37,7 @@ class Sizes(NamedTuple):
     truth: int
     """Starts that scipy follows."""
     repeats: int
+    rivals: tuple[str, ...] = RIVALS
 
 
 def run(
@@ -95,7 +96,7 @@ def compare(sizes: Sizes) -> dict[str, Any]:
     """All peers at all sizes, their labels held to scipy's and to ours."""
     available, missing = peers.available()
     truth = peers.truth(*problem.mixed_basin(sizes.truth))
-    everybody = {OURS: run} | {name: available[name] for name in RIVALS if name in available}
+    everybody = {OURS: run} | {name: available[name] for name in sizes.rivals if name in available}
     tables = {}
     for size in sizes.starts:
         cases: dict[Any, Callable[[], dict[str, Any]]] = {}

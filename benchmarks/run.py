@@ -28,7 +28,8 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     points = [512, 1024] if large else [512]
     precision: dict[str, Any] = {"n": 4096, "repeats": 7}
     if small:
-        sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1)
+        few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
+        sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1, rivals=few)
         points = [16]
         precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
     before = measure.load()

@@ -8,6 +8,8 @@ components lie on axis 0; the method is the Butcher tableau of any explicit diff
 """
 
 import functools
+import math
+import threading
 from typing import Any, Literal
 
 import diffrax
@@ -166,7 +168,7 @@ def _operations(equation: Equation, y: State) -> int:
 
 
 def _rolled_stages(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> list[State]:
-    """The slopes by a loop over the stages: a long right-hand side is compiled once, not s times."""
+    """The slopes by a loop over the stages, which compiles a long right-hand side only once."""
     size = len(tableau.c) + 1
     rows = np.zeros((size, size))
     for i, row in enumerate(tableau.a_lower, 1):
@@ -191,9 +193,11 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
     ratio = _error_ratio(error, at.y, new, scale)
-    # Single precision is plenty for a step size, and XLA:CPU vectorises its logarithm only.
-    log = jnp.log(jnp.maximum(ratio, 1e-30).astype("float32"))
-    factor = SAFETY * jnp.exp(-log / solver.order(None)).astype(h.dtype)
+    # ratio^(−1/order), the order rounded to a power of two: roots vectorise, logarithms do not.
+    root = jnp.maximum(ratio, 1e-30)
+    for _ in range(max(1, round(math.log2(solver.order(None))))):
+        root = jnp.sqrt(root)
+    factor = SAFETY / root
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = block.running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)
@@ -306,6 +310,10 @@ def _integrate(
     return Ends(ends.y, ends.t, ends.steps, ends.status, jnp.stack(sweeps))
 
 
+_seen: set[Any] = set()
+_first_call = threading.Lock()
+
+
 @functools.cache
 def _compiled(platform: str) -> Any:
     jit: Any = eqx.filter_jit
@@ -338,5 +346,15 @@ def integrate(
         The end states, in the order of the starts.
     """
     solver = diffrax.Dopri8() if solver is None else solver
-    platform = next(iter(y0.devices())).platform
-    return _compiled(platform)(equation, y0, limits, solver, until, min(width, y0.shape[1]))
+    device = next(iter(y0.devices()))
+    run = functools.partial(_compiled(device.platform), equation, y0, limits, solver, until)
+    size = min(width, y0.shape[1])
+    leaves, structure = jax.tree.flatten((equation, y0, limits, solver))
+    kinds = tuple((x.shape, x.dtype) for x in leaves if eqx.is_array(x))
+    key = (structure, kinds, until, size, device)
+    if key in _seen:
+        return run(size)
+    with _first_call:  # or every thread would compile the same program
+        ends = run(size)
+        _seen.add(key)
+        return ends

@@ -1,6 +1,7 @@
 """How a run ends: one start through diffrax, many through the lane engine."""
 
-from typing import Any
+import functools
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -193,25 +194,51 @@ def classify_many(
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
-    starts = starts.T
-    scale = absolute(atol, rtol, starts)
-    steps = jnp.asarray(budget("max_steps", max_steps))
-    lanewise = _lanewise(equations, size)
+    scale = absolute(atol, rtol, starts.T)
+    whole = _Runs(equations, starts, scale, rtol, jnp.asarray(budget("max_steps", max_steps)))
+    single = _is_single(equations)
+    if not single:
+        _check_batch(equations, size)
     until: lanes.Until = "value" if value else "outcome"
     crew = workers()
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 
     def work(job: int) -> Classification:
-        at = jnp.arange(job * tile, (job + 1) * tile)
-        ends = jnp.where(at < size, jnp.inf, 0.0)  # what pads the last tile takes no step
-        at = jnp.minimum(at, size - 1)
-        part, start = jax.tree.map(lambda x: x[..., at], (lanewise, starts))
-        limits = lanes.Limits(rtol, scale[at], ends, steps)
-        return jax.tree.map(np.asarray, classify_block(part, start, limits, until))
+        part = _cut(whole, jnp.asarray(job * tile), tile, single)
+        return jax.tree.map(np.asarray, classify_block(*part, until))
 
     parts = dict(in_parallel(work, range(-(-size // tile)), crew))
-    whole = [parts[job] for job in sorted(parts)]
-    return jax.tree.map(lambda *x: np.concatenate(x)[:size], *whole)
+    found = [parts[job] for job in sorted(parts)]
+    return jax.tree.map(lambda *x: np.concatenate(x)[:size], *found)
+
+
+class _Runs(NamedTuple):
+    """All that is asked of `classify_many`."""
+
+    equations: Any
+    starts: Float[Array, "N 3"]
+    atol: Float[Array, "N"]
+    rtol: Float[Array, ""]
+    max_steps: Int[Array, ""]
+
+
+@eqx.filter_jit
+def _cut(runs: _Runs, first: Array, tile: int, single: bool) -> tuple[Any, Array, lanes.Limits]:
+    """One tile: equation with its lanes behind, starts and limits. Padding takes no step."""
+    size = runs.starts.shape[0]
+    at = first + jnp.arange(tile)
+    t1 = jnp.where(at < size, jnp.inf, 0.0)
+    at = jnp.minimum(at, size - 1)
+
+    def lanewise(x: Array) -> Array:
+        if single:
+            return jnp.broadcast_to(x[..., None], (*x.shape, tile))
+        return jnp.moveaxis(x[at], 0, -1)
+
+    arrays, rest = eqx.partition(runs.equations, eqx.is_array)
+    equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)
+    limits = lanes.Limits(runs.rtol, runs.atol[at], t1, runs.max_steps)
+    return equation, runs.starts[at].T, limits
 
 
 def power_of_two(least: int) -> int:
@@ -219,31 +246,31 @@ def power_of_two(least: int) -> int:
     return max(128, 1 << (least - 1).bit_length())
 
 
-def _lanewise(equation: Equation, size: int) -> Any:
-    """The equation with a trailing lane axis on every array field.
-
-    Unbatched if it maps one state to one state of the same shape; else every array field must
-    have the batch axis in front.
-    """
-    arrays, rest = eqx.partition(equation, eqx.is_array)
-    if _is_single(equation):
-        arrays = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, size)), arrays)
-        return eqx.combine(arrays, rest)
-    for leaf in jax.tree.leaves(arrays):
+def _check_batch(equations: Any, size: int) -> None:
+    for leaf in jax.tree.leaves(eqx.filter(equations, eqx.is_array)):
         if leaf.ndim == 0 or leaf.shape[0] != size:
             refuse(
                 "equations",
                 f"be a single equation or have {size} entries on the leading axis of every field",
                 f"has a field of shape {leaf.shape}",
             )
-    return eqx.combine(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), arrays), rest)
 
 
-def _is_single(equation: Equation) -> bool:
+def _is_single(equation: Any) -> bool:
     """Whether the equation maps one state to one rate of the same shape."""
+    leaves, structure = jax.tree.flatten(equation)
+    kinds = (jax.ShapeDtypeStruct(x.shape, x.dtype) if eqx.is_array(x) else x for x in leaves)
+    return _maps_one_state(structure, tuple(kinds))
+
+
+@functools.lru_cache(maxsize=256)
+def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
+    def rate(equation: Any) -> tuple[State, State]:
+        y = equation.lift(jnp.zeros(3))
+        return y, equation(0.0, y, None)
+
     try:
-        state = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float)))
-        rate = jax.eval_shape(lambda y: equation(0.0, y, None), state)
-    except Exception:
+        y, change = eqx.filter_eval_shape(rate, jax.tree.unflatten(structure, kinds))
+    except Exception:  # an equation with a batch in front does not fit a single state
         return False
-    return rate.shape == state.shape
+    return y.shape == change.shape
