@@ -1,5 +1,7 @@
 """Equations of motion: closed forms, general forms, limits and symmetries agree."""
 
+import itertools
+
 import diffrax
 import equinox as eqx
 import jax
@@ -80,8 +82,8 @@ def test_orders_approach_the_slow_manifold(phi, expected):
         )
         for m in (1, 2, 3, 4)
     ]
-    assert all(later < earlier / 2 for earlier, later in zip(errors, errors[1:], strict=False))
-    assert errors[-1] < 1e-4
+    assert all(later < earlier / 2 for earlier, later in itertools.pairwise(errors))
+    assert errors[-1] < 3e-4  # |ω| = 0.28
 
 
 def test_order_one_general_body_against_finite_differences():

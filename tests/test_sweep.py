@@ -250,7 +250,7 @@ def test_a_foreign_store_is_refused_and_untouched(tmp_path):
 
 
 def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
-    with pytest.raises(ValueError, match="`path` must be a folder with a basin, but .* not exist"):
+    with pytest.raises(ValueError, match=r"`path` must be a folder with a basin, but .* not exist"):
         dt.Basin.load(tmp_path / "none.zarr")
     (tmp_path / "text").write_text("hello")
     with pytest.raises(ValueError, match="`path` must be a folder with a basin"):

@@ -1,7 +1,6 @@
 """What a map of outcomes shows, before it is drawn: two axes, classes, colours, title."""
 
 import dataclasses
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,9 +137,11 @@ def _number(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """To 0.1 %, downwards; 0 % means none and 100 % all."""
-    down = math.floor(share * 1000) / 10
-    return "< 0.1 %" if share > 0 and down == 0 else f"{down:g} %"
+    """To 0.1 %; 0 % means none and 100 % all."""
+    rounded = round(share * 1000) / 10
+    if 0 < share < 1 and rounded in (0, 100):
+        return "> 99.9 %" if rounded else "< 0.1 %"
+    return f"{rounded:g} %"
 
 
 def shades(shading: str | None, planes: list[Plane]) -> list[Shade]:

@@ -189,7 +189,7 @@ def map_(**options: Any) -> None:
     """Map which starts keep rotating and which stop, over any two quantities.
 
     Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
-    equation and by the semi-reduced one, with the starts outlined whose outcome differs.
+    equation and by the semi-reduced one, with the starts hatched whose outcome differs.
     """
     from . import _mapping
 
