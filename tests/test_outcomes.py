@@ -61,6 +61,29 @@ def test_exact_cases_of_order_one(delta, size):
     assert np.all(found.steps == 0)
 
 
+@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
+def test_squares_that_underflow_certify_nothing(level):
+    """The same direction, a stop at order 1 and at any size, until numbers fail."""
+    way = jnp.array([0.02, 0.01, 0.9])
+    for size in (1e-30, 1e-100, 1e-150, 1e-165, 1e-200):
+        verdict = level(-0.2).verdict(size * way)
+        assert int(verdict.outcome) in (Outcome.STOP, Outcome.UNDECIDED)
+    with jax.enable_x64(False):
+        small = level(-0.2).verdict(jnp.asarray(1e-21 * np.array([0.02, 0.01, 0.9]), "float32"))
+        assert int(small.outcome) in (Outcome.STOP, Outcome.UNDECIDED)
+
+
+def test_a_value_that_is_not_known_to_the_tolerance_is_not_given():
+    omegas = starts(200, 21, 0.2, 0.5)
+    only = dt.classify_many(dt.TransverseSemi(0.3), omegas, value=False)
+    whole = dt.classify_many(dt.TransverseSemi(0.3), omegas)
+    assert np.array_equal(only.outcome, whole.outcome)
+    assert not np.any(np.isnan(whole.omega_inf))
+    given = ~np.isnan(only.omega_inf)
+    assert np.sum(~given) > 0
+    assert np.allclose(only.omega_inf[given], whole.omega_inf[given], rtol=1e-6)
+
+
 @pytest.mark.parametrize("delta", [-1.0, -0.5, 0.0, 0.4, 0.8])
 def test_exact_cases_of_the_semi_reduced_level(delta):
     """ω₃ = 0 is not invariant here; the axes and the residual line are."""

@@ -163,7 +163,10 @@ TS = jnp.array([0.0, 1.0])
         (lambda: dt.simulate(EQUATION, jnp.ones(3), [0.0, jnp.inf]), "`ts` must be finite"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, rtol=1e-17), "`rtol` must lie between"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, rtol=jnp.nan), "`rtol` must lie between"),
-        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, atol=-1.0), "`atol` must be a real number"),
+        (
+            lambda: dt.simulate(EQUATION, jnp.ones(3), TS, atol=-1.0),
+            "`atol` must be finite and not neg",
+        ),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, max_steps=0), "`max_steps` must be a pos"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, method=1), "but one is `method`"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS).evaluate(0.5), "`dense` must be True"),

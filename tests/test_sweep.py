@@ -94,6 +94,11 @@ def _destiny(d, y):
         # 20 000 starts each
         (dt.TransverseSemi, 0.2, -0.9, 0.0675, 0.0018),
         (dt.TransverseSemi, 0.2, -0.5, 0.2096, 0.0029),
+        (dt.TransverseSemi, 0.2, -0.3, 0.4154, 0.0035),
+        (dt.TransverseSemi, 0.2, -0.1, 0.7973, 0.0028),
+        (dt.TransverseSemi, 1.0, -0.9, 0.3556, 0.0034),
+        (dt.TransverseSemi, 1.0, -0.2, 0.8937, 0.0022),
+        (dt.TransverseSemi, 0.01, -0.9, 0.0036, 0.0005),
         (dt.TransverseSemi, 0.2, -0.2, 0.5894, 0.0035),
         (dt.TransverseSemi, 1.0, -0.5, 0.6541, 0.0034),
         (dt.TransverseSemi, 0.01, -0.2, 0.0437, 0.0014),
@@ -108,6 +113,18 @@ def test_residual_fractions(level, amplitude, delta, expected, error):
     both = np.hypot(error, np.sqrt(expected * (1 - expected) / n))
     assert abs(share - expected) < 4 * both
     assert found.fractions().keys() <= {"RESIDUAL", "STOP"}
+
+
+@pytest.mark.parametrize(
+    ("delta", "expected"), [(-0.9, 0.0675), (-0.5, 0.2096), (-0.3, 0.1139), (-0.2, 0.0629)]
+)
+def test_share_of_starts_that_end_differently_at_the_two_levels(delta, expected):
+    sample = dt.Sample(n=20_000, amplitude=0.2, seed=1)
+    first, semi = (
+        dt.sweep(lambda w, level=level: (level(delta), w), sample, value=False)
+        for level in (dt.TransverseReduced, dt.TransverseSemi)
+    )
+    assert abs(np.mean(first.outcome != semi.outcome) - expected) < 0.01
 
 
 def test_sample_depends_on_seed_and_number_only():
@@ -266,9 +283,14 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
     (tmp_path / "other.zarr" / "zarr.json").write_text(json.dumps(header))
     with pytest.raises(ValueError, match="`path` must be a dipoletop basin, version 1, but"):
         dt.Basin.load(tmp_path / "other.zarr")
-    for victim in ("time/c/0", "steps/zarr.json"):
+    for victim, harm in (
+        ("time/c/0", lambda file: file.write_bytes(b"damaged")),
+        ("steps/zarr.json", lambda file: file.write_bytes(b"damaged")),
+        ("outcome/c/0", lambda file: file.unlink()),
+        ("axis_phi", shutil.rmtree),
+    ):
         shutil.copytree(tmp_path / "good.zarr", tmp_path / "bad.zarr")
-        (tmp_path / "bad.zarr" / victim).write_bytes(b"damaged")
+        harm(tmp_path / "bad.zarr" / victim)
         with pytest.raises(ValueError, match="`path` must hold an undamaged basin, but"):
             dt.Basin.load(tmp_path / "bad.zarr")
         shutil.rmtree(tmp_path / "bad.zarr")

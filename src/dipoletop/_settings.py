@@ -26,14 +26,28 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
 
 def absolute(atol: Any, rtol: Float[Array, ""], start: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
     """`atol`, or rtol·|ω₀| for None: an absolute tolerance means nothing unless it scales."""
-    size = jnp.sqrt(jnp.sum(start**2, axis=0))
+    size = _norm(start)
     if atol is None:
         # A start at rest stays there; any positive tolerance will do for it.
         return rtol * jnp.where(size > 0, size, 1.0)
+    return jnp.broadcast_to(check_atol(atol, size.shape), size.shape)
+
+
+def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+    """An absolute tolerance: one number, or one for each start."""
     array = real("atol", atol)
-    if concrete(array) and not bool(jnp.all(array >= 0)):
-        refuse("atol", "be a real number ≥ 0, or None", f"is {atol}")
-    return jnp.broadcast_to(array, size.shape)
+    if array.shape not in ((), shape):
+        refuse("atol", f"be a number or have shape {shape}", f"has shape {array.shape}")
+    if concrete(array) and not bool(jnp.all((array >= 0) & (array < jnp.inf))):
+        refuse("atol", "be finite and not negative, or None", f"is {atol}")
+    return array
+
+
+def _norm(vector: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
+    """|ω|, without underflow of the squares."""
+    most = jnp.max(jnp.abs(vector), axis=0)
+    unit = vector / jnp.where(most > 0, most, 1.0)[None]
+    return most * jnp.sqrt(jnp.sum(unit**2, axis=0))
 
 
 def budget(name: str, value: Any) -> int:

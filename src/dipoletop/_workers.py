@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 
 import jax
 
+from ._checks import refuse
+
 T = TypeVar("T")
 
 
@@ -17,6 +19,8 @@ def workers(devices: Sequence[Any] | None = None) -> list[Any]:
     devices get as many threads as the process may use cores.
     """
     devices = jax.devices() if devices is None else list(devices)
+    if not devices:
+        refuse("devices", "name at least one device, or be None", "names none")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hosts = [device for device in devices if device.platform == "cpu"]
     others = [device for device in devices if device.platform != "cpu"]

@@ -66,7 +66,7 @@ class Basin:
 
     @property
     def omega_inf(self) -> Float[np.ndarray, "*shape"]:
-        """Residual angular velocity along the dipole, signed; 0 for STOP, NaN if undecided."""
+        """Residual angular velocity along the dipole, signed; 0 for STOP, NaN where not known."""
         return self.column("omega_inf")
 
     @property

@@ -151,7 +151,10 @@ def isotropic(amplitude: Any) -> Draw:
 
 def uniform_box(low: Any, high: Any) -> Draw:
     """Starts uniform in the box low ≤ ω₀ ≤ high; both of shape (3,)."""
-    least, most = finite("low", low, (3,)), finite("high", high, (3,))
+    least = finite("low", low, (3,), batch=False)
+    most = finite("high", high, (3,), batch=False)
+    if bool(jnp.any(least > most)):
+        refuse("low", "nowhere exceed `high`", f"is {low}")
 
     def draw(key: Array) -> Float[Array, "3"]:
         return jax.random.uniform(key, (3,), float, least, most)

@@ -91,14 +91,19 @@ def _largest(components: Any) -> Real:
     return functools.reduce(jnp.maximum, list(components))
 
 
+def settled(verdict: Verdict, rtol: Real, atol: Real, margin: float) -> Bool[Array, "*lanes"]:
+    """Whether the estimated error of ω∞ is within that part of the tolerance."""
+    size = jnp.abs(verdict.omega_inf)
+    within = verdict.error * size <= margin * (rtol * size + atol)
+    return within | (verdict.outcome != Outcome.RESIDUAL)
+
+
 def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Array, "*lanes"]:
     """Whether a verdict ends a run; ω∞ need not be better than the integration is."""
     certain = verdict.outcome != Outcome.UNDECIDED
     if until == "outcome":
         return certain
-    size = jnp.abs(verdict.omega_inf)
-    settled = verdict.error * size <= VALUE_MARGIN * (rtol * size + atol)
-    return certain & (settled | (verdict.outcome != Outcome.RESIDUAL))
+    return certain & settled(verdict, rtol, atol, VALUE_MARGIN)
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:
@@ -123,7 +128,7 @@ def _error_ratio(error: State, y0: State, y1: State, scale: Any) -> Float[Array,
     """Largest component of the error over what is allowed."""
     rtol, atol = scale
     allowed = atol[None] + rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1))
-    return _largest(jnp.abs(error) / allowed)
+    return _largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
 
 
 def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Real:

@@ -29,7 +29,8 @@ class Classification(eqx.Module):
     outcome: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     """A member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps) or FAILED."""
     omega_inf: Float[Array, "*n"] | Float[np.ndarray, "*n"]
-    """Residual angular velocity along the dipole, signed; 0 for STOP, NaN if undecided."""
+    """Residual angular velocity along the dipole, signed; 0 for STOP; NaN if undecided, or if the
+    run ended (for want of steps, or with `value=False`) before it was known to the tolerance."""
     time: Float[Array, "*n"] | Float[np.ndarray, "*n"]
     """τ at which the run ended, in units of τ₀."""
     steps: Int[Array, "*n"] | Int[np.ndarray, "*n"]
@@ -40,15 +41,16 @@ class Classification(eqx.Module):
     """A member of `Stop`: in which way a top stops."""
 
 
-def _assemble(equation: Equation, y: State, t: Any, steps: Any, status: Any) -> Classification:
+def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
     """The final verdict on end states; a state that is not a number decides nothing."""
+    y, t, steps, status = ends
     verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
     broken = status == lanes.BROKEN
     known = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     missing = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
-        jnp.where(known, verdict.omega_inf, jnp.nan),
+        jnp.where(known & lanes.settled(verdict, *scale, 1.0), verdict.omega_inf, jnp.nan),
         t,
         jnp.asarray(steps, int),
         known & verdict.certified,
@@ -135,7 +137,7 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
     able = lanes.sound(time, y, equation(time, y, None))
     status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
-    return _assemble(equation, y, time, solution.stats["num_steps"], status)
+    return _assemble(equation, (y, time, solution.stats["num_steps"], status), (rtol, atol))
 
 
 def classify_block(
@@ -144,7 +146,8 @@ def classify_block(
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
     y0 = _lift(equation, omegas)
     ends = lanes.integrate(equation, y0, limits, until=until)
-    return _judge(equation, ends.y, ends.t, ends.steps, ends.status)
+    scale = (limits.rtol, limits.atol)
+    return _judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)
 
 
 @eqx.filter_jit

@@ -137,7 +137,7 @@ def _asymptote(ax: Axes, trajectory: Any, times, size) -> None:
     if not hasattr(trajectory.equation, "verdict"):
         return
     verdict = trajectory.equation.verdict(trajectory.ys[-1])
-    if verdict.outcome == Outcome.RESIDUAL:
+    if verdict.outcome == Outcome.RESIDUAL and verdict.error < 1e-3:
         label = rf"$\omega_\infty = {float(verdict.omega_inf):.4g}$"
         ax.axhline(float(verdict.omega_inf), color="#0072b2", linestyle=":", label=label)
     elif verdict.outcome == Outcome.STOP:

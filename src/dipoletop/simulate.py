@@ -65,7 +65,8 @@ class Trajectory(eqx.Module):
             refuse("balance", "be True in `simulate` for a balance defect", "was not")
         schott = functools.partial(radiation.schott_energy, self.equation.body)
         total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
-        return (total - total[0]) / self.energy[0]
+        start = self.energy[0]
+        return (total - total[0]) / jnp.where(start > 0, start, 1.0)
 
     @property
     def stats(self) -> dict[str, Any]:
@@ -75,7 +76,7 @@ class Trajectory(eqx.Module):
     @property
     def level(self) -> str:
         """Which level of the equation of motion this is."""
-        return self.equation.level
+        return getattr(self.equation, "level", type(self.equation).__name__)
 
     def evaluate(self, t: Any) -> Float[Array, "3"]:
         """ω at any time within the run, by the solver's own interpolation (`dense=True`).
@@ -181,6 +182,7 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
     if controller is None:
         # The radiated energy is as large as the square of ω: its tolerance scales as that does.
         size = jnp.sqrt(jnp.sum(equation.omega(y0) ** 2))
+        size = jnp.where(size > 0, size, 1.0)  # at rest any tolerance will do
         each = jnp.concatenate([jnp.full(n, 1.0) * atol, (atol * size)[None]])[: n + balance]
         controller = diffrax.PIDController(rtol, each, norm=lambda x: jnp.max(jnp.abs(x)))
     solution = diffrax.diffeqsolve(

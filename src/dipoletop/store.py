@@ -5,8 +5,11 @@ columns, so a tile torn by a crash is simply not finished, and is computed again
 bytes.
 """
 
+import contextlib
 import json
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,36 +32,67 @@ def create(path: Any, header: dict[str, Any], coords: dict[str, np.ndarray]) -> 
 
     place = Path(os.fspath(path))
     if place.exists():
-        group = _open(place, "store")
+        group = _open(place, "store", "r+")
         for key, value in json.loads(json.dumps(header)).items():
-            if group.attrs.get(key) != value:
+            if _lasting(group.attrs.get(key)) != _lasting(value):
                 refuse(
                     "store",
                     "be new or hold this very sweep",
                     f"{place} holds another one: its {key} differs",
                 )
         return group
-    # Built under another name and renamed, so that a store is there whole or not at all.
-    fresh = place.with_name(place.name + ".new")
-    group = zarr.open_group(fresh, mode="w")
+    with _whole(place) as fresh:
+        _lay_out(fresh, header, coords)
+    return zarr.open_group(place, mode="r+")
+
+
+def _lasting(value: Any) -> Any:
+    """What must agree for a sweep to go on: versions may change."""
+    if not isinstance(value, dict):
+        return value
+    return {k: v for k, v in value.items() if not k.startswith("version_")}
+
+
+@contextlib.contextmanager
+def _whole(place: Path) -> Iterator[Path]:
+    """A folder that gets its name when it is complete, so that a store is there whole or not."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{place.name}-", dir=place.parent) as folder:
+        fresh = Path(folder) / place.name
+        yield fresh
+        os.replace(fresh, place)
+
+
+def _lay_out(place: Path, header: dict[str, Any], coords: dict[str, np.ndarray]) -> Group:
+    import zarr
+
+    group = zarr.open_group(place, mode="w")
     size = int(np.prod(header["shape"]))
     table = FIELDS | CHANGED
     for name in header["columns"]:
-        group.create_array(name, shape=(size,), chunks=(header["tile"],), dtype=table[name][0])
+        group.create_array(
+            name,
+            shape=(size,),
+            chunks=(header["tile"],),
+            dtype=table[name][0],
+        )
     for name, values in coords.items():
         group.create_array(f"axis_{name}", data=values, chunks=values.shape)
     tiles = -(-size // header["tile"])
     group.create_array("done", shape=(tiles,), chunks=(1,), dtype="uint8")
-    group.attrs.update({"format": FORMAT} | header)
-    os.replace(fresh, place)
-    return zarr.open_group(place, mode="r+")
+    group.attrs.update({"format": FORMAT, "axes": list(coords)} | header)
+    return group
 
 
 def write_tile(group: Group, tile: int, columns: dict[str, np.ndarray]) -> None:
     """Write one tile, then its flag."""
+    import zarr
+
     start = tile * group.attrs["tile"]
-    for name, values in columns.items():
-        group[name][start : start + len(values)] = values
+    # Chunks of nothing but zeros are written too: one that lacks is a damage.
+    with zarr.config.set({"array.write_empty_chunks": True}):
+        for name, values in columns.items():
+            group[name][start : start + len(values)] = values
     group["done"][tile] = 1
 
 
@@ -80,18 +114,21 @@ def save(basin: Basin, path: Any) -> None:
         "fingerprint": "",
     }
     columns = {name: basin.column(name).reshape(-1) for name in basin.columns}
-    write_tile(create(path, header, basin.coords), 0, columns)
+    with _whole(Path(os.fspath(path))) as fresh:
+        write_tile(_lay_out(fresh, header, basin.coords), 0, columns)
 
 
 def load(path: Any) -> Basin:
     """The basin at `path`; see `Basin.load`."""
-    group = _open(Path(os.fspath(path)), "path")
+    group = _open(Path(os.fspath(path)), "path", "r")
     try:
         left, tiles = len(unfinished(group)), group["done"].shape[0]
         basin = view(group)
         if not left:
             for name in basin.columns:
                 basin.column(name)
+                if group[name].nchunks_initialized != tiles:
+                    raise ValueError(f"chunks of {name} are missing")
     except Exception as error:
         refuse("path", "hold an undamaged basin", f"{path} cannot be read ({error})")
     if left:
@@ -106,23 +143,19 @@ def load(path: Any) -> Basin:
 def view(group: Group, seconds: float = np.nan) -> Basin:
     """The basin in a store, read from disk column by column when asked."""
     header: Any = dict(group.attrs)
-    coords = {
-        name: np.asarray(group[f"axis_{name}"][:])
-        for name in header["dims"]
-        if f"axis_{name}" in group
-    }
+    coords = {name: np.asarray(group[f"axis_{name}"][:]) for name in header["axes"]}
     columns = {name: group[name] for name in header["columns"]}
     dims, shape = tuple(header["dims"]), tuple(header["shape"])
     return Basin(dims, shape, coords, columns, dict(header["attrs"]), seconds)
 
 
-def _open(place: Path, argument: str) -> Group:
+def _open(place: Path, argument: str, mode: Any) -> Group:
     import zarr
 
     if not place.exists():
         refuse(argument, "be a folder with a basin", f"{place} does not exist")
     try:
-        group = zarr.open_group(place, mode="r+")
+        group = zarr.open_group(place, mode=mode)
         found = group.attrs.get("format")
     except Exception as error:
         refuse(argument, "be a folder with a basin", f"{place} cannot be read as one ({error})")

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from . import lanes
 from . import store as disk
 from ._checks import refuse
-from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._types import Equation
 from ._workers import in_parallel, workers
 from .basin import CHANGED, FIELDS, Basin, columns_of
@@ -76,6 +76,8 @@ def sweep(
     """
     began = time.perf_counter()
     build = _builder(problem, over)
+    if atol is not None:
+        check_atol(atol)
     size = int(np.prod(over.shape))
     rtols = [tolerance("rtol", rtol)]
     if confirm is not None:

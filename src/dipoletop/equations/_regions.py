@@ -56,7 +56,9 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     axis = (w1 == 0) & ((w2 == 0) | keeps)
 
     share = jnp.where(d >= 0, 0.5, (1 + 2 * d) / (2 + d))
-    flat = (d * w3) ** 2 <= u**2 * jnp.where(d >= 0, 0.25, share * (1 - d) / (2 + d))
+    # In unsquared form, and not where squares underflow: 0 ≤ 0 would certify anything.
+    height = jnp.sqrt(jnp.where(d >= 0, 0.25, jnp.maximum(share, 0.0) * (1 - d) / (2 + d)))
+    flat = (jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
     residual = (d > -0.5) & (w1 != 0) & (w2**2 <= share * u) & flat
 
     fast = (1 + d + d**2) * w3**2
@@ -84,7 +86,7 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
     axis = (w1 == 0) & ((w2 == 0) | (w3 == 0) | keeps)
     line = (w2 == 0) & (w3 == 0) & (w1 != 0)
 
-    residual = _residual_region(d, w) & (w1 != 0)
+    residual = _residual_region(d, w) & (w1**2 >= jnp.finfo(u.dtype).tiny)
     proven = (w1**2 <= 10) & (((d >= -1) & (d <= -0.01)) | ((d >= 0.02) & (d <= 0.99)))
 
     q, swing = _swing(d, w, u)
