@@ -1,4 +1,6 @@
-"""The lane engine: it agrees with diffrax, and no lane disturbs another."""
+"""The lane engines: they agree with diffrax, and no lane disturbs another."""
+
+import functools
 
 import diffrax
 import equinox as eqx
@@ -8,12 +10,15 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop import lanes
+from dipoletop import lanes, native
 
 RNG = np.random.default_rng(5)
 N = 384  # a multiple of every block width, as the tiles of a sweep are
 DELTAS = jnp.asarray(RNG.uniform(-0.9, 0.9, N))
 STARTS = jnp.asarray(RNG.normal(size=(3, N)) * 0.3)
+
+
+both = pytest.mark.parametrize("engine", [lanes, native])
 
 
 def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
@@ -23,11 +28,12 @@ def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
     )
 
 
+@both
 @pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Bosh3()])
-def test_end_states_equal_those_of_diffrax(solver):
+def test_end_states_equal_those_of_diffrax(solver, engine):
     """Same equation, same tableau, two step controllers: equal within the tolerance."""
     rtol = 1e-9 if solver.order(None) > 3 else 1e-6
-    ends = lanes.integrate(
+    ends = engine.integrate(
         dt.TransverseSemi(DELTAS), STARTS, limits(STARTS, rtol, 30.0), solver=solver, until="time"
     )
     assert bool(jnp.all(ends.status == lanes.FINISHED))
@@ -40,42 +46,49 @@ def test_end_states_equal_those_of_diffrax(solver):
         assert float(error) < 100 * rtol * float(jnp.linalg.norm(STARTS[:, i]))
 
 
-def test_exact_solution_and_error_in_proportion_to_the_tolerance():
+@both
+def test_exact_solution_and_error_in_proportion_to_the_tolerance(engine):
     """Plane rotator (2.4) in every lane, each with its own Ω₀."""
     speeds = jnp.linspace(0.1, 3.0, 64)
     starts = jnp.stack([0 * speeds, speeds, 0 * speeds])
     equation = dt.TransverseReduced(jnp.full(64, -0.3))
     exact = speeds / jnp.sqrt(1 + 2 * speeds**2 * 40)
     for rtol in (1e-5, 1e-8, 1e-11):
-        ends = lanes.integrate(equation, starts, limits(starts, rtol, 40.0), until="time")
+        ends = engine.integrate(equation, starts, limits(starts, rtol, 40.0), until="time")
         assert float(jnp.max(jnp.abs(ends.y[1] - exact) / speeds)) < 20 * rtol
 
 
-def test_a_lane_does_not_see_its_neighbours():
-    """Position in the queue, block width and company change no bit of a result."""
-    equation = dt.TransverseReduced(DELTAS)
-    ends = lanes.integrate(equation, STARTS, limits(STARTS), until="outcome")
+@both
+def test_a_lane_does_not_see_its_neighbours(engine):
+    """Position in the queue, its length, block width and company change no bit of a result."""
+    run = functools.partial(engine.integrate, until="outcome")
+    ends = run(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS))
     order = RNG.permutation(N)
-    moved = limits(STARTS[:, order])
-    mixed = lanes.integrate(
-        dt.TransverseReduced(DELTAS[order]), STARTS[:, order], moved, until="outcome"
-    )
-    narrow = lanes.integrate(equation, STARTS, limits(STARTS), until="outcome", width=64)
+    others = [run(dt.TransverseReduced(DELTAS[order]), STARTS[:, order], limits(STARTS[:, order]))]
+    if engine is lanes:
+        some = order
+        others.append(run(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), width=64))
+    else:
+        some = order[:101]
+        few = STARTS[:, some]
+        others.append(run(dt.TransverseReduced(DELTAS[some]), few, limits(few)))
     for name in ("y", "t", "steps", "status"):
         first = np.asarray(getattr(ends, name))
-        assert np.array_equal(first[..., order], np.asarray(getattr(mixed, name)))
-        assert np.array_equal(first, np.asarray(getattr(narrow, name)))
+        mixed, other = (np.asarray(getattr(found, name)) for found in others)
+        assert np.array_equal(first[..., order], mixed)
+        assert np.array_equal(first if engine is lanes else first[..., some], other)
 
 
-def test_bad_lanes_fail_at_once_and_harm_no_other():
+@both
+def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
     starts = np.array(STARTS)
     bad = {3: np.nan, 50: np.inf, 120: 1e200, 121: -1e40}
     for lane, value in bad.items():
         starts[1, lane] = value
     starts[:, 200] = 0.0
     deltas = DELTAS.at[250].set(jnp.nan)
-    clean = lanes.integrate(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome")
-    ends = lanes.integrate(
+    clean = engine.integrate(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome")
+    ends = engine.integrate(
         jax.vmap(dt.TransverseReduced)(deltas), jnp.asarray(starts), limits(STARTS), until="outcome"
     )
     lost = [*bad, 250]
@@ -87,8 +100,9 @@ def test_bad_lanes_fail_at_once_and_harm_no_other():
     assert np.array_equal(np.asarray(ends.steps)[others], np.asarray(clean.steps)[others])
 
 
-def test_budget_is_counted_in_steps():
-    ends = lanes.integrate(
+@both
+def test_budget_is_counted_in_steps(engine):
+    ends = engine.integrate(
         dt.TransverseReduced(DELTAS), STARTS, limits(STARTS, max_steps=3), until="outcome"
     )
     assert int(jnp.max(ends.steps)) == 3
@@ -129,10 +143,11 @@ class Decay(eqx.Module):
         )
 
 
-def test_a_users_own_equation():
+@both
+def test_a_users_own_equation(engine):
     """Three methods and a three-valued verdict are all that the engine asks for."""
     rates = jnp.linspace(0.5, 2.0, 10)
-    found = dt.classify_many(Decay(rates), jnp.ones((10, 3)))
+    found = dt.classify_many(Decay(rates), jnp.ones((10, 3)), engine=engine.NAME)
     assert np.all(found.outcome == dt.Outcome.RESIDUAL)
     assert np.allclose(found.omega_inf, rates)
     assert np.all(found.time >= np.log(2) / rates)
@@ -147,10 +162,11 @@ class Swing(Decay):
         return jnp.stack([self.rate * jnp.cos(t) * y[0], self.rate * jnp.cos(t) * y[1]])
 
 
+@both
 @pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Heun()])
-def test_a_right_hand_side_that_depends_on_time(solver):
+def test_a_right_hand_side_that_depends_on_time(solver, engine):
     rates, starts = jnp.linspace(0.1, 1.0, 128), jnp.ones((2, 128))
-    ends = lanes.integrate(
+    ends = engine.integrate(
         Swing(rates), starts, limits(starts, 1e-6, 2.0), solver=solver, until="time"
     )
     assert float(jnp.max(jnp.abs(ends.y - jnp.exp(rates * jnp.sin(2.0))[None]))) < 1e-4
@@ -167,8 +183,9 @@ class Explosion(Decay):
         return never.astype(int), y[0] * jnp.nan, never
 
 
-def test_a_runaway_is_failed_in_bounded_work():
-    found = dt.classify_many(Explosion(jnp.ones(4)), jnp.ones((4, 3)))
+@both
+def test_a_runaway_is_failed_in_bounded_work(engine):
+    found = dt.classify_many(Explosion(jnp.ones(4)), jnp.ones((4, 3)), engine=engine.NAME)
     assert np.all(found.outcome == dt.Outcome.FAILED)
     assert found.steps.max() < 2000
     assert np.all(found.time <= 0.5 + 1e-9)

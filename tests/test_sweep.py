@@ -26,22 +26,49 @@ def basin():
     return dt.sweep(reduced, GRID)
 
 
-def test_labels_equal_classify_point_by_point(basin):
-    assert basin.shape == (10, 26)
-    run = jax.jit(lambda w3, phi: dt.classify(*reduced(w3, phi)))
-    for i in range(0, 10, 3):
-        for j in range(0, 26, 5):
-            one = run(GRID.axes["w3"][i], GRID.axes["phi"][j])
-            assert int(basin.outcome[i, j]) == int(one.outcome)
-            assert bool(basin.certified[i, j]) == bool(one.certified)
-            assert abs(basin.omega_inf[i, j] - float(one.omega_inf)) < 1e-8
+@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
+def test_labels_equal_classify_point_by_point(level):
+    def problem(w3, phi):
+        return level(-0.2), dt.cylindrical(0.2, w3, phi)
+
+    found = dt.sweep(problem, GRID)
+    assert found.shape == (10, 26)
+    w3, phi = np.meshgrid(*GRID.axes.values(), indexing="ij")
+    one = jax.lax.map(lambda at: dt.classify(*problem(*at)), (w3.ravel(), phi.ravel()))
+    for name in ("outcome", "certified", "stop"):
+        assert np.array_equal(found.column(name).ravel(), getattr(one, name))
+    assert np.max(np.abs(found.omega_inf.ravel() - one.omega_inf)) < 1e-8
 
 
-def test_labels_equal_an_independent_integrator_on_500_points():
+def _first_order(_, w, d):
+    """(4.2)–(4.4) typed again."""
+    w1, w2, w3 = w.tolist()
+    s = w1**2 + w2**2 + w3**2
+    return [
+        d * w2 * w3,
+        -d * w1 * w3 - (s + d * (1 + d) * w3**2) * w2,
+        -(s + d * (2 * w1**2 - w2**2)) * w3 / (1 - d),
+    ]
+
+
+def _semi_reduced(_, w, d):
+    """ω₂′ + 2ω₁ω₃′ = r₂ and (1−δ)ω₃′ − 2ω₁ω₂′ = r₃, with ω₂′ eliminated."""
+    w1, w2, w3 = w.tolist()
+    s = w1**2 + w2**2 + w3**2
+    r2 = -d * w1 * w3 - s * w2 - d * (1 + d) * w2 * w3**2
+    r3 = -s * w3 + d * w2**2 * w3
+    p3 = (r3 + 2 * w1 * r2) / (1 - d + 4 * w1**2)
+    return [d * w2 * w3, r2 - 2 * w1 * p3, p3]
+
+
+@pytest.mark.parametrize(
+    ("level", "rate"), [(dt.TransverseReduced, _first_order), (dt.TransverseSemi, _semi_reduced)]
+)
+def test_labels_equal_an_independent_integrator_on_500_points(level, rate):
     """scipy's DOP853 at 1e-12, run until rotation or the residual line has plainly won."""
 
     def shape(w3, phi, delta):
-        return reduced(w3, phi, delta)
+        return level(delta), dt.cylindrical(0.2, w3, phi)
 
     def draw(key):
         a, b, c = jax.random.split(key, 3)
@@ -57,30 +84,23 @@ def test_labels_equal_an_independent_integrator_on_500_points():
     for i in range(500):
         w3, phi, d = (float(points[name][i]) for name in ("w3", "phi", "delta"))
         start = [0.2 * np.cos(phi), 0.2 * np.sin(phi), w3]
-        assert found.outcome[i] == _destiny(d, start), (d, start)
+        assert found.outcome[i] == _destiny(rate, d, start), (d, start)
 
 
-def _destiny(d, y):
-    """(4.2)–(4.4) typed again; no certificate: the line attracts, or rotation is far ahead."""
+def _destiny(rate, d, y):
+    """No certificate: the line is all but reached, or precession is far ahead of braking."""
 
-    def rate(_, w):
-        s = w @ w
-        return [
-            d * w[1] * w[2],
-            -d * w[0] * w[2] - (s + d * (1 + d) * w[2] ** 2) * w[1],
-            -(s + d * (2 * w[0] ** 2 - w[1] ** 2)) * w[2] / (1 - d),
-        ]
+    def turns(_, w, d):
+        return abs(d * w[2]) - 6 * (w[0] ** 2 + w[1] ** 2)
 
-    def won(_, w):
-        u = w[0] ** 2 + w[1] ** 2
-        along = (w[1] / w[0]) ** 2 + (d * w[2] / w[0] ** 2) ** 2 if w[0] else np.inf
-        return min(along - 1e-4, 6 - abs(d * w[2]) / u)
+    def settles(_, w, d):
+        return (w[0] * w[1]) ** 2 + (d * w[2]) ** 2 - 1e-4 * w[0] ** 4
 
-    won.terminal = True
-    run = solve_ivp(rate, (0, 1e12), y, "DOP853", rtol=1e-12, atol=1e-16, events=won)
-    w = run.y[:, -1]
+    turns.terminal = settles.terminal = True
+    ends = (turns, settles)
+    run = solve_ivp(rate, (0, 1e12), y, "DOP853", args=(d,), rtol=1e-12, atol=1e-16, events=ends)
     assert run.status == 1, "no decision by τ = 1e12"
-    return Outcome.RESIDUAL if abs(w[1]) < 0.1 * abs(w[0]) and w[0] ** 2 > abs(d * w[2]) else 2
+    return Outcome.STOP if run.t_events[0].size else Outcome.RESIDUAL
 
 
 @pytest.mark.parametrize(
@@ -338,12 +358,12 @@ def test_memory_and_work_do_not_grow_with_padding():
 def test_a_second_sweep_with_other_values_compiles_nothing():
     from dipoletop import lanes
 
-    dt.sweep(reduced, GRID)
+    dt.sweep(reduced, GRID, engine="jax")
     before = lanes._compiled("cpu")._cached._cache_size()
 
     def other(w3, phi):
         return dt.TransverseReduced(-0.31), dt.cylindrical(0.25, w3, phi)
 
     grid = dt.Grid(w3=np.linspace(0.1, 0.4, 10), phi=np.linspace(0.1, 2.0, 26))
-    dt.sweep(other, grid, rtol=1e-7, max_steps=1000)
+    dt.sweep(other, grid, rtol=1e-7, max_steps=1000, engine="jax")
     assert lanes._compiled("cpu")._cached._cache_size() == before

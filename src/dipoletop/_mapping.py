@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._monitoring import COMPILING
 from ._types import Outcome
 from .basin import Basin, Share
 from .equations.transverse import TransverseReduced, TransverseSemi, cylindrical
@@ -38,6 +39,7 @@ QUANTITIES = {
     "amplitude": Quantity("|ω|", 0.2, 0.02, 0.5),
     "theta": Quantity("θ", math.pi / 4, 0.0, math.pi / 2),
 }
+ENGINES = {"native": "native (machine code)", "jax": "JAX"}
 CYLINDRICAL, SPHERICAL = {"w-perp", "w3"}, {"amplitude", "theta"}
 
 
@@ -189,11 +191,11 @@ def _stored(store: Path | None, size: int) -> int:
 
 @contextlib.contextmanager
 def _compiling() -> Iterator[Callable[[], float]]:
-    """Measures for how long JAX traces or compiles in any thread: a function of the seconds."""
+    """Measures for how long any thread traces or compiles: a function of the seconds."""
     spans: list[tuple[float, float]] = []
 
     def listen(event: str, duration_secs: float, **kwargs: Any) -> None:
-        if event.startswith("/jax/core/compile/"):
+        if event.startswith(("/jax/core/compile/", COMPILING)):
             now = time.perf_counter()
             spans.append((now - duration_secs, now))
 
@@ -241,6 +243,7 @@ def _column(run: Run) -> dict[str, str]:
         column["computed"] = f"{new} starts in {seconds:.1f} s"
         column["starts per second"] = f"{new / seconds:,.0f}"
         column["compilation, apart"] = f"{run.compiling:.1f} s"
+        column["engine"] = ENGINES[basin.attrs["engine"]]
     column["decided at τ = 0"] = f"{np.sum(known & (steps == 0))} starts, without a step"
     column["steps"] = f"{np.mean(steps):.1f} on average, at most {np.max(steps)}"
     ended = basin.time[known]

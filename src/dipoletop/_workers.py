@@ -29,16 +29,16 @@ def workers(devices: Sequence[Any] | None = None) -> list[Any]:
 
 
 def in_parallel(
-    task: Callable[[int], T], jobs: Iterable[int], devices: Sequence[Any]
+    task: Callable[[int, Any], T], jobs: Iterable[int], devices: Sequence[Any]
 ) -> Iterator[tuple[int, T]]:
-    """(job, task(job)) as they are done; two jobs wait for each worker, so memory is bounded."""
+    """(job, task(job, device)) as they are done; two jobs wait for each worker: bounded memory."""
     free = list(devices)
 
     def run(job: int) -> tuple[int, T]:
         device = free.pop()  # list.pop and append are atomic
         try:
             with jax.default_device(device):
-                return job, task(job)
+                return job, task(job, device)
         finally:
             free.append(device)
 

@@ -175,6 +175,12 @@ def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
 )
 @click.option("--device", type=click.Choice(["cpu", "gpu"]), help="[default: all there is]")
 @click.option(
+    "--engine",
+    type=click.Choice(["auto", "jax", "native"]),
+    default="auto",
+    help="native is machine code (it needs numba), auto the fastest that can run.",
+)
+@click.option(
     "--output", default="dipoletop-map", help="Folder, or beginning of the names of all files."
 )
 @click.option("--format", "suffix", type=FORMATS, help="Of the picture.  [default: png]")
@@ -199,7 +205,7 @@ def map_(**options: Any) -> None:
     ranges = {name: (low, high) for name, low, high in options["ranges"]}
     grid, text = _mapping.make_grid(_given(options), axes, ranges, options["size"])
     base, picture = _files(options["output"], options["suffix"], "map")
-    settings = {name: options[name] for name in ("rtol", "max_steps", "confirm")}
+    settings = {name: options[name] for name in ("rtol", "max_steps", "confirm", "engine")}
     settings["devices"] = _devices(options["device"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ._types import Equation, Outcome, Real, State, Verdict
 
+NAME = "jax"  # of the engine
 Until = Literal["outcome", "value", "time"]
 """When a lane is finished: its outcome is certain; also ω∞ to the tolerance; or at time t1."""
 
@@ -59,7 +60,7 @@ class Ends(eqx.Module):
     """Steps of the wide and of the narrow block."""
 
 
-class _Lanes(eqx.Module):
+class Lanes(eqx.Module):
     """The state of runs, lanes on the trailing axis of everything."""
 
     y: Float[Array, "n B"]
@@ -77,7 +78,7 @@ class _Block(eqx.Module):
     """Runs with their places among the starts: the lanes at work, or the queue behind them."""
 
     slot: Int[Array, "B"]  # which start; past the end when idle
-    at: _Lanes
+    at: Lanes
     taken: Int[Array, ""]  # how much of the queue has been handed out
     sweeps: Int[Array, ""]
 
@@ -149,7 +150,7 @@ def _combine(weights: np.ndarray, slopes: list[State]) -> State:
     return functools.reduce(jnp.add, terms)
 
 
-def _runge_kutta(solver: Any, equation: Equation, at: _Lanes, h: Real) -> tuple[State, ...]:
+def _runge_kutta(solver: Any, equation: Equation, at: Lanes, h: Real) -> tuple[State, ...]:
     """One step of the tableau: y_new, its rate, and the error."""
     tableau = solver.tableau
     if _operations(equation, at.y) > LARGE:
@@ -172,7 +173,7 @@ def _operations(equation: Equation, y: State) -> int:
     return len(jax.make_jaxpr(lambda y, t: equation(t, y, None))(*like).eqns)
 
 
-def _rolled_stages(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> list[State]:
+def _rolled_stages(tableau: Any, equation: Equation, at: Lanes, h: Real) -> list[State]:
     """The slopes by a loop over the stages, which compiles a long right-hand side only once."""
     size = len(tableau.c) + 1
     rows = np.zeros((size, size))
@@ -189,10 +190,23 @@ def _rolled_stages(tableau: Any, equation: Equation, at: _Lanes, h: Real) -> lis
     return list(jax.lax.fori_loop(1, size, stage, slopes))
 
 
-def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
+def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> Lanes:
+    """Runs at their start: first slopes and step sizes; some are decided or broken at once."""
+    scale = (limits.rtol, limits.atol)
+    f = equation(jnp.zeros_like(limits.t1), y0, None)
+    h = _first_step(equation, y0, f, scale, order)
+    able = sound(0 * h, y0, f) & jnp.isfinite(h)
+    done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
+    status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
+    status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
+    zero = jnp.zeros_like(h)
+    return Lanes(y0, f, zero, h, zero.astype("int32"), status, equation, limits.atol, limits.t1)
+
+
+def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) -> Lanes:
     """Try one step in every lane that is running."""
-    at = block.at
-    scale = (limits.rtol, at.atol)
+    scale = (rtol, at.atol)
+    running = at.status == RUNNING
     left = at.t1 - at.t
     last = at.h >= left
     h = jnp.where(last, left, at.h)
@@ -204,24 +218,28 @@ def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
         root = jnp.sqrt(root)
     factor = SAFETY / root
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
-    accept = block.running & regular & (ratio <= 1)
+    accept = running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)
 
     y = jnp.where(accept[None], new, at.y)
     f = jnp.where(accept[None], slope, at.f)
-    steps = at.steps + block.running.astype(at.steps.dtype)
+    steps = at.steps + running.astype(at.steps.dtype)
     # A rejected step that would hardly have moved the state is the end of the line.
     eps = jnp.finfo(h.dtype).eps
     stuck = _largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * _largest(jnp.abs(at.y))
     t = jnp.where(accept, at.t + h, at.t)
     broken = ~sound(t, y, f) | (stuck & ~accept)
     done = accept & (last | _finished(at.equation, y, scale, until))
-    status = jnp.where(steps < limits.max_steps, RUNNING, EXHAUSTED)
+    status = jnp.where(steps < max_steps.astype(steps.dtype), RUNNING, EXHAUSTED)
     status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
-    status = jnp.where(block.running, status, at.status).astype(at.status.dtype)
-    h = jnp.where(block.running, h * factor, at.h)
-    moved = _Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
-    return _Block(block.slot, moved, block.taken, block.sweeps + 1)
+    status = jnp.where(running, status, at.status).astype(at.status.dtype)
+    h = jnp.where(running, h * factor, at.h)
+    return Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
+
+
+def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
+    at = advance(block.at, limits.rtol, limits.max_steps, solver, until)
+    return _Block(block.slot, at, block.taken, block.sweeps + 1)
 
 
 def _write(ends: Ends, block: _Block) -> Ends:
@@ -256,19 +274,11 @@ def _narrowed(block: _Block, width: int) -> _Block:
 
 
 def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> _Block:
-    """The queue: first slopes and step sizes; what is decided at once stands at its far end."""
-    scale = (limits.rtol, limits.atol)
-    f = equation(jnp.zeros_like(limits.t1), y0, None)
-    h = _first_step(equation, y0, f, scale, order)
-    able = sound(0 * h, y0, f) & jnp.isfinite(h)
-    done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
-    status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
-    status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
-    zero = jnp.zeros_like(h)
-    steps = zero.astype("int32")
-    at = _Lanes(y0, f, zero, h, steps, status, equation, limits.atol, limits.t1)
-    count = jnp.sum(status == RUNNING)
-    return _narrowed(_Block(jnp.arange(h.shape[0]), at, count, count), h.shape[0])
+    """The queue; what is decided or broken at once stands at its far end."""
+    at = begin(equation, y0, limits, order, until)
+    size = at.t.shape[0]
+    count = jnp.sum(at.status == RUNNING)
+    return _narrowed(_Block(jnp.arange(size), at, count, count), size)
 
 
 def _integrate(

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from . import lanes
 from ._checks import finite, real, refuse
+from ._engine import engine_for
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, Outcome, State, Stop, Verdict
 from ._workers import in_parallel, workers
@@ -141,17 +142,27 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
 
 
 def classify_block(
-    equation: Equation, omegas: Float[Array, "3 N"], limits: lanes.Limits, until: lanes.Until
+    equation: Equation,
+    omegas: Float[Array, "3 N"],
+    limits: lanes.Limits,
+    until: lanes.Until,
+    engine: str,
+    device: Any,
 ) -> Classification:
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
-    y0 = _lift(equation, omegas)
-    ends = lanes.integrate(equation, y0, limits, until=until)
+    # What the user has put on another device is moved.
+    arrays, rest = eqx.partition((equation, omegas, limits), eqx.is_array)
+    equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
+    y0 = lifted(equation, omegas)
+    chosen = engine_for(engine, equation, y0, until)
+    ends = chosen.integrate(equation, y0, limits, until=until)
     scale = (limits.rtol, limits.atol)
     return _judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)
 
 
 @eqx.filter_jit
-def _lift(equation, omegas):
+def lifted(equation, omegas):
+    """The states that start at these angular velocities."""
     return equation.lift(omegas)
 
 
@@ -166,6 +177,7 @@ def classify_many(
     atol: Any = None,
     max_steps: Any = MAX_STEPS,
     value: bool = True,
+    engine: str = "auto",
 ) -> Classification:
     """How N runs end, by the lane engine, on all cores or devices.
 
@@ -178,6 +190,8 @@ def classify_many(
         atol: absolute tolerance, a number or shape (N,); None means rtol·|ω₀| for each start.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
         value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+        engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
+            "auto", the fastest that can run here.
 
     Returns:
         A `Classification` whose fields are NumPy arrays of shape (N,).
@@ -206,9 +220,9 @@ def classify_many(
     crew = workers()
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 
-    def work(job: int) -> Classification:
+    def work(job: int, device: Any) -> Classification:
         part = _cut(whole, jnp.asarray(job * tile), tile, single)
-        return jax.tree.map(np.asarray, classify_block(*part, until))
+        return jax.tree.map(np.asarray, classify_block(*part, until, engine, device))
 
     parts = dict(in_parallel(work, range(-(-size // tile)), crew))
     found = [parts[job] for job in sorted(parts)]

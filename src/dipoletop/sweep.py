@@ -18,12 +18,13 @@ from jaxtyping import Array, Float
 from . import lanes
 from . import store as disk
 from ._checks import refuse
+from ._engine import engine_for
 from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._types import Equation
 from ._workers import in_parallel, workers
 from .basin import CHANGED, FIELDS, Basin, columns_of
 from .grids import Grid, Sample
-from .outcomes import TILE, check_verdict, classify_block, power_of_two
+from .outcomes import TILE, check_verdict, classify_block, lifted, power_of_two
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
 """From the named values of one point to the equation and the start ω₀."""
@@ -41,6 +42,7 @@ def sweep(
     store: Any = None,
     progress: bool | str | None = None,
     devices: Sequence[Any] | None = None,
+    engine: str = "auto",
 ) -> Basin:
     """Outcomes of a problem on every point of a grid or a sample.
 
@@ -58,6 +60,8 @@ def sweep(
         progress: whether to show a progress bar; None shows it on a terminal, a text with that
             label.
         devices: which devices to use; None means all.
+        engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
+            "auto", the fastest that can run here; `basin.attrs` says which did.
 
     Returns:
         A `Basin`.
@@ -84,6 +88,11 @@ def sweep(
         rtols.append(tolerance("confirm", confirm))
     crew = workers(devices)
     tile = min(TILE, power_of_two(-(-size // 8)))  # whatever the machine: a store may move
+    until: lanes.Until = "value" if value else "outcome"
+    equation, start = build(np.zeros(1, int))
+    check_verdict(equation)
+    with jax.default_device(crew[0]):
+        chosen = engine_for(engine, equation, lifted(equation, start), until)
     run = functools.partial(
         _run_tile,
         build,
@@ -92,17 +101,17 @@ def sweep(
         rtols=rtols,
         atol=atol,
         max_steps=budget("max_steps", max_steps),
-        until="value" if value else "outcome",
+        until=until,
+        engine=engine,
     )
 
-    equation, _ = build(np.zeros(1, int))
-    check_verdict(equation)
     settings = {"rtol": float(rtols[0]), "atol": "rtol*|omega_0|" if atol is None else float(atol)}
     attrs = {
         "level": getattr(equation, "level", type(equation).__name__),
         **settings,
         "max_steps": int(max_steps),
         "value": bool(value),
+        "engine": chosen.NAME,
         **({} if confirm is None else {"confirm": float(confirm)}),
         **{f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")},
     }
@@ -154,7 +163,9 @@ def _work(run, jobs, keep, crew, extent) -> None:
             bar.update(len(found["outcome"]))
 
 
-def _run_tile(build, job: int, *, size, tile, rtols, atol, max_steps, until) -> dict[str, Any]:
+def _run_tile(
+    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, until, engine
+) -> dict[str, Any]:
     """Classify the starts of one tile; the last tile is filled up with starts that take no step."""
     at = np.arange(job * tile, (job + 1) * tile)
     real = at < size
@@ -163,7 +174,7 @@ def _run_tile(build, job: int, *, size, tile, rtols, atol, max_steps, until) -> 
 
     def classified(rtol) -> dict[str, np.ndarray]:
         limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), ends, jnp.asarray(max_steps))
-        found = columns_of(classify_block(equation, omegas, limits, until))
+        found = columns_of(classify_block(equation, omegas, limits, until, engine, device))
         return {name: values[real] for name, values in found.items()}
 
     columns, *again = [classified(rtol) for rtol in rtols]

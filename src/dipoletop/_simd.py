@@ -1,0 +1,152 @@
+"""Vector instructions: LLVM code in which every value is one number for each of some lanes."""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import binding, ir
+
+LONGEST = 300_000  # instructions; beyond, the compiler takes longer than the runs
+
+
+class Unsupported(Exception):
+    """A function cannot be written as straight-line code."""
+
+
+FLOAT = {
+    "add": "fadd",
+    "add_any": "fadd",
+    "sub": "fsub",
+    "mul": "fmul",
+    "div": "fdiv",
+    "rem": "frem",
+}
+INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
+COMPARE = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+TYPES: dict[Any, Any] = {
+    np.dtype("float64"): ir.DoubleType(),
+    np.dtype("float32"): ir.FloatType(),
+    np.dtype("int64"): ir.IntType(64),
+    np.dtype("int32"): ir.IntType(32),
+    np.dtype("bool"): ir.IntType(1),
+}
+
+
+class Writer:
+    """Writes the instructions of one function; values are vectors of `width` lanes."""
+
+    def __init__(self, builder: ir.IRBuilder, width: int):
+        self.builder, self.width, self.count = builder, width, 0
+
+    def vector(self, dtype: Any) -> ir.VectorType:
+        kind = TYPES.get(np.dtype(dtype))
+        if kind is None:
+            raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
+        return ir.VectorType(kind, self.width)
+
+    def constant(self, number: Any, dtype: Any) -> ir.Constant:
+        kind = self.vector(dtype)
+        python = np.asarray(number, dtype).item()
+        return ir.Constant(kind, [ir.Constant(kind.element, python)] * self.width)
+
+    def note(self, value: Any) -> Any:
+        self.count += 1
+        if self.count > LONGEST:
+            raise Unsupported(f"more than {LONGEST} instructions")
+        return value
+
+    def function(self, name: str, *args: Any) -> Any:
+        """An intrinsic of LLVM, lane by lane."""
+        kind = args[0].type
+        suffix = f"v{self.width}{'f64' if kind.element == ir.DoubleType() else 'f32'}"
+        module = self.builder.module
+        full = f"llvm.{name}.{suffix}"
+        found = module.globals.get(full)
+        if found is None:
+            found = ir.Function(module, ir.FunctionType(kind, [kind] * len(args)), full)
+        return self.note(self.builder.call(found, args))
+
+    def arithmetic(self, name: str, a: Any, b: Any) -> Any:
+        if is_float(a):
+            return self.note(getattr(self.builder, FLOAT[name])(a, b, flags=("contract",)))
+        if name not in INTEGER:
+            raise Unsupported(f"{name} of integers")
+        return self.note(getattr(self.builder, INTEGER[name])(a, b))
+
+    def compare(self, name: str, a: Any, b: Any) -> Any:
+        sign = COMPARE[name]
+        if is_float(a):
+            make = self.builder.fcmp_unordered if name == "ne" else self.builder.fcmp_ordered
+        else:
+            bits = a.type.element.width
+            make = self.builder.icmp_unsigned if bits == 1 else self.builder.icmp_signed
+        return self.note(make(sign, a, b))
+
+    def select(self, flag: Any, yes: Any, no: Any) -> Any:
+        return self.note(self.builder.select(flag, yes, no))
+
+    def extreme(self, name: str, a: Any, b: Any) -> Any:
+        """The larger or smaller; one that is not a number wins, as in JAX."""
+        if is_float(a):
+            return self.function("maximum" if name == "max" else "minimum", a, b)
+        return self.select(self.compare("gt" if name == "max" else "lt", a, b), a, b)
+
+    def power(self, a: Any, exponent: int) -> Any:
+        """a**exponent by squaring."""
+        if exponent < 0:
+            one = ir.Constant(a.type, [ir.Constant(a.type.element, 1)] * self.width)
+            return self.arithmetic("div", one, self.power(a, -exponent))
+        if exponent == 0:
+            return ir.Constant(a.type, [ir.Constant(a.type.element, 1)] * self.width)
+        half = self.power(a, exponent // 2) if exponent > 1 else None
+        square = a if half is None else self.arithmetic("mul", half, half)
+        return self.arithmetic("mul", square, a) if exponent % 2 and exponent > 1 else square
+
+    def convert(self, a: Any, old: Any, new: Any) -> Any:
+        old, new = np.dtype(old), np.dtype(new)
+        kind, b = self.vector(new), self.builder
+        if old == new:
+            return a
+        if new.kind == "b":
+            return self.compare("ne", a, self.constant(0, old))
+        if old.kind == "b":
+            return self.note(b.uitofp(a, kind) if new.kind == "f" else b.zext(a, kind))
+        if old.kind == new.kind:
+            wider = new.itemsize > old.itemsize
+            names = {"f": ("fptrunc", "fpext"), "i": ("trunc", "sext")}[new.kind]
+            return self.note(getattr(b, names[wider])(a, kind))
+        return self.note(b.sitofp(a, kind) if new.kind == "f" else b.fptosi(a, kind))
+
+    def sign(self, a: Any, dtype: Any) -> Any:
+        zero, one = self.constant(0, dtype), self.constant(1, dtype)
+        below = self.select(self.compare("lt", a, zero), self.constant(-1, dtype), a)
+        return self.select(self.compare("gt", a, zero), one, below)
+
+    def absolute(self, a: Any, dtype: Any) -> Any:
+        if is_float(a):
+            return self.function("fabs", a)
+        zero = self.constant(0, dtype)
+        return self.select(self.compare("lt", a, zero), self.arithmetic("sub", zero, a), a)
+
+
+def is_float(a: Any) -> bool:
+    return isinstance(a.type.element, ir.FloatType | ir.DoubleType)
+
+
+def machine_code(text: str) -> tuple[int, Any]:
+    """Compile for this processor."""
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    target = binding.Target.from_default_triple()
+    features = binding.get_host_cpu_features()
+    if features.get("avx512f"):  # or it would be told to prefer narrower vectors
+        features["prefer-256-bit"] = False
+    machine = target.create_target_machine(
+        cpu=binding.get_host_cpu_name(), features=features.flatten(), opt=3
+    )
+    module = binding.parse_assembly(text)
+    module.verify()
+    passes = binding.create_pass_builder(machine, binding.create_pipeline_tuning_options(3))
+    passes.getModulePassManager().run(module, passes)
+    engine = binding.create_mcjit_compiler(module, machine)
+    engine.finalize_object()
+    return engine.get_function_address("treat"), engine

@@ -1,0 +1,99 @@
+"""Several devices: each does its share, and no bit depends on which one did the work."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+
+import jax
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop import outcomes
+from dipoletop.basin import FIELDS
+
+TILE, TILES = 128, 6
+WAYS = np.random.default_rng(8).normal(size=(32, 3))
+GRID = dt.Grid(delta=np.linspace(-0.6, 0.9, 24), omega0=0.3 * WAYS)
+
+
+def swept(devices, engine):
+    def problem(delta, omega0):
+        return dt.TransverseReduced(delta), omega0
+
+    return dt.sweep(problem, GRID, devices=devices, engine=engine)
+
+
+def classified(engine, device=None):
+    points = GRID.points(np.arange(TILE * TILES))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(outcomes, "TILE", TILE)
+        starts = jax.device_put(points["omega0"], device)
+        return dt.classify_many(dt.TransverseReduced(points["delta"]), starts, engine=engine)
+
+
+def digest(found):
+    """A hash of every bit that was found."""
+    columns = (np.asarray(getattr(found, name), float).tobytes() for name in FIELDS)
+    return hashlib.sha256(b"".join(columns)).hexdigest()
+
+
+def watched(run, together):
+    """What a run finds, and the device that each tile's end states lie on.
+
+    So many tiles at a time wait for each other, so no device can do the work of another.
+    """
+    judge, meeting, used = outcomes._judge, threading.Barrier(together), []
+
+    def judged(equation, ends, scale):
+        used.extend(device.id for device in ends[0].devices())
+        meeting.wait(300)
+        return judge(equation, ends, scale)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(outcomes, "_judge", judged)
+        return digest(run()), sorted(used)
+
+
+def main(engine):
+    """Run on every device, on one of them, and with starts that lie on one of them."""
+    devices = jax.devices()
+    every = len(devices)
+    runs = {
+        "many": watched(lambda: classified(engine), every),
+        "sweep": watched(lambda: swept(devices, engine), every),
+        "sweep on one": watched(lambda: swept(devices[1:2], engine), 1),
+        "starts on one": watched(lambda: classified(engine, devices[1]), every),
+    }
+    print(json.dumps(runs))
+
+
+@pytest.mark.parametrize("engine", ["jax", "native"])
+def test_every_device_works_and_finds_the_same_bits(engine):
+    settings = {
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=3",
+        "JAX_ENABLE_X64": "1",
+        "JAX_PLATFORMS": "cpu",
+    }
+    command = [sys.executable, __file__, engine]
+    run = subprocess.run(command, env=os.environ | settings, capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr.decode()
+
+    here = swept(jax.devices()[:1], engine)
+    assert set(here.fractions()) == {"RESIDUAL", "STOP"}
+    bits = digest(here)
+    assert digest(classified(engine)) == bits
+    everywhere = [bits, [0, 0, 1, 1, 2, 2]]
+    assert json.loads(run.stdout) == {
+        "many": everywhere,
+        "sweep": everywhere,
+        "sweep on one": [bits, [1] * TILES],
+        "starts on one": everywhere,
+    }
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

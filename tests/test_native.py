@@ -1,0 +1,193 @@
+"""Machine code: it does what JAX does, or says that it cannot."""
+
+import ctypes
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop import _engine, _llvm, lanes, native
+
+RNG = np.random.default_rng(11)
+WIDTH = 4
+
+
+def machine(function, table):
+    """A function of one row, (n,), by machine code on a table (n, B)."""
+    rows = jnp.zeros((table.shape[0], 1))
+    address, _alive = _llvm.compiled(lambda row, shared: function(row), rows, jnp.zeros(()), WIDTH)
+    out = np.array(table)
+    assert out.shape[1] == WIDTH
+    shared = np.zeros(1)
+    kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p)
+    kind(address)(out.ctypes.data, WIDTH, shared.ctypes.data)
+    return out
+
+
+FUNCTIONS = {
+    "arithmetic": lambda x: jnp.stack([x[0] + x[1], x[1] - x[2], x[0] * x[2], -x[1] / x[2]]),
+    "powers": lambda x: jnp.stack([x[0] ** 7, x[1] ** -2, jnp.abs(x[2]) ** 1.5, x[3] ** 0]),
+    "roots": lambda x: jnp.stack(
+        [jnp.sqrt(jnp.abs(x[0])), jax.lax.rsqrt(x[1] ** 2), jnp.square(x[2]), jnp.cbrt(8.0) * x[3]]
+    ),
+    "functions": lambda x: jnp.stack(
+        [jnp.exp(x[0]), jnp.log(jnp.abs(x[1])), jnp.sin(x[2]) * jnp.cos(x[0]), jnp.tan(x[3])]
+    ),
+    "angles": lambda x: jnp.stack(
+        [jnp.arctan2(x[0], x[1]), jnp.tanh(x[1]), jnp.floor(x[2]), jnp.round(3 * x[3])]
+    ),
+    "choices": lambda x: jnp.stack(
+        [
+            jnp.where((x[0] > 0) & ~(x[1] <= x[2]) | (x[3] != x[0]), x[0], x[1]),
+            jnp.clip(x[1], -0.5, 0.5),
+            jnp.sign(x[2]) * jnp.minimum(x[0], x[3]),
+            jnp.where(jnp.isfinite(1 / (x[3] - x[3])), 1.0, jnp.maximum(x[1], x[2])),
+        ]
+    ),
+    "whole numbers": lambda x: jnp.stack(
+        [
+            jnp.argmax(x, axis=0).astype(float),
+            jnp.argmin(x, axis=0).astype(float),
+            jnp.sum((x > 0).astype("int32"), axis=0).astype(float) + jnp.mod(x[2], 0.3),
+            (x[0] * 10).astype(int).astype(float) + jnp.abs((x[1] * 10).astype(int)).astype(float),
+        ]
+    ),
+    "sums": lambda x: jnp.stack(
+        [jnp.sum(x, axis=0), jnp.prod(x, axis=0), jnp.max(x, axis=0), jnp.min(x, axis=0)]
+    ),
+    "matrices": lambda x: (
+        jnp.einsum("ij,jb->ib", jnp.arange(16.0).reshape(4, 4), x) + jnp.einsum("ab,cb->cb", x, x)
+    ),
+    "moves": lambda x: jnp.concatenate([x[::-1][:2], jnp.roll(x, 1, axis=0)[2:]]).at[1].set(x[3]),
+    "single precision": lambda x: jnp.stack(
+        [
+            x[0].astype("float32").astype(float),
+            jnp.log(jnp.abs(x[1]).astype("float32")).astype(float),
+            *x[2:],
+        ]
+    ),
+    "a loop": lambda x: jax.lax.fori_loop(
+        0, 5, lambda i, y: y.at[i % 4].set(y[i % 3] + x[0] * i), x
+    ),
+    "a scan": lambda x: jax.lax.scan(lambda s, row: (s + row, s * row), x[0], x)[1],
+    "a derivative": lambda x: jax.jvp(lambda y: y**3 / (1 + y[:1]) ** 2, (x,), (x[::-1],))[1],
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_machine_code_does_what_jax_does(name):
+    table = RNG.normal(size=(4, WIDTH))
+    function = FUNCTIONS[name]
+    expected = np.stack([function(jnp.asarray(table[:, i : i + 1])) for i in range(WIDTH)], axis=1)
+    found = machine(function, table)
+    # Rounding, and sums in another order; libraries differ in the last bit of a function.
+    scale = 1e-6 if name == "single precision" else 1e-14
+    np.testing.assert_allclose(found, expected[..., 0], rtol=scale, atol=scale)
+
+
+def test_what_is_not_a_number_stays_so():
+    table = np.array([[np.nan, 1.0, -np.inf, 0.0], [1.0, np.nan, np.inf, -0.0]])
+    found = machine(lambda x: jnp.stack([jnp.maximum(x[0], x[1]), jnp.minimum(x[0], x[1])]), table)
+    expected = np.stack([np.maximum(*table), np.minimum(*table)])
+    np.testing.assert_array_equal(found, expected)
+
+
+def problem(make, n=256, size=0.3):
+    """Equations of many shapes, their starts and limits."""
+    deltas = jnp.asarray(RNG.uniform(-0.9, 0.7, n))
+    starts = jnp.asarray(RNG.normal(size=(3, n)) * size)
+    scale = jnp.sqrt(jnp.sum(starts**2, axis=0))
+    rtol = jnp.asarray(1e-9)
+    limits = lanes.Limits(rtol, rtol * scale, jnp.full(n, jnp.inf), jnp.asarray(3000))
+    return jax.vmap(make, out_axes=-1)(deltas), starts, limits
+
+
+MAKERS = {
+    "order 1": dt.TransverseReduced,
+    "order 2": lambda d: dt.TransverseReduced(d, order=2),
+    "semi": dt.TransverseSemi,
+    "cylindrical": dt.TransverseCylindrical,
+    "any body, semi": lambda d: dt.SemiReduced(dt.axisymmetric(d)),
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_both_engines_agree(name):
+    """The same labels, steps but for one in a hundred runs, and states at a given time."""
+    equation, starts, limits = problem(MAKERS[name], size=0.05 if "2" in name else 0.3)
+    y0 = equation.lift(starts)
+    fast, slow = (e.integrate(equation, y0, limits) for e in (native, lanes))
+    assert np.array_equal(fast.status, slow.status)
+    counts = np.stack([fast.steps, slow.steps])
+    assert np.mean(counts[0] != counts[1]) <= 0.01
+    assert np.all(np.ptp(counts, axis=0) <= 2 + 0.02 * counts[1])
+    verdicts = [eqx.filter_jit(lambda e, y: e.verdict(y))(equation, e.y) for e in (fast, slow)]
+    assert np.array_equal(verdicts[0][0], verdicts[1][0])
+    until = eqx.tree_at(lambda x: x.t1, limits, jnp.full(starts.shape[1], 5.0))
+    fast, slow = (e.integrate(equation, y0, until, until="time") for e in (native, lanes))
+    np.testing.assert_allclose(fast.y, slow.y, rtol=0, atol=1e-9 * float(jnp.max(jnp.abs(y0))))
+
+
+class Growing(eqx.Module):
+    """y′ = −erf(y): a function that has no vector instruction."""
+
+    rate: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -self.rate[None] * jax.lax.erf(y)
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        done = y[0] < 0.5
+        return jnp.where(done, 2, 0), jnp.where(done, 0.0, jnp.nan), done
+
+
+def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
+    equation, starts = Growing(jnp.ones(3)), jnp.ones((3, 3))
+    with pytest.warns(UserWarning, match=r"The JAX engine runs, .*Growing .*operation erf"):
+        found = dt.classify_many(equation, starts)
+    assert np.array_equal(found.outcome, [2, 2, 2])
+    with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' here, .*erf"):
+        dt.classify_many(equation, starts, engine="native")
+
+
+def test_a_code_that_grows_too_long_is_refused(monkeypatch):
+    monkeypatch.setattr("dipoletop._simd.LONGEST", 100)
+    with pytest.raises(native.Unsupported, match="more than 100 instructions"):
+        machine(lambda x: jax.lax.fori_loop(0, 99, lambda i, y: y * x, x), np.ones((4, WIDTH)))
+
+
+def test_without_numba_jax_runs(monkeypatch):
+    monkeypatch.setattr(_engine, "_native", lambda: (None, "numba cannot be imported (gone)"))
+    equation, start = dt.TransverseReduced(-0.2), jnp.array([[0.2, 0.01, 0.02]])
+    grid = dt.Grid(w3=[0.1, 0.3])
+    basin = dt.sweep(lambda w3: (equation, dt.cylindrical(0.2, w3, 0.1)), grid)
+    assert basin.attrs["engine"] == "jax"
+    assert dt.classify_many(equation, start).outcome == [dt.Outcome.RESIDUAL]
+    with pytest.raises(ValueError, match=r"'native', but numba cannot be imported \(gone\)"):
+        dt.classify_many(equation, start, engine="native")
+
+
+def test_an_unknown_engine_is_refused():
+    message = r"Argument `engine` must be 'auto', 'jax' or 'native', but is 'fast'\."
+    with pytest.raises(ValueError, match=message):
+        dt.classify_many(dt.TransverseReduced(-0.2), jnp.ones((1, 3)), engine="fast")
+
+
+def test_a_second_call_with_other_values_compiles_nothing():
+    for shift in (0.0, 0.1):
+        starts = jnp.ones((3, 5)) * (0.1 + shift)
+        limits = lanes.Limits(
+            jnp.asarray(1e-8 + shift * 1e-8), starts[0], starts[0], jnp.asarray(99)
+        )
+        native.integrate(dt.TransverseSemi(starts[0]), starts, limits)
+        if shift == 0:
+            count = len(native._programs)
+    assert len(native._programs) == count
