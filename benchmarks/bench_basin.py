@@ -14,13 +14,14 @@ import dipoletop as dt
 import measure
 import peers
 import problem
-from dipoletop import lanes
+from dipoletop import lanes, native
 
 RTOL = 1e-8
-OURS = "dipoletop"
+OURS, IN_JAX = "dipoletop, native engine", "dipoletop, JAX engine"
 # One vmap over all starts is so slow that fewer starts, once, must do.
 SLOW = ("diffrax vmap whole, tuple", "diffrax vmap whole, (3,)")
 RIVALS = (
+    IN_JAX,
     "heyoka batch",
     "diffrax vmap repacked, tuple",
     "diffrax vmap chunked, tuple",
@@ -41,16 +42,18 @@ class Sizes(NamedTuple):
 
 
 def run(
-    deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
+    deltas: Float[np.ndarray, " n"],
+    omegas: Float[np.ndarray, "n 3"],
+    rtol: float,
+    engine: str = "native",
 ) -> dict[str, Any]:
     """dipoletop as one of the peers: labels of all starts by `classify_many`."""
     shapes, starts = jnp.asarray(deltas), jnp.asarray(omegas)
 
     def classified() -> dt.Classification:
         equations = dt.TransverseReduced(shapes)
-        return dt.classify_many(
-            equations, starts, rtol=rtol, value=False, max_steps=problem.MAX_STEPS
-        )
+        settings = {"rtol": rtol, "max_steps": problem.MAX_STEPS, "engine": engine}
+        return dt.classify_many(equations, starts, value=False, **settings)
 
     _, first = measure.timed(classified)
     found, clocks = measure.timed(classified)
@@ -59,16 +62,19 @@ def run(
         "compile_seconds": first["seconds"],
         "steps": int(found.steps.sum()),
         "most_steps": int(found.steps.max()),
-        "note": f"dipoletop {dt.__version__}, {measure.cores()} threads",
+        "note": f"dipoletop {dt.__version__}, {engine}, {measure.cores()} threads",
     }
 
 
 def lane_efficiency(
-    deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
+    deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float, engine: Any
 ) -> dict[str, Any]:
     """Which part of the lane steps was made for a running start, one core's share at a time."""
     parts = np.array_split(np.arange(len(deltas)), measure.cores())
-    width = min(inspect.signature(lanes.integrate).parameters["width"].default, len(parts[-1]))
+    widths = [native.WIDTH, 0]
+    if engine is lanes:
+        width = inspect.signature(lanes.integrate).parameters["width"].default
+        widths = [min(width, len(parts[-1])), max(width // lanes.NARROW, 1)]
     made, swept = 0, np.zeros(2, int)
     for part in parts:
         y0 = jnp.asarray(omegas[part].T)
@@ -80,15 +86,15 @@ def lane_efficiency(
         )
         equation = dt.TransverseReduced(jnp.asarray(deltas[part]))
         with jax.default_device(jax.devices()[0]):  # as `classify_many` has it: compiled already
-            ends = lanes.integrate(equation, y0, limits, until="outcome")
+            ends = engine.integrate(equation, y0, limits, until="outcome")
         made += int(ends.steps.sum())
         swept += np.asarray(ends.sweeps)
-    paid = int(swept @ [width, max(width // lanes.NARROW, 1)])
     return {
-        "width": width,
+        "engine": engine.NAME,
+        "widths": widths,
         "block_steps": swept.tolist(),
         "lane_steps": made,
-        "efficiency": made / max(paid, 1),
+        "efficiency": made / max(int(swept @ widths), 1),
     }
 
 
@@ -96,6 +102,7 @@ def compare(sizes: Sizes) -> dict[str, Any]:
     """All peers at all sizes, their labels held to scipy's and to ours."""
     available, missing = peers.available()
     truth = peers.truth(*problem.mixed_basin(sizes.truth))
+    available[IN_JAX] = partial(run, engine="jax")
     everybody = {OURS: run} | {name: available[name] for name in sizes.rivals if name in available}
     tables = {}
     for size in sizes.starts:
@@ -107,7 +114,10 @@ def compare(sizes: Sizes) -> dict[str, Any]:
         ours = records[OURS][0]["labels"]
         tables[size] = {
             "rows": [_row(name, found, ours, truth["labels"]) for name, found in records.items()],
-            "lanes": lane_efficiency(*problem.mixed_basin(size), RTOL),
+            "lanes": [
+                lane_efficiency(*problem.mixed_basin(size), RTOL, engine)
+                for engine in (native, lanes)
+            ],
         }
         jax.clear_caches()  # the next size compiles as if it were the first
     scipy_row = {

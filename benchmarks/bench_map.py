@@ -1,6 +1,6 @@
 """The default map in a process of its own, so that its memory is its own: time, memory, compiles.
 
-python benchmarks/bench_map.py order-1 512 prints one line of JSON.
+python benchmarks/bench_map.py order-1 512 native prints one line of JSON.
 """
 
 import json
@@ -15,31 +15,33 @@ import jax.numpy as jnp
 
 import dipoletop as dt
 import measure
+from dipoletop._monitoring import COMPILING
 
-LEVELS = ("order-1", "semi")
+LEVELS, ENGINES = ("order-1", "semi"), ("native", "jax")
 REPEATS = 3
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
-def measured(level: str, points: int) -> dict[str, Any]:
+def measured(level: str, points: int, engine: str) -> dict[str, Any]:
     """`report` of a fresh process."""
-    command = [sys.executable, __file__, level, str(points)]
+    command = [sys.executable, __file__, level, str(points), engine]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-def report(level: str, points: int) -> dict[str, Any]:
+def report(level: str, points: int, engine: str) -> dict[str, Any]:
     """The first and later sweeps over points × points starts, and what other values compile."""
     before = peak_memory()
     grid = dt.symmetry_cell(points, points)
-    basin, first = measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8))
+    basin, first = measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8, engine))
 
     def again() -> measure.Record:
-        return measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8))[1]
+        return measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8, engine))[1]
 
     later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
     peak = peak_memory()
     return {
         "level": basin.level,
+        "engine": basin.attrs["engine"],
         "points": points,
         "first": first,
         "later": later,
@@ -48,7 +50,7 @@ def report(level: str, points: int) -> dict[str, Any]:
         "fractions": {name: share.share for name, share in basin.fractions().items()},
         "peak_bytes": peak,
         "import_bytes": before,
-        "compilations": _compilations(level, grid),
+        "compilations": _compilations(level, grid, engine),
     }
 
 
@@ -56,23 +58,23 @@ def _equation(level: str, delta: Any) -> Any:
     return dt.TransverseSemi(delta) if level == "semi" else dt.TransverseReduced(delta)
 
 
-def _sweep(level: str, grid: dt.Grid, delta: float, rtol: float) -> dt.Basin:
+def _sweep(level: str, grid: dt.Grid, delta: float, rtol: float, engine: str) -> dt.Basin:
     def tops(w3: Any, phi: Any) -> Any:
         return _equation(level, delta), dt.cylindrical(0.2, w3, phi)
 
-    return dt.sweep(tops, grid, rtol=rtol, progress=False)
+    return dt.sweep(tops, grid, rtol=rtol, progress=False, engine=engine)
 
 
-def _compilations(level: str, grid: dt.Grid) -> dict[str, int]:
+def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
     """Programs compiled when δ, starts, times and tolerance change and nothing else does."""
     omegas = jax.random.normal(jax.random.key(0), (256, 3))
     deltas = jnp.linspace(-0.4, 0.4, 256)
     times = jnp.linspace(0.0, 100.0, 11)
 
     calls: dict[str, Callable[[float, float], Any]] = {
-        "sweep": lambda scale, rtol: _sweep(level, grid, -0.2 * scale, rtol),
+        "sweep": lambda scale, rtol: _sweep(level, grid, -0.2 * scale, rtol, engine),
         "classify_many": lambda scale, rtol: dt.classify_many(
-            _equation(level, scale * deltas), scale * omegas, rtol=rtol
+            _equation(level, scale * deltas), scale * omegas, rtol=rtol, engine=engine
         ),
         "classify": lambda scale, rtol: dt.classify(
             _equation(level, -0.2 * scale), scale * omegas[0], rtol=rtol
@@ -100,7 +102,7 @@ def _compiled(task: Callable[[], Any]) -> int:
         task()
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
-    return seen.count(COMPILED)
+    return seen.count(COMPILED) + seen.count(COMPILING)
 
 
 def peak_memory() -> int | None:
@@ -123,4 +125,4 @@ def peak_memory() -> int | None:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    print(json.dumps(report(sys.argv[1], int(sys.argv[2]))))
+    print(json.dumps(report(sys.argv[1], int(sys.argv[2]), sys.argv[3])))

@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 import measure
 import problem
-from dipoletop import lanes
+from dipoletop import lanes, native
 
 try:
     import heyoka
@@ -41,13 +41,13 @@ def starts(n: int) -> Starts:
     return AMPLITUDE * omegas / np.linalg.norm(omegas, axis=1)[:, None]
 
 
-def by_lanes(omegas: Starts, rtol: float) -> Starts:
-    """dipoletop, the lane engine in one thread."""
+def by_lanes(omegas: Starts, rtol: float, engine: Any = native) -> Starts:
+    """dipoletop, an engine in one thread."""
     size = len(omegas)
     atol = jnp.full(size, rtol * AMPLITUDE)
     limits = lanes.Limits(jnp.asarray(rtol), atol, jnp.full(size, TIME), jnp.asarray(MAX_STEPS))
     equation = dt.TransverseReduced(jnp.full(size, DELTA))
-    return np.asarray(lanes.integrate(equation, jnp.asarray(omegas.T), limits, until="time").y.T)
+    return np.asarray(engine.integrate(equation, jnp.asarray(omegas.T), limits, until="time").y.T)
 
 
 def by_lanes_everywhere(omegas: Starts, rtol: float) -> Starts:
@@ -163,10 +163,11 @@ def compare(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) ->
     omegas = starts(n)
     truth, about = reference(omegas)
     methods: dict[str, Callable[[float], Callable[[Starts], Starts]]] = {
-        "dipoletop lanes": lambda rtol: partial(by_lanes, rtol=rtol),
-        f"dipoletop lanes, {measure.cores()} threads": (
+        "dipoletop, native engine": lambda rtol: partial(by_lanes, rtol=rtol),
+        f"the same, {measure.cores()} threads": (
             lambda rtol: partial(by_lanes_everywhere, rtol=rtol)
         ),
+        "dipoletop, JAX engine": lambda rtol: partial(by_lanes, rtol=rtol, engine=lanes),
         "diffrax vmap, tuple": lambda rtol: partial(by_diffrax, rtol=rtol),
     }
     if heyoka is not None:

@@ -53,12 +53,7 @@ def _basin(found: dict[str, Any]) -> str:
     parts = [f"### Mixed basin, rtol {found['rtol']:.0e}, all cores"]
     for size, scene in found["tables"].items():
         parts += [f"N = {size}:", _layout(_basin_table(scene["rows"]))]
-        lanes = scene["lanes"]
-        wide, narrow = lanes["block_steps"]
-        parts.append(
-            f"Lane efficiency of dipoletop: {lanes['efficiency']:.1%} ({lanes['lane_steps']} lane "
-            f"steps in {wide} steps of the block of {lanes['width']}, {narrow} of the narrow one)."
-        )
+        parts += [_efficiency(lanes) for lanes in scene["lanes"]]
     truth = found["truth"]
     parts.append(
         f"{truth['note']}: {_number(truth['microseconds'])} µs and {truth['steps']:.1f} steps for "
@@ -67,11 +62,20 @@ def _basin(found: dict[str, Any]) -> str:
     return "\n\n".join(parts + [line + "." for line in found["missing"]])
 
 
+def _efficiency(lanes: dict[str, Any]) -> str:
+    blocks = zip(lanes["block_steps"], lanes["widths"], strict=True)
+    steps = " and ".join(f"{count} steps of {width} lanes" for count, width in blocks if width)
+    return (
+        f"Lane efficiency of the {lanes['engine']} engine: {lanes['efficiency']:.1%} "
+        f"({lanes['lane_steps']} lane steps in {steps})."
+    )
+
+
 def _basin_table(rows: list[dict[str, Any]]) -> Table:
     ours = next(row for row in rows if row["name"] == OURS)
     head = ["", "starts × repeats", "wall s, min / median", "processor s, min / median"]
-    head += ["µs/start, wall / processor", "× dipoletop, wall / processor", "before it is warm, s"]
-    head += ["steps/start", "undecided", "differ from dipoletop", "differ from scipy"]
+    head += ["µs/start, wall / processor", "× the first, wall / processor", "before it is warm, s"]
+    head += ["steps/start", "undecided", "differ from the first", "differ from scipy"]
     table = [head]
     for row in rows:
         wall, spent = _per_start(row, "seconds"), _per_start(row, "processor_seconds")
@@ -113,7 +117,7 @@ def _precision(found: dict[str, Any]) -> str:
 
 
 def _maps(found: list[dict[str, Any]]) -> str:
-    head = ["level", "starts", "first sweep, s", "later sweeps, s, min / median"]
+    head = ["level", "engine", "starts", "first sweep, s", "later sweeps, s, min / median"]
     head += [
         "processor s, median",
         "starts/s",
@@ -128,6 +132,7 @@ def _maps(found: list[dict[str, Any]]) -> str:
         table.append(
             [
                 row["level"],
+                row["engine"],
                 f"{row['points']} × {row['points']}",
                 _number(row["first"]["seconds"]),
                 " / ".join(_number(later["seconds"][w]) for w in ("min", "median")),
@@ -141,9 +146,9 @@ def _maps(found: list[dict[str, Any]]) -> str:
 
 
 def _compilations(found: list[dict[str, Any]]) -> str:
-    first = {row["level"]: row["compilations"] for row in found}
+    first = {f"{row['level']}, {row['engine']}": row["compilations"] for row in found}
     calls = list(next(iter(first.values())))
-    table = [["level", *calls]]
+    table = [["level, engine", *calls]]
     table += [[level, *(str(counts[name]) for name in calls)] for level, counts in first.items()]
     return f"### Programs compiled in a second call with other values\n\n{_layout(table)}"
 
@@ -175,7 +180,7 @@ def figure(found: dict[str, Any], path: Path) -> None:
     drawing, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     # One core each; the threads' processor seconds are those of one core over again.
     names = [name for name in found["first_seconds"] if "threads" not in name]
-    for colour, name in zip(("#0072B2", "#E69F00", "#009E73"), names, strict=False):
+    for colour, name in zip(("#0072B2", "#56B4E9", "#E69F00", "#009E73"), names, strict=False):
         rows = [row for row in found["rows"] if row["name"] == name]
         cost = [1e6 * row["processor_seconds"]["median"] / found["starts"] for row in rows]
         for error, style in (("largest_error", "o-"), ("median_error", "o:")):

@@ -6,6 +6,7 @@ python benchmarks/run.py --write     and kept: README.md, results/latest.json, t
 """
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     before = measure.load()
     # Fresh processes first, while this one is small.
     importing = bench_import.compare(1 if small else 15)
-    maps = [bench_map.measured(level, n) for n in points for level in bench_map.LEVELS]
+    scenes = itertools.product(points, bench_map.LEVELS, bench_map.ENGINES)
+    maps = [bench_map.measured(level, n, engine) for n, level, engine in scenes]
     return {
         "machine": measure.machine(),
         "import": importing,
