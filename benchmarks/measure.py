@@ -13,7 +13,10 @@ from typing import Any
 Record = dict[str, Any]
 """One run: `seconds`, `processor_seconds` (all cores together) and whatever else came out."""
 
-PACKAGES = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy", "heyoka")
+PACKAGES = (
+    *("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy", "numba", "llvmlite"),
+    *("scipy", "heyoka"),
+)
 
 
 def timed(task: Callable[[], Any]) -> tuple[Any, Record]:

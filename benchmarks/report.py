@@ -1,12 +1,27 @@
-"""The results as tables for people and as a figure."""
+"""The results as tables for people and as a figure; where they are kept."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 from bench_basin import OURS
 from bench_import import BASE
 
+HERE = Path(__file__).parent
 Table = list[list[str]]
+
+
+def keep(name: str, text: str, numbers: dict[str, Any]) -> None:
+    """The text into the README between the marks of that name, the numbers into a JSON file."""
+    readme = HERE / "README.md"
+    begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    before, rest = readme.read_text(encoding="utf-8").split(begin)
+    _, after = rest.split(end)
+    readme.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+    folder = HERE / "results"
+    folder.mkdir(exist_ok=True)
+    kept = json.dumps(numbers, indent=1, ensure_ascii=False)
+    (folder / f"{name}.json").write_text(kept + "\n", encoding="utf-8")
 
 
 def markdown(results: dict[str, Any]) -> str:
@@ -17,7 +32,7 @@ def markdown(results: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def _layout(table: Table, *, text: int = 1) -> str:
+def layout(table: Table, *, text: int = 1) -> str:
     """A Markdown table; the first `text` columns to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     head, *body = (
@@ -52,7 +67,7 @@ def _per_start(row: dict[str, Any], clock: str, which: str = "median") -> float:
 def _basin(found: dict[str, Any]) -> str:
     parts = [f"### Mixed basin, rtol {found['rtol']:.0e}, all cores"]
     for size, scene in found["tables"].items():
-        parts += [f"N = {size}:", _layout(_basin_table(scene["rows"]))]
+        parts += [f"N = {size}:", layout(_basin_table(scene["rows"]))]
         parts += [_efficiency(lanes) for lanes in scene["lanes"]]
     truth = found["truth"]
     parts.append(
@@ -111,7 +126,7 @@ def _precision(found: dict[str, Any]) -> str:
             f"### Work and precision: end states of {found['starts']} starts at τ = 1000",
             f"Reference: {found['reference']}. Medians of {rows[0]['repeats']} repeats. "
             f"The first tolerance with compilation and a first run, s: {first}.",
-            _layout(table),
+            layout(table),
         ]
     )
 
@@ -142,7 +157,7 @@ def _maps(found: list[dict[str, Any]]) -> str:
                 *("unknown" if m is None else f"{m / 1e6:.0f}" for m in memory),
             ]
         )
-    return f"### The default map, with residual values, rtol 1e-8, all cores\n\n{_layout(table)}"
+    return f"### The default map, with residual values, rtol 1e-8, all cores\n\n{layout(table)}"
 
 
 def _compilations(found: list[dict[str, Any]]) -> str:
@@ -150,7 +165,7 @@ def _compilations(found: list[dict[str, Any]]) -> str:
     calls = list(next(iter(first.values())))
     table = [["level, engine", *calls]]
     table += [[level, *(str(counts[name]) for name in calls)] for level, counts in first.items()]
-    return f"### Programs compiled in a second call with other values\n\n{_layout(table)}"
+    return f"### Programs compiled in a second call with other values\n\n{layout(table)}"
 
 
 def _import(found: dict[str, Any]) -> str:
@@ -162,15 +177,15 @@ def _import(found: dict[str, Any]) -> str:
     return "\n\n".join(
         [
             "### Importing, in fresh processes",
-            _layout(table),
+            layout(table),
             f"Median ratio of neighbouring runs to `{BASE}`: {ratio['seconds']:.2f} on the clock, "
             f"{ratio['processor_seconds']:.2f} in processor seconds.",
         ]
     )
 
 
-def figure(found: dict[str, Any], path: Path) -> None:
-    """Cost against true error, one line for each method."""
+def figure(found: dict[str, Any]) -> None:
+    """Into results/work_precision.png: cost against true error, one line for each method."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -195,6 +210,5 @@ def figure(found: dict[str, Any], path: Path) -> None:
     ax.set_title(f"{found['starts']} starts, δ = −1/5, |ω₀| = 0.2, τ = 1000", fontsize="medium")
     ax.grid(alpha=0.3)
     ax.legend(fontsize="small")
-    path.parent.mkdir(exist_ok=True)
-    drawing.savefig(path, dpi=150, metadata={"Software": None})
+    drawing.savefig(HERE / "results" / "work_precision.png", dpi=150, metadata={"Software": None})
     plt.close(drawing)

@@ -2,19 +2,14 @@
 
 python benchmarks/run.py --small     a minute, to see that everything works
 python benchmarks/run.py             the whole thing, printed
-python benchmarks/run.py --write     and kept: README.md, results/latest.json, the figure
+python benchmarks/run.py --write     and kept: README.md, results/, the figure
 """
 
 import argparse
 import itertools
-import json
-from pathlib import Path
 from typing import Any
 
 # A peer's processes import this file again, so what takes long is imported in the functions.
-
-HERE = Path(__file__).parent
-BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 
 
 def measure_all(small: bool, large: bool) -> dict[str, Any]:
@@ -48,19 +43,6 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     }
 
 
-def keep(results: dict[str, Any], text: str) -> None:
-    """Into the README between its marks, the JSON file and the figure."""
-    import report
-
-    readme = HERE / "README.md"
-    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
-    _, after = rest.split(END)
-    readme.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
-    report.figure(results["precision"], HERE / "results" / "work_precision.png")
-    latest = HERE / "results" / "latest.json"
-    latest.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
@@ -80,7 +62,8 @@ def main() -> None:
     text = report.markdown(results)
     print(text)
     if args.write:
-        keep(results, text)
+        report.keep("results", text, results)
+        report.figure(results["precision"])
 
 
 if __name__ == "__main__":
