@@ -217,7 +217,8 @@ def test_confirmation_at_a_second_tolerance():
 def test_xarray_names_units_and_sources(basin):
     data = basin.to_xarray()
     assert data.omega_inf.dims == ("w3", "phi")
-    assert data.omega_inf.attrs["units"] == "1/tau_0"
+    assert data.omega_inf.attrs["units"] == data.w3.attrs["units"] == "1/tau_0"
+    assert data.phi.attrs["units"] == "rad"
     assert np.array_equal(data.phi, GRID.axes["phi"])
     assert data.attrs["level"] == "reduced, order 1 (the paper's)"
     assert data.attrs["rtol"] == 1e-8

@@ -23,6 +23,16 @@ FIELDS: dict[str, tuple[str, str, str]] = {
 }
 """Columns of a basin: type, unit, meaning."""
 
+AXES: dict[str, tuple[str, str]] = {
+    "delta": ("1", "1 - I3/I1"),
+    "phi": ("rad", "azimuth of the angular velocity about axis 3"),
+    "theta": ("rad", "polar angle of the angular velocity from axis 3"),
+    "w_perp": ("1/tau_0", "angular velocity across axis 3"),
+    **{f"w{k}": ("1/tau_0", f"angular velocity along axis {k}") for k in (1, 2, 3)},
+    "amplitude": ("1/tau_0", "magnitude of the angular velocity"),
+}
+"""Axes with a customary name: unit, meaning. Of others only their user knows."""
+
 CHANGED = {"changed": ("bool", "1", "whether the outcome differs at the second tolerance")}
 
 
@@ -121,16 +131,19 @@ class Basin:
         import xarray
 
         table = FIELDS | CHANGED
+
+        def said(unit: str, meaning: str) -> dict[str, str]:
+            return {"units": unit, "long_name": meaning}
+
         columns = {
-            name: (
-                self.dims,
-                self.column(name),
-                {"units": table[name][1], "long_name": table[name][2]},
-            )
-            for name in self.columns
+            name: (self.dims, self.column(name), said(*table[name][1:])) for name in self.columns
         }
         coords = {
-            name: ((name, *(f"{name}_{k}" for k in range(1, values.ndim))), values)
+            name: (
+                (name, *(f"{name}_{k}" for k in range(1, values.ndim))),
+                values,
+                said(*AXES[name]) if name in AXES else {},
+            )
             for name, values in self.coords.items()
         }
         return xarray.Dataset(columns, coords, self.attrs)
