@@ -18,6 +18,7 @@ from .equations.transverse import (
     cylindrical,
 )
 from .grids import Grid, Sample, isotropic, symmetry_cell, uniform_box
+from .manifold import slow_manifold
 from .outcomes import Classification, classify, classify_many
 from .simulate import Trajectory, simulate
 from .sweep import sweep
@@ -54,6 +55,7 @@ __all__ = [
     "radiation",
     "rod",
     "simulate",
+    "slow_manifold",
     "spheroid",
     "sweep",
     "symmetry_cell",

@@ -71,3 +71,15 @@ def finite(
     """A real array without NaN or inf."""
     array = real(name, value, shape, batch=batch)
     return where_valid(name, array, jnp.isfinite(array), "be finite")
+
+
+def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
+    """The start: lifted from ω₀, or a whole state as it is."""
+    whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
+    start = finite("omega0", omega0, (-1,), batch=False)
+    if start.shape == (3,):
+        return equation.lift(start)
+    if start.shape != whole:
+        also = "" if whole == (3,) else f", or {whole} for a whole state"
+        refuse("omega0", f"have shape (3,){also}", f"has shape {start.shape}")
+    return start

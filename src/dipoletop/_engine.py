@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from . import lanes
+from . import lanes, manifold
 from ._checks import refuse
 from ._monitoring import compiling
 
@@ -31,9 +31,13 @@ def engine_for(engine: str, equation: Any, y0: Any, until: lanes.Until) -> Any:
         equation: with a trailing axis of lanes on its arrays.
         y0: starts, (n, N), on the device that shall run.
         until: when a run is finished.
+
+    A full equation has an engine of its own, `manifold`.
     """
     if engine not in ("auto", "jax", "native"):
         refuse("engine", "be 'auto', 'jax' or 'native'", f"is {engine!r}")
+    if manifold.is_full(equation):  # which no integration forwards can follow
+        return manifold
     if engine == "jax":
         return lanes
     native: Any

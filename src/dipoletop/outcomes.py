@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from . import lanes
-from ._checks import finite, real, refuse
+from . import lanes, manifold
+from ._checks import initial_state, real, refuse
 from ._engine import engine_for
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, Outcome, State, Stop, Verdict
@@ -104,20 +104,32 @@ def classify(
         ('RESIDUAL', True)
     """
     check_verdict(equation)
-    start = finite("omega0", omega0, (3,), batch=False)
+    y0 = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
-    scale = absolute(atol, rtol, start)
-    until = "value" if value else "outcome"
-    return _classify(equation, start, rtol, scale, budget("max_steps", max_steps), until)
+    scale = absolute(atol, rtol, equation.omega(y0))
+    until: lanes.Until = "value" if value else "outcome"
+    steps = budget("max_steps", max_steps)
+    if manifold.is_full(equation):
+        if jnp.shape(omega0) == (3,):
+            return _classify_branch(equation, y0, rtol, scale, steps, until)
+        until = "time"  # off the branch no region decides: nothing but the runaway
+    return _classify(equation, y0, rtol, scale, steps, until)
 
 
 @eqx.filter_jit
-def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) -> Classification:
-    y0 = equation.lift(omega0)
+def _classify_branch(equation, y0, rtol, atol, max_steps: int, until) -> Classification:
+    limits = (rtol, atol, jnp.inf, max_steps)
+    found = manifold.until_decided(equation, y0, limits, until)
+    return _assemble(equation, found, (rtol, atol))
 
+
+@eqx.filter_jit
+def _classify(equation, y0, rtol, atol, max_steps: int, until: lanes.Until) -> Classification:
     def ended(t, y, args, **_):
-        done = lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
-        return done | ~lanes.sound(t, y, equation(t, y, None))
+        broken = ~lanes.sound(t, y, equation(t, y, None))
+        if until == "time":
+            return broken
+        return broken | lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
 
     # Decided or broken at once: no time to integrate.
     t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, jnp.inf)
@@ -137,6 +149,8 @@ def _classify(equation, omega0, rtol, atol, max_steps: int, until: lanes.Until) 
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
     able = lanes.sound(time, y, equation(time, y, None))
+    if until == "time":
+        y = y * jnp.nan  # which decides nothing
     status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
     return _assemble(equation, (y, time, solution.stats["num_steps"], status), (rtol, atol))
 

@@ -1,4 +1,7 @@
-"""One trajectory, through diffrax: states, energies, powers, and the balance that checks them."""
+"""One trajectory, through diffrax: states, energies, powers, and the balance that checks them.
+
+A full equation cannot be integrated forwards along its physical branch; `manifold` follows it.
+"""
 
 import functools
 from typing import Any
@@ -9,12 +12,26 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from . import radiation
-from ._checks import finite, refuse, where_valid
+from . import manifold, radiation
+from ._checks import finite, initial_state, refuse, where_valid
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, State, Vector
 
+LOST = (
+    "The physical branch of the full equation could not be followed to the last time: "
+    "ω is too large for a slow branch, or `max_steps` windows did not suffice."
+)
 OPTIONS = ("solver", "stepsize_controller", "adjoint", "throw", "dense", "balance")
+
+
+class Followed(eqx.Module):
+    """How a motion on the physical branch was found, in place of diffrax's `Solution`."""
+
+    stats: dict[str, Any]
+    """`num_steps`: windows solved for."""
+    reached: Float[Array, ""]
+    """The last time up to which the motion was found."""
+    interpolation: None = None
 
 
 class Trajectory(eqx.Module):
@@ -27,8 +44,9 @@ class Trajectory(eqx.Module):
     """States of the equation."""
     emitted: Float[Array, "T"] | None
     """∫|d₂|²dτ, the energy radiated since the start; None unless `balance` was asked for."""
-    solution: diffrax.Solution
-    """diffrax's own solution: statistics, result, dense interpolation."""
+    solution: Any
+    """diffrax's own solution: statistics, result, dense interpolation. Of a motion on the physical
+    branch of a full equation a `Followed`."""
 
     @property
     def omega(self) -> Float[Array, "T 3"]:
@@ -110,8 +128,9 @@ def simulate(
 
     Args:
         equation: any equation of motion.
-        omega0: start ω₀, shape (3,), dimensionless, body axes; or a whole state of a full
-            equation, which is taken as given.
+        omega0: start ω₀, shape (3,), dimensionless, body axes; a full equation is then followed
+            along its physical branch. Or a whole state of a full equation, which is taken as
+            given, and runs away unless it lies on that branch.
         ts: times at which the state is wanted, shape (T,), increasing; the first is the start.
         rtol: relative tolerance.
         atol: absolute tolerance; None means rtol·|ω₀|.
@@ -139,8 +158,10 @@ def simulate(
         if name not in OPTIONS:
             refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
     times = _times(ts)
-    state = _state(equation, omega0)
+    state = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
+    if manifold.is_full(equation) and jnp.shape(omega0) == (3,):
+        return _follow(equation, state, times, rtol, budget("max_steps", max_steps), options)
     scale = absolute(atol, rtol, equation.omega(state))
     return _solve(equation, state, times, (rtol, scale), budget("max_steps", max_steps), options)
 
@@ -152,16 +173,24 @@ def _times(ts: Any) -> Float[Array, "T"]:
     return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
 
 
-def _state(equation: Any, omega0: Any) -> State:
-    """The start: lifted from ω₀, or a whole state as it is."""
-    whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
-    start = finite("omega0", omega0, (-1,), batch=False)
-    if start.shape == (3,):
-        return equation.lift(start)
-    if start.shape != whole:
-        also = "" if whole == (3,) else f", or {whole} for a whole state"
-        refuse("omega0", f"have shape (3,){also}", f"has shape {start.shape}")
-    return start
+def _follow(equation, state, times, rtol, max_windows: int, options) -> Trajectory:
+    """Along the physical branch of a full equation."""
+    for name in ("solver", "stepsize_controller", "adjoint", "dense"):
+        if options.get(name):
+            refuse(
+                "options",
+                "be `throw` or `balance` for a start of shape (3,) of a full equation, whose "
+                "physical branch diffrax cannot follow (give a whole state for the vector field)",
+                f"one is `{name}`",
+            )
+    motion = manifold.follow(equation, equation.omega(state), times, rtol, max_windows)
+    states = motion.states
+    if options.get("throw", True):
+        lost = ~(motion.reached >= times[-1])
+        states = eqx.error_if(states, lost, LOST)
+    emitted = motion.emitted if options.get("balance", False) else None
+    found = Followed({"num_steps": motion.windows}, motion.reached)
+    return Trajectory(equation, times, states, emitted, found)
 
 
 @eqx.filter_jit

@@ -13,7 +13,7 @@ at rest or, if n is a principal axis, on the line Ω ∥ n. `REACH` bounds |d|²
 used: it limits the level, and does not decide by slowness. What no test decides stays undecided.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,7 @@ ODD = 3.0
 DRIFT = 0.1  # largest relative change of w that a residual region may allow
 NODES = 16  # on which the slow flow is searched for a barrier
 WAVER = 4.0  # the slow flow is exact up to this times |d|²|Ω|/J, measured in x and in f
+EXACT = 30  # orders after which ℓ(μ) no longer changes, for μ ≤ REACH
 SAME = 4096  # moments or directions that differ by so many roundings are the same
 
 
@@ -64,20 +65,21 @@ class Frame(NamedTuple):
     """Whether n is a principal axis, to rounding."""
 
 
-def verdict(equation: Any, y: Vector) -> Verdict:
-    """What a reduced or semi-reduced equation of any body says of the state y.
+def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
+    """What an equation of any body says of the state y.
 
     Args:
-        equation: has a `body` and, if it is a reduced equation, an `order`.
+        body: the body.
         y: Ω, shape (3,) or (3, B).
+        order: that of a reduced equation; `None`: semi-reduced; `EXACT`: the physical branch of
+            the full equation.
 
     Returns:
         RESIDUAL where a Lyapunov function of the line shows that it attracts y; STOP where no
         line is left that could attract y, or the slow flow has a barrier before it.
     """
-    order = getattr(equation, "order", None)
-    frame = seen_from_dipole(equation.body, y)
-    near = _reach(equation.body, frame) <= REACH
+    frame = seen_from_dipole(body, y)
+    near = _reach(body, frame) <= REACH
     same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
     round_about_n = jnp.abs(frame.ja - frame.jb) <= same
     touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import dot, inverse, matvec, scale, solve
-from .._types import Vector, Verdict
+from .._types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from . import _general
@@ -65,7 +65,7 @@ class Reduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self, y)
+        return _general.verdict(self.body, y, self.order)
 
     @property
     def level(self) -> str:
@@ -102,7 +102,7 @@ class SemiReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self, y)
+        return _general.verdict(self.body, y, None)
 
     @property
     def level(self) -> str:
@@ -134,7 +134,7 @@ class Full(eqx.Module):
         torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
         lack = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
         square = dot(body.dipole, body.dipole)
-        return jnp.concatenate([rate, self._across(scale(1 / square, lack))])
+        return jnp.concatenate([rate, self.fast(scale(1 / square, lack))])
 
     def omega_dot(self, y: Float[Array, "6 *lanes"]) -> Vector:
         """Ω̇ of a state, shape (3,) or (3, B)."""
@@ -143,14 +143,45 @@ class Full(eqx.Module):
         along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(lever, a)
         return a - scale(along / dot(lever, body.dipole), body.dipole)
 
-    def _across(self, v: Vector) -> Vector:
+    def verdict(self, y: Float[Array, "6 *lanes"]) -> Verdict:
+        """That of a state on the physical branch, by the same tests; not certified."""
+        return _general.verdict(self.body, self.omega(y), _general.EXACT)
+
+    def fast(self, omega_dot: Vector) -> Vector:
+        """The part of Ω̇ that is state, and runs away: a = PΩ̇."""
         d = self.body.dipole
-        return v - scale(dot(d, v) / dot(d, d), d)
+        return omega_dot - scale(dot(d, omega_dot) / dot(d, d), d)
+
+    def reduced(self, order: int) -> Reduced:
+        """The reduced level of that order."""
+        return Reduced(self.body, order)
+
+    @property
+    def semi(self) -> SemiReduced:
+        """The semi-reduced level."""
+        return SemiReduced(self.body)
+
+    @property
+    def runaway_rate(self) -> Real:
+        """The slower of the two rates at which what is off the physical branch grows.
+
+        The eigenvalues, but for the one along n, of P(I − Inn'I/(n·In))P/|d|².
+        """
+        inertia, d = self.body.inertia, self.body.dipole
+        square, lever = dot(d, d), matvec(inertia, d)
+        along = dot(lever, d)
+        rest = jnp.stack([inertia[i] - scale(lever[i] / along, lever) for i in range(3)])
+        # That matrix already annihilates n from both sides: trace and sum of the 2×2 minors.
+        total = rest[0, 0] + rest[1, 1] + rest[2, 2]
+        pairs = ((0, 1), (0, 2), (1, 2))
+        minors = sum(rest[i, i] * rest[j, j] - rest[i, j] * rest[j, i] for i, j in pairs)
+        root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
+        return minors / ((total / 2 + root) * square)
 
     def lift(self, omega0: Vector) -> Float[Array, "6 *lanes"]:
         """Onto the physical branch as the reduction of order 3 has it."""
         rate = Reduced(self.body, 3)(0.0, omega0)
-        return jnp.concatenate([omega0, self._across(rate)])
+        return jnp.concatenate([omega0, self.fast(rate)])
 
     def omega(self, y: Float[Array, "6 *lanes"]) -> Vector:
         """The first three components."""

@@ -184,7 +184,7 @@ class TransverseFull(eqx.Module):
         """dy/dτ, shape (5,) or (5, B)."""
         w, p2, p3 = y[:3], y[3], y[4]
         zero = jnp.zeros_like(w)
-        rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
+        rate = self.omega_dot(y)
         balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
 
@@ -196,6 +196,32 @@ class TransverseFull(eqx.Module):
     def omega(self, y: Float[Array, "5 *lanes"]) -> Vector:
         """The first three components."""
         return y[:3]
+
+    def verdict(self, y: Float[Array, "5 *lanes"]) -> Verdict:
+        """That of a state on the physical branch: the semi-reduced regions, uncertified."""
+        return _regions.higher_order(self.delta, self.omega(y))
+
+    def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
+        """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""
+        return omega_dot[1:]
+
+    def omega_dot(self, y: Float[Array, "5 *lanes"]) -> Vector:
+        """ω′ of a state."""
+        return jnp.stack([self.delta * y[1] * y[2], y[3], y[4]])
+
+    def reduced(self, order: int) -> TransverseReduced:
+        """The reduced level of that order."""
+        return TransverseReduced(self.delta, order)
+
+    @property
+    def semi(self) -> TransverseSemi:
+        """The semi-reduced level."""
+        return TransverseSemi(self.delta)
+
+    @property
+    def runaway_rate(self) -> Real:
+        """The slower of the rates at which what is off the physical branch grows: 1 and 1 − δ."""
+        return jnp.minimum(1.0, 1 - self.delta)
 
     body = property(top)
 

@@ -1,0 +1,252 @@
+"""The physical branch of the full equations: where it is, and how to follow it forwards.
+
+Forwards in time a full equation runs away from its physical solutions, backwards it is drawn to
+them. So they are found window by window (`_windows`), each a boundary-value problem whose far end
+lies some runaway times ahead of what is kept of it.
+"""
+
+import threading
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from . import _windows, lanes, radiation
+from ._checks import finite, refuse
+from ._types import Verdict
+from ._windows import Window
+
+NAME = "branch"  # of the engine
+EFOLDS = 36.0  # runaway times that a first window looks ahead
+LONGER, SHORTER = 1.6, (0.5, 0.8, 1.0, 1.3, 1.7)  # of windows, by the number of good elements
+REACHES = 30.0  # an element may be this much worse than rtol, if only the one before it is kept
+TRIES = 14  # windows in a row of which nothing holds
+
+
+def is_full(equation: Any) -> bool:
+    """Whether an equation has runaways, and so a physical branch to be followed."""
+    return hasattr(equation, "runaway_rate")
+
+
+def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any:
+    """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
+
+    The motion from Ω on is solved for as a boundary-value problem over some runaway times. What
+    is assumed at its far end (the asymptotic series) is forgotten exponentially.
+
+    Args:
+        equation: a full equation, `TransverseFull` or `Full`.
+        omega: Ω, shape (3,), dimensionless, body axes.
+        with_error: also return an estimate of the error.
+
+    Returns:
+        Ω̇, shape (3,); NaN where no branch was found. With `with_error` a pair of it and the
+        estimated largest error of its components.
+
+    Raises:
+        ValueError: bad arguments.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> start = dt.cylindrical(w_perp=0.2, w3=0.2, phi=jnp.pi / 30)
+        >>> dt.slow_manifold(dt.TransverseFull(-0.2), start).round(8).tolist()
+        [-0.00083623, 0.00913023, -0.00967855]
+    """
+    if not is_full(equation):
+        refuse("equation", "be a full equation", f"is {type(equation).__name__}")
+    return _slow_manifold(equation, finite("omega", omega, (3,), batch=False), with_error)
+
+
+@eqx.filter_jit
+def _slow_manifold(equation: Any, omega: Array, with_error: bool) -> Any:
+    window = _windows.solve(equation, omega, EFOLDS / equation.runaway_rate)
+    rate = equation.omega_dot(window.states[0, 0])
+    rate = jnp.where(window.converged, rate, jnp.nan)
+    if not with_error:
+        return rate
+    rest = window.wrong_end * jnp.exp(-EFOLDS) + window.tail[0] * jnp.max(jnp.abs(rate))
+    rounding = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
+    return rate, jnp.where(window.converged, rest + rounding, jnp.nan)
+
+
+class Pace(NamedTuple):
+    """How far a march has come, and how long its next window shall be."""
+
+    time: Float[Array, ""]
+    omega: Float[Array, "3"]
+    span: Float[Array, ""]
+    windows: Int[Array, ""]
+    vain: Int[Array, ""]
+    """Windows in a row of which nothing held."""
+
+    @property
+    def lost(self) -> Bool[Array, ""]:
+        """Whether there is no physical branch to be found from here."""
+        return self.vain >= TRIES
+
+
+def set_out(equation: Any, omega0: Float[Array, "3"], time: Any) -> Pace:
+    """A march at its start."""
+    size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(0.0, omega0)))
+    span = EFOLDS / equation.runaway_rate + 4 * size / jnp.where(rate > 0, rate, 1.0)
+    none = jnp.zeros((), "int32")
+    vain = jnp.where(jnp.isfinite(size + rate), 0, TRIES).astype("int32")
+    return Pace(jnp.asarray(time, omega0.dtype), omega0, span, none, vain)
+
+
+def march(equation: Any, at: Pace, rtol: Array) -> tuple[Pace, Window, Int[Array, ""]]:
+    """Try one window. Returns where it leads, the window, and how many elements of it hold."""
+    window = _windows.solve(equation, at.omega, at.span)
+    size = jnp.max(jnp.abs(at.omega))
+    size = jnp.where(size > 0, size, 1.0)
+    ends, runaway = window.times[:, -1], equation.runaway_rate
+    # What is wrong at the far end has faded so far where an element ends.
+    layer = window.wrong_end / runaway / size * jnp.exp(-runaway * (at.span - ends))
+    # What an element lacks also reaches the one before, though much less of it.
+    behind = jnp.append(window.tail[1:], 0.0)
+    resolved = (window.tail <= rtol) & (behind <= REACHES * rtol)
+    forgotten = layer <= rtol
+    holds = window.converged & resolved & forgotten
+    good = jnp.sum(jnp.cumprod(holds.astype("int32")))
+    moved, last = good > 0, jnp.maximum(good - 1, 0)
+    too_short = window.converged & resolved[0] & ~forgotten[0]
+    factor = jnp.where(too_short, LONGER, jnp.asarray(SHORTER, size.dtype)[good])
+    return (
+        Pace(
+            jnp.where(moved, at.time + ends[last], at.time),
+            jnp.where(moved, window.states[last, -1, :3], at.omega),
+            at.span * factor,
+            at.windows + 1,
+            jnp.where(moved, 0, at.vain + 1).astype("int32"),
+        ),
+        window,
+        good,
+    )
+
+
+class Motion(NamedTuple):
+    """The physical motion at given times; NaN where it was not found."""
+
+    states: Float[Array, "T n"]
+    emitted: Float[Array, "T"]
+    """∫|d₂|²dτ since the start."""
+    windows: Int[Array, ""]
+    reached: Float[Array, ""]
+    """Up to which time."""
+
+
+@eqx.filter_jit
+def follow(equation: Any, omega0: Array, times: Array, rtol: Array, max_windows: Any) -> Motion:
+    """The physical motion of a full equation from ω₀ at times[0] on, forwards.
+
+    Args:
+        equation: a full equation.
+        omega0: start, shape (3,).
+        times: shape (T,), increasing.
+        rtol: tolerance of each window, relative to |ω|.
+        max_windows: budget.
+    """
+    body = equation.body
+
+    def power(y: Array) -> Array:
+        return radiation.radiated_power(body, equation.omega(y), equation.omega_dot(y))
+
+    def going(carry: Any) -> Bool[Array, ""]:
+        at, _, _ = carry
+        return (at.time < times[-1]) & ~at.lost & (at.windows < max_windows)
+
+    def on(carry: Any) -> Any:
+        at, found, total = carry
+        new, window, good = march(equation, at, rtol)
+        powers = jax.vmap(jax.vmap(power))(window.states)
+        inside = jnp.einsum("ejk,ek->ej", window.weights, powers, precision="highest")
+        before = jnp.cumsum(inside[:, -1]) - inside[:, -1]
+        emitted = total + before[:, None] + inside
+        values = jnp.concatenate([window.states, emitted[..., None]], axis=-1)
+        wanted = (times >= at.time) & (times <= new.time) & (good > 0)
+        here = _windows.evaluate(window, values, jnp.where(wanted, times - at.time, 0.0))
+        total = jnp.where(good > 0, emitted[jnp.maximum(good - 1, 0), -1], total)
+        return new, jnp.where(wanted[:, None], here, found), total
+
+    n = jax.eval_shape(equation.lift, omega0).shape[0]
+    found = jnp.full((times.shape[0], n + 1), jnp.nan, omega0.dtype)
+    begun = set_out(equation, omega0, times[0]), found, jnp.zeros((), omega0.dtype)
+    at, found, _ = jax.lax.while_loop(going, on, begun)
+    return Motion(found[:, :n], found[:, n], at.windows, at.time)
+
+
+def integrate(
+    equation: Any,
+    y0: Float[Array, "n N"],
+    limits: lanes.Limits,
+    *,
+    until: lanes.Until = "value",
+) -> lanes.Ends:
+    """The ends of many physical motions: `lanes.integrate` for full equations.
+
+    Args:
+        equation: a full equation whose array fields carry a trailing axis of N lanes.
+        y0: starts, shape (n, N); of each only ω counts, the rest is found.
+        limits: tolerances and budget (of windows); a lane with t1 = 0 is not run.
+        until: "outcome" or "value".
+
+    Returns:
+        The end states, in the order of the starts. Outcomes are looked for where elements of a
+        window end, so that times are those of the next such place.
+    """
+    with _alone:
+        return jax.block_until_ready(_integrate(equation, y0, limits, until))
+
+
+_alone = threading.Lock()  # two such programs at once have been seen to wait for each other
+
+
+@eqx.filter_jit
+def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: lanes.Until) -> lanes.Ends:
+    arrays, static = eqx.partition(equation, eqx.is_array)
+
+    def one(lane: Any) -> Any:
+        parameters, start, atol, t1 = lane
+        alone = eqx.combine(parameters, static)
+        return until_decided(alone, start, (limits.rtol, atol, t1, limits.max_steps), until)
+
+    lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
+    # One after another: side by side all would wait for the slowest, and nothing is gained.
+    y, time, windows, status = jax.lax.map(one, lane)
+    return lanes.Ends(y.T, time, windows, status, jnp.stack([jnp.sum(windows), 0]))
+
+
+def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) -> Any:
+    """One motion, to the first state that decides: that, its time, windows, status.
+
+    `limits` are rtol, atol, t1 (0: not to be run) and the budget of windows.
+    """
+    rtol, atol, t1, max_windows = limits
+
+    def ends(y: Array) -> Bool[Array, ""]:
+        return lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
+
+    def going(carry: Any) -> Bool[Array, ""]:
+        return carry[3] == lanes.RUNNING
+
+    def on(carry: Any) -> Any:
+        at, y, _, _ = carry
+        new, window, good = march(equation, at, rtol)
+        states, times = window.states[:, -1], at.time + window.times[:, -1]
+        done = jax.vmap(ends)(states) & (jnp.arange(states.shape[0]) < good)
+        which = jnp.where(jnp.any(done), jnp.argmax(done), jnp.maximum(good - 1, 0))
+        y = jnp.where(good > 0, states[which], y)
+        time = jnp.where(good > 0, times[which], at.time)
+        status = jnp.where(new.windows < max_windows, lanes.RUNNING, lanes.EXHAUSTED)
+        status = jnp.where(new.lost, lanes.BROKEN, status)
+        status = jnp.where(jnp.any(done), lanes.FINISHED, status).astype("int32")
+        return new, y, time, status
+
+    at = set_out(equation, equation.omega(start), 0.0)
+    idle = ends(start) | (t1 <= 0)
+    status = jnp.where(at.lost, lanes.BROKEN, jnp.where(idle, lanes.FINISHED, lanes.RUNNING))
+    begun = at, start, at.time, status.astype("int32")
+    at, y, time, status = jax.lax.while_loop(going, on, begun)
+    return y, time, at.windows, status

@@ -1,0 +1,150 @@
+"""The physical branch of the full equations: exact values, balance, and two independent routes."""
+
+import itertools
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+
+TOP = dt.TransverseFull(-0.2)
+STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
+branch = eqx.filter_jit(dt.slow_manifold)
+
+
+# Tabulated values of f(ω), ff′ = f + ω³, the branch of the plane rotator (A.1).
+@pytest.mark.parametrize(
+    ("speed", "exact", "tolerance"),
+    [
+        (0.1, -0.00097215149697444904, 1e-14),
+        (0.3, -0.022428220160021891, 1e-13),
+        (1.0, -0.4734467160950165281, 1e-9),
+    ],
+)
+def test_plane_rotator(speed, exact, tolerance):
+    rate, error = branch(TOP, jnp.array([0.0, speed, 0.0]), with_error=True)
+    assert abs(rate[1] / exact - 1) < tolerance
+    assert error < 1e-5
+    assert jnp.all(rate[jnp.array([0, 2])] == 0)
+
+
+@pytest.mark.parametrize(
+    ("phi", "exact"),
+    [(np.pi / 30, (0.00913023, -0.00967855)), (np.pi / 3, (-0.00532417, -0.01342288))],
+)
+def test_transverse_top(phi, exact):
+    """(ω₂′, ω₃′) at the starts of figure 2."""
+    rate, error = branch(TOP, STARTS[phi], with_error=True)
+    np.testing.assert_allclose(rate[1:], exact, rtol=0, atol=6e-9)
+    assert error < 1e-12
+
+
+def test_the_general_equation_has_the_same_branch():
+    start = STARTS[np.pi / 3]
+    rate = branch(dt.Full(dt.axisymmetric(-0.2)), start)
+    np.testing.assert_allclose(rate, branch(TOP, start), rtol=1e-12)
+
+
+def test_small_amplitudes_have_the_series():
+    """The orders approach the branch, each by a power of ω more."""
+    start = jnp.array([0.3, 0.5, -0.4])
+    for scale, least in ((0.02, 3.0), (0.01, 6.0)):
+        rate = branch(TOP, scale * start)
+        errors = [
+            float(jnp.max(jnp.abs(dt.TransverseReduced(-0.2, m)(0.0, scale * start) - rate)))
+            for m in (1, 2, 3, 4)
+        ]
+        assert all(low * least < high for high, low in itertools.pairwise(errors))
+
+
+@pytest.fixture(scope="module", params=STARTS, ids=["residual", "stop"])
+def long(request):
+    """1000 braking times, T = 1/ω²."""
+    times = jnp.concatenate([jnp.array([0.0, 60.0]), jnp.geomspace(100.0, 1000 / 0.08, 50)])
+    start = STARTS[request.param]
+    return start, dt.simulate(TOP, start, times, rtol=1e-11, balance=True)
+
+
+def test_energy_balance_over_a_thousand_braking_times(long):
+    _, run = long
+    assert float(jnp.max(jnp.abs(run.balance_defect))) < 1e-11
+    assert run.stats["num_steps"] < 100
+
+
+def test_backwards_it_is_an_ordinary_integration(long):
+    """Backwards the branch attracts: diffrax must come back to the start from where we are."""
+    start, run = long
+    back = diffrax.diffeqsolve(
+        diffrax.ODETerm(TOP),
+        diffrax.Dopri8(),
+        60.0,
+        0.0,
+        -0.01,
+        run.ys[1],
+        stepsize_controller=diffrax.PIDController(1e-13, 1e-15),
+    )
+    np.testing.assert_allclose(back.ys[-1][:3], start, rtol=0, atol=2e-11)
+
+
+def test_outcomes_are_those_of_the_motion(long):
+    start, run = long
+    found = dt.classify(TOP, start)
+    stops = found.outcome == dt.Outcome.STOP
+    assert stops == (start[1] > 0.1)
+    assert not found.certified
+    assert abs(found.omega_inf - (0 if stops else run.omega[-1, 0])) < 1e-9
+
+
+def test_many_starts_agree_with_the_fourth_order():
+    ways = np.random.default_rng(4).normal(size=(48, 3))
+    starts = 0.15 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    found = dt.classify_many(TOP, starts)
+    fourth = dt.classify_many(dt.TransverseReduced(-0.2, order=4), starts)
+    assert np.array_equal(found.outcome, fourth.outcome)
+    assert set(found.outcome) == {dt.Outcome.RESIDUAL, dt.Outcome.STOP}
+    caught = found.outcome == dt.Outcome.RESIDUAL
+    np.testing.assert_allclose(found.omega_inf[caught], fourth.omega_inf[caught], rtol=2e-3)
+
+
+def test_sweep_and_bad_lanes():
+    def problem(delta, amplitude):
+        return dt.TransverseFull(delta), amplitude * jnp.array([0.8, 0.1, 0.03])
+
+    basin = dt.sweep(problem, dt.Grid(delta=[-0.3, 0.95], amplitude=[0.1, 9.0]))
+    assert basin.level == "full"
+    assert basin.attrs["engine"] == "branch"
+    assert basin.outcome[0, 0] == dt.Outcome.RESIDUAL
+    assert basin.outcome[1, 1] == dt.Outcome.FAILED  # no branch there
+
+
+def test_off_the_branch_a_top_runs_away():
+    """The plane rotator (A.1) blows up as ω = √2/(τ₁ − τ) (A.5); the time is reported."""
+    state = jnp.array([0.0, 0.2, 0.0, 0.1, 0.0])
+    found = dt.classify(TOP, state)
+    assert found.outcome == dt.Outcome.FAILED
+    near = dt.simulate(TOP, state, jnp.array([0.0, 1 - 1e-4]) * found.time, rtol=1e-12)
+    left = found.time * 1e-4
+    assert abs(near.omega[-1, 1] * left / np.sqrt(2) - 1) < 1e-3
+    assert dt.classify(TOP, TOP.lift(STARTS[np.pi / 30])).outcome == dt.Outcome.FAILED
+
+
+def test_where_there_is_no_branch():
+    needle, start = dt.TransverseFull(0.95), jnp.array([3.0, 2.0, 4.0])
+    times = jnp.array([0.0, 1.0])
+    with pytest.raises(RuntimeError, match="could not be followed"):
+        dt.simulate(needle, start, times)
+    run = dt.simulate(needle, start, times, throw=False)
+    assert jnp.all(jnp.isnan(run.omega))
+    assert dt.classify(needle, start).outcome == dt.Outcome.FAILED
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match=r"`equation` must be a full equation, but is Transverse"):
+        dt.slow_manifold(dt.TransverseSemi(-0.2), jnp.ones(3))
+    with pytest.raises(ValueError, match=r"`omega` must be finite"):
+        dt.slow_manifold(TOP, jnp.array([0.1, jnp.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"`options` must be `throw` or `balance` .* is `solver`"):
+        dt.simulate(TOP, jnp.ones(3), jnp.array([0.0, 1.0]), solver=diffrax.Tsit5())
