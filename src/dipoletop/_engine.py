@@ -32,11 +32,13 @@ def engine_for(engine: str, equation: Any, y0: Any, until: lanes.Until) -> Any:
         y0: starts, (n, N), on the device that shall run.
         until: when a run is finished.
 
-    A full equation has an engine of its own, `manifold`.
+    A full equation has an engine of its own, in JAX: `manifold`.
     """
     if engine not in ("auto", "jax", "native"):
         refuse("engine", "be 'auto', 'jax' or 'native'", f"is {engine!r}")
     if manifold.is_full(equation):  # which no integration forwards can follow
+        if engine == "native":
+            refuse("engine", "be 'auto' or 'jax' here", "is 'native', but the equation is full")
         return manifold
     if engine == "jax":
         return lanes

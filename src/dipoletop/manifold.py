@@ -67,9 +67,11 @@ def _slow_manifold(equation: Any, omega: Array, with_error: bool) -> Any:
     rate = jnp.where(window.converged, rate, jnp.nan)
     if not with_error:
         return rate
-    rest = window.wrong_end * jnp.exp(-EFOLDS) + window.tail[0] * jnp.max(jnp.abs(rate))
-    rounding = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
-    return rate, jnp.where(window.converged, rest + rounding, jnp.nan)
+    # The far end as it has faded, the first element's last coefficients as a rate, rounding.
+    far = window.wrong_end * jnp.exp(-EFOLDS)
+    lacking = window.tail[0] * jnp.max(jnp.abs(omega)) / window.times[0, -1]
+    rounding = jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
+    return rate, jnp.where(window.converged, far + 10 * (lacking + rounding), jnp.nan)
 
 
 class Pace(NamedTuple):

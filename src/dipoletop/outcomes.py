@@ -80,8 +80,9 @@ def classify(
 ) -> Classification:
     """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
 
-    Integrates with diffrax (order 8) until the equation's own `verdict` is certain. May be
-    jitted and vmapped; for many starts `classify_many` is far faster.
+    Integrates with diffrax (order 8) until the equation's own `verdict` is certain; a full
+    equation is followed along its physical branch, whose windows count as steps. May be jitted
+    and vmapped; for many starts `classify_many` is far faster.
 
     Args:
         equation: an equation with a `verdict`.

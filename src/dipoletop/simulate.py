@@ -133,7 +133,8 @@ def simulate(
             given, and runs away unless it lies on that branch.
         ts: times at which the state is wanted, shape (T,), increasing; the first is the start.
         rtol: relative tolerance.
-        atol: absolute tolerance; None means rtol·|ω₀|.
+        atol: absolute tolerance; None means rtol·|ω₀|. On a physical branch errors are measured
+            by the present |ω| instead.
         max_steps: budget.
         options: `solver` (`diffrax.Dopri8()`), `stepsize_controller`
             (`diffrax.PIDController(rtol, atol)` with the largest component as the norm) and
@@ -160,10 +161,11 @@ def simulate(
     times = _times(ts)
     state = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
-    if manifold.is_full(equation) and jnp.shape(omega0) == (3,):
-        return _follow(equation, state, times, rtol, budget("max_steps", max_steps), options)
     scale = absolute(atol, rtol, equation.omega(state))
-    return _solve(equation, state, times, (rtol, scale), budget("max_steps", max_steps), options)
+    steps = budget("max_steps", max_steps)
+    if manifold.is_full(equation) and jnp.shape(omega0) == (3,):
+        return _follow(equation, state, times, rtol, steps, options)
+    return _solve(equation, state, times, (rtol, scale), steps, options)
 
 
 def _times(ts: Any) -> Float[Array, "T"]:
