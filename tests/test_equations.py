@@ -140,17 +140,26 @@ def test_averaged_form_is_the_mean_over_the_angle():
         assert jnp.allclose(mean, averaged, rtol=1e-13, atol=1e-15)
 
 
-def test_averaged_system_keeps_its_exact_solution():
-    """u = C ξ^{1−q} |(1+2δ)ξ + 1 + δ³|^p, ξ = u/v, with the corrected exponent p (4.16)."""
-    d = -0.3
-    equation = dt.TransverseAveraged(d)
-    ts = jnp.linspace(0.0, 200.0, 9)
-    run = dt.simulate(equation, dt.cylindrical(0.3, 0.4, 0.2), ts, rtol=1e-12)
-    u, v = run.ys[:, 0] ** 2, run.ys[:, 1] ** 2
-    xi, cube = u / v, 1 + d**3
-    p = d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * cube)
-    constant = u * xi ** (2 / cube - 1) * ((1 + 2 * d) * xi + cube) ** -p
-    assert float(jnp.max(jnp.abs(constant / constant[0] - 1))) < 1e-9
+def test_averaged_system_has_its_exact_solution():
+    """`exact.averaged`, differentiated, obeys (4.13)–(4.15)."""
+    times = jnp.array([0.0, 3.0, 200.0])
+    for delta in (-0.7, -0.3, 0.4):
+        start = dt.cylindrical(0.3, -0.4, 0.2)
+        solution = jax.jit(lambda t, d=delta, start=start: dt.exact.averaged(d, start, t))
+        omega, rate = jax.jvp(solution, (times,), (jnp.ones(3),))
+        equation = dt.TransverseAveraged(delta)
+        for w, found in zip(omega, rate, strict=True):
+            y = equation.lift(w)
+            expected = jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1]
+            assert jnp.allclose(found, expected, rtol=1e-11, atol=1e-13)
+
+
+def test_linearised_form_is_the_derivative():
+    """(4.22)–(4.24): the Jacobian of (4.9)–(4.11) at (w, 0, 0)."""
+    w, y = 0.3, jnp.array([0.02, -0.03, 0.05])
+    for delta in (-0.9, -0.5, 0.4):
+        jacobian = jax.jacfwd(dt.TransverseCylindrical(delta), 1)(0.0, jnp.array([w, 0.0, 0.0]))
+        assert jnp.allclose(dt.TransverseLinearised(delta, w)(0.0, y), jacobian @ y, atol=1e-16)
 
 
 def test_cylindrical_start_is_exact_at_quarter_turns():

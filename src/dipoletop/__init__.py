@@ -4,15 +4,25 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from . import radiation
+from . import exact, planar, radiation
 from ._types import Outcome, Stop, Verdict
 from .basin import Basin
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
+from .equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
 from .equations.rigid import Full, Reduced, SemiReduced
+from .equations.rotator import (
+    RotatorBranch,
+    RotatorFull,
+    RotatorReduced,
+    closed_manifold,
+    critical_manifold,
+    separatrix,
+)
 from .equations.transverse import (
     TransverseAveraged,
     TransverseCylindrical,
     TransverseFull,
+    TransverseLinearised,
     TransverseReduced,
     TransverseSemi,
     cylindrical,
@@ -21,26 +31,38 @@ from .grids import Grid, Sample, isotropic, symmetry_cell, uniform_box
 from .manifold import slow_manifold
 from .outcomes import Classification, classify, classify_many
 from .simulate import Trajectory, simulate
+from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
 from .sweep import sweep
 
 if TYPE_CHECKING:
-    from . import plots
+    from . import particles, plots
+    from .particles import Particle
 
 __all__ = [
     "Basin",
     "Body",
     "Classification",
+    "Equilibria",
     "Full",
     "Grid",
+    "LongitudinalFull",
+    "LongitudinalReduced",
+    "LongitudinalSemi",
     "Outcome",
+    "Particle",
     "Reduced",
+    "RotatorBranch",
+    "RotatorFull",
+    "RotatorReduced",
     "Sample",
     "SemiReduced",
+    "Spectrum",
     "Stop",
     "Trajectory",
     "TransverseAveraged",
     "TransverseCylindrical",
     "TransverseFull",
+    "TransverseLinearised",
     "TransverseReduced",
     "TransverseSemi",
     "Verdict",
@@ -48,24 +70,37 @@ __all__ = [
     "box",
     "classify",
     "classify_many",
+    "closed_manifold",
+    "critical_manifold",
     "cylindrical",
+    "equilibria",
+    "exact",
     "from_charges",
     "isotropic",
+    "particles",
+    "planar",
     "plots",
     "radiation",
     "rod",
+    "separatrix",
     "simulate",
     "slow_manifold",
+    "spectrum",
     "spheroid",
     "sweep",
     "symmetry_cell",
+    "threshold",
     "uniform_box",
 ]
 __version__ = version("dipoletop")
 
 
+# Imported when they are used, not before: with matplotlib, and with the constants of physics.
+_LAZY = {"plots": "plots", "particles": "particles", "Particle": "particles"}
+
+
 def __getattr__(name: str) -> Any:
-    # matplotlib is imported when a picture is drawn, not before.
-    if name == "plots":
-        return importlib.import_module(".plots", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f".{_LAZY[name]}", __name__)
+    return module if name == _LAZY[name] else getattr(module, name)

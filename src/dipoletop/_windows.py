@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from . import radiation
+from ._chebyshev import rule
 
 NODES, ELEMENTS = 16, 4
 ITERATIONS = 20
@@ -45,16 +45,6 @@ class Window(NamedTuple):
     """How well each element is resolved, over |ω₀|: the last coefficients of ω, and of ∫a dτ."""
     wrong_end: Float[Array, ""]
     """Estimated error of the fast part at the far end."""
-
-
-@functools.cache
-def rule(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Chebyshev nodes on [0, 1], the integrals from 0 to each, values to coefficients."""
-    x = -np.cos(np.pi * np.arange(nodes) / (nodes - 1))
-    polynomial = np.polynomial.chebyshev
-    coefficients = np.linalg.inv(polynomial.chebvander(x, nodes - 1))
-    sums = [polynomial.chebval(x, polynomial.chebint(row, lbnd=-1)) for row in np.eye(nodes)]
-    return (x + 1) / 2, np.stack(sums, axis=1) @ coefficients / 2, coefficients
 
 
 def solve(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:

@@ -30,6 +30,14 @@ def is_full(equation: Any) -> bool:
     return hasattr(equation, "runaway_rate")
 
 
+def physical(equation: Any) -> Any:
+    """What runs from a start ω₀ are made with: the equation, or its branch, if it has that one.
+
+    A full equation may know an equation of its physical motions without runaways, `branch`.
+    """
+    return getattr(equation, "branch", equation)
+
+
 def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any:
     """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
 
@@ -37,7 +45,7 @@ def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any
     is assumed at its far end (the asymptotic series) is forgotten exponentially.
 
     Args:
-        equation: a full equation, `TransverseFull` or `Full`.
+        equation: a full equation, such as `TransverseFull` or `Full`.
         omega: Ω, shape (3,), dimensionless, body axes.
         with_error: also return an estimate of the error.
 
@@ -57,7 +65,17 @@ def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any
     """
     if not is_full(equation):
         refuse("equation", "be a full equation", f"is {type(equation).__name__}")
-    return _slow_manifold(equation, finite("omega", omega, (3,), batch=False), with_error)
+    start = finite("omega", omega, (3,), batch=False)
+    if physical(equation) is not equation:
+        return _known_branch(physical(equation), start, with_error)
+    return _slow_manifold(equation, start, with_error)
+
+
+def _known_branch(branch: Any, omega: Array, with_error: bool) -> Any:
+    y = branch.lift(omega)
+    rate = jax.jvp(branch.omega, (y,), (branch(0.0, y),))[1]
+    error = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
+    return (rate, error) if with_error else rate
 
 
 @eqx.filter_jit

@@ -105,13 +105,15 @@ def classify(
         ('RESIDUAL', True)
     """
     check_verdict(equation)
+    if np.shape(omega0) == (3,):
+        equation = manifold.physical(equation)
     y0 = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, equation.omega(y0))
     until: lanes.Until = "value" if value else "outcome"
     steps = budget("max_steps", max_steps)
     if manifold.is_full(equation):
-        if jnp.shape(omega0) == (3,):
+        if np.shape(omega0) == (3,):
             return _classify_branch(equation, y0, rtol, scale, steps, until)
         until = "time"  # off the branch no region decides: nothing but the runaway
     return _classify(equation, y0, rtol, scale, steps, until)
@@ -168,6 +170,7 @@ def classify_block(
     # What the user has put on another device is moved.
     arrays, rest = eqx.partition((equation, omegas, limits), eqx.is_array)
     equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
+    equation = manifold.physical(equation)
     y0 = lifted(equation, omegas)
     chosen = engine_for(engine, equation, y0, until)
     ends = chosen.integrate(equation, y0, limits, until=until)

@@ -10,6 +10,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
@@ -158,12 +159,14 @@ def simulate(
     for name in options:
         if name not in OPTIONS:
             refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
+    if np.shape(omega0) == (3,):
+        equation = manifold.physical(equation)
     times = _times(ts)
     state = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, equation.omega(state))
     steps = budget("max_steps", max_steps)
-    if manifold.is_full(equation) and jnp.shape(omega0) == (3,):
+    if manifold.is_full(equation) and np.shape(omega0) == (3,):
         return _follow(equation, state, times, rtol, steps, options)
     return _solve(equation, state, times, (rtol, scale), steps, options)
 

@@ -1,9 +1,17 @@
-"""What several equations share: labels, checks, and states that are ω itself."""
+"""What several equations share: the shape, labels, checks, and states that are ω itself."""
 
 from typing import Any
 
-from .._checks import refuse
+from jaxtyping import Array, Float
+
+from .._checks import real, refuse, where_valid
 from .._types import Vector
+
+
+def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
+    """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
+    array = real("delta", delta)
+    return where_valid("delta", array, (array >= -1) & (array < 1), "lie in [-1, 1)")
 
 
 def check_order(order: Any) -> None:

@@ -9,6 +9,7 @@ torques, with ω₁′ = δ ω₂ω₃ exact at every level, is
 and the levels differ in what they put for ω′ and ω″ on the right.
 """
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -16,17 +17,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import real, where_valid
+from .._checks import finite, real
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
-from ._base import check_order, order_label, unchanged
-
-
-def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
-    """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
-    array = real("delta", delta)
-    return where_valid("delta", array, (array >= -1) & (array < 1), "lie in [-1, 1)")
+from ._base import check_order, order_label, shape_parameter, unchanged
 
 
 def top(self: Any) -> Body:
@@ -306,6 +301,41 @@ class TransverseAveraged(eqx.Module):
     def level(self) -> str:
         """Which equation this is, for labels."""
         return f"{order_label(1)}, averaged"
+
+
+class TransverseLinearised(eqx.Module):
+    """Order 1 near the residual rotation (w, 0, 0), (4.22)–(4.24), state (ω⊥, ω₃, φ).
+
+        ω⊥′ = 0,   ω₃′ = −(1+2δ)/(1−δ) w² ω₃,   φ′ = −δω₃ − w²φ
+
+    It has no verdict: it is about one end, and cannot say which starts come to it.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+        w: angular velocity w of the residual rotation, dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1), or w not finite.
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+    w: Real = eqx.field(converter=functools.partial(finite, "w"))
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        d, square = self.delta, self.w**2
+        _, w3, phi = y
+        axial = (1 + 2 * d) / (1 - d) * square * w3
+        return jnp.stack([jnp.zeros_like(w3), -axial, -d * w3 - square * phi])
+
+    lift, omega = to_cylindrical, to_cartesian
+
+    body = property(top)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return f"{order_label(1)}, linearised"
 
 
 def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:

@@ -1,0 +1,212 @@
+"""Axisymmetric top with a longitudinal dipole (section 3.1, appendix B of the paper).
+
+Dimensionless: I₁ = I₂ = 1, I₃ = ζ = 1 − δ, the dipole along axis 3, k d² = 1. There is no torque
+about axis 3, so ω₃ is constant at every level, and the balance of torques is
+
+    ω₁′ = ω₁″ + δω₂ω₃ − ω²ω₁ − 2ω₃ω₂′,   ω₂′ = ω₂″ − δω₁ω₃ − ω²ω₂ + 2ω₃ω₁′.
+
+Every physical motion ends in rotation about the dipole, ω → (0, 0, ω₃).
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._types import Outcome, Real, Stop, Vector, Verdict
+from ..bodies import Body, axisymmetric
+from ._base import check_order, order_label, shape_parameter, unchanged
+
+Whole = Float[Array, "5 *lanes"]
+SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
+
+
+def _top(self: Any) -> Body:
+    """The top that the equation moves, for energies and powers."""
+    return axisymmetric(self.delta, "longitudinal")
+
+
+def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
+    """ω′ from the balance of torques, with ω′ and ω″ on its right given."""
+    w1, w2, w3 = w
+    square = w1**2 + w2**2 + w3**2
+    return jnp.stack(
+        [
+            second[0] + delta * w2 * w3 - square * w1 - 2 * w3 * rate[1],
+            second[1] - delta * w1 * w3 - square * w2 + 2 * w3 * rate[0],
+            jnp.zeros_like(w3),
+        ]
+    )
+
+
+def _settles(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
+    """ω → (0, 0, ω₃), where that is certain."""
+    rotating = w[2] != 0
+    outcome = jnp.where(rotating, int(Outcome.RESIDUAL), int(Outcome.STOP))
+    return Verdict(
+        jnp.where(certain, outcome, int(Outcome.UNDECIDED)).astype("int32"),
+        jnp.where(certain, w[2], jnp.nan),
+        certain & proven,
+        jnp.where(certain & ~rotating, int(Stop.AXIS), int(Stop.NONE)).astype("int32"),
+    )
+
+
+class LongitudinalReduced(eqx.Module):
+    """Reduced equations (3.9)–(3.10): ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥, φ′ = −δω₃, ω₃ constant.
+
+    Order 1 is the paper's, in Cartesian components; `exact.longitudinal` is its solution. Order m
+    puts the rates of order m − 1 into the balance of torques.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+        order: 1 … 4.
+
+    Raises:
+        ValueError: δ outside [−1, 1), or an order that is not 1, 2, 3 or 4.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> rate = dt.LongitudinalReduced(delta=0.5)(0.0, jnp.array([0.2, 0.0, 0.4]))
+        >>> bool(jnp.allclose(rate, jnp.array([-0.016, -0.04, 0.0])))
+        True
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+    order: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        check_order(self.order)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dω/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        if self.order > 1:
+            lower = LongitudinalReduced(d, self.order - 1)
+            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
+            return _balance(d, y, rate, second)
+        w1, w2, w3 = y
+        drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
+        return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])
+
+    lift = omega = unchanged
+
+    def verdict(self, y: Vector) -> Verdict:
+        """Order 1: certain at once, proven. Orders 2–4: where |ω|² ≤ 0.1, not certified."""
+        square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
+        certain = jnp.isfinite(square) if self.order == 1 else square <= SMALL
+        return _settles(y, certain, self.order == 1)
+
+    body = property(_top)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return order_label(self.order)
+
+
+class LongitudinalSemi(eqx.Module):
+    """Semi-reduced equation: (1 − 2iω₃)w′ = −(ω² + δ²ω₃² + iδω₃)w of w = ω₁ + iω₂.
+
+    Only ω″ is replaced, by that of free precession.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """dω/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w1, w2, w3 = y
+        drag = w1**2 + w2**2 + (1 + d**2) * w3**2
+        r1, r2 = d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2
+        turn = 2 * w3
+        determinant = 1 + turn**2
+        p1, p2 = (r1 - turn * r2) / determinant, (r2 + turn * r1) / determinant
+        return jnp.stack([p1, p2, jnp.zeros_like(w3)])
+
+    lift = omega = unchanged
+
+    def verdict(self, y: Vector) -> Verdict:
+        """Certain at once, proven: ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
+        return _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
+
+    body = property(_top)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "semi-reduced"
+
+
+class LongitudinalFull(eqx.Module):
+    """Full equations (3.6)–(3.8): the balance of torques, state (ω₁, ω₂, ω₃, ω₁′, ω₂′).
+
+    From a start of shape (3,), `simulate` and `classify` follow the physical branch; what is off
+    it grows at the rate 1.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    def __call__(self, t: Any, y: Whole, args: Any = None) -> Whole:
+        """dy/dτ, shape (5,) or (5, B)."""
+        rate = self.omega_dot(y)
+        balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
+        return jnp.concatenate([rate, (rate - balance)[:2]])
+
+    def lift(self, omega0: Vector) -> Whole:
+        """Onto the physical branch as the reduction of order 3 has it."""
+        return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
+
+    def omega(self, y: Whole) -> Vector:
+        """The first three components."""
+        return y[:3]
+
+    def verdict(self, y: Whole) -> Verdict:
+        """On the physical branch certain at once: a bounded motion ends where |d₂|² is 0.
+
+        That is rotation about the dipole, by the balance of energy. Not certified: that the
+        branch goes on is not proven.
+        """
+        return _settles(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
+
+    def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
+        """The part of ω′ that is state, and runs away: (ω₁′, ω₂′)."""
+        return omega_dot[:2]
+
+    def omega_dot(self, y: Whole) -> Vector:
+        """ω′ of a state."""
+        return jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
+
+    def reduced(self, order: int) -> LongitudinalReduced:
+        """The reduced level of that order."""
+        return LongitudinalReduced(self.delta, order)
+
+    @property
+    def semi(self) -> LongitudinalSemi:
+        """The semi-reduced level."""
+        return LongitudinalSemi(self.delta)
+
+    @property
+    def runaway_rate(self) -> Real:
+        """At which what is off the physical branch grows, near rest."""
+        return jnp.ones_like(self.delta)
+
+    body = property(_top)
+
+    @property
+    def level(self) -> str:
+        """Which equation this is, for labels."""
+        return "full"

@@ -1,0 +1,352 @@
+"""Particles in SI or Gaussian units: the border to the dimensionless rest of the library.
+
+A rotation about an axis gives the unit of inertia I₁, the moment about that axis, and the unit of
+time τ₀ = k d²/I₁ with k = 1/(6πε₀c³). In these units |d| = 1, an angular velocity Ω is ω = τ₀Ω,
+and a time t is τ = t/τ₀.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.constants import c, e, epsilon_0
+
+from dipoletop._checks import finite, refuse, where_valid
+from dipoletop._linalg import dot, matvec
+from dipoletop.bodies import Body, box, rod, spheroid
+
+RADIATION = 1 / (6 * math.pi * epsilon_0 * c**3)
+"""k = 1/(6πε₀c³), in kg m² s/(C m)²: the strength of the radiation torque in SI units."""
+DEBYE = 1e-21 / c
+"""One debye, 1e-18 statC cm, in C m (c is its number in m/s)."""
+STATCOULOMB_CM = 1e18 * DEBYE
+"""The Gaussian unit of dipole moment, in C m."""
+
+
+class Particle(eqx.Module):
+    """A rigid body in SI units, for which τ₀ = k d²/I, k = 1/(6πε₀c³).
+
+    Its numbers need float64, because float32 ends near 1e-38. A batch is made by `jax.vmap`.
+
+    Args:
+        mass: Mass, kg.
+        inertia: Inertia tensor I in body axes, shape (3, 3), kg m².
+        dipole: Dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
+
+    Raises:
+        ValueError: If `mass` is not positive; as `Body` for `inertia` and `dipole`; if float64 is
+            off. Traced bad values become NaN instead.
+
+    Source: equation (2.2) and the conclusions.
+
+    Example:
+        >>> grain = Particle.sphere(50e-9, [2400 * DEBYE, 0, 0], mass=1e-18)
+        >>> f"{grain.tau0([0, 0, 1]):.3e}"  # seconds
+        '1.425e-35'
+        >>> body = grain.body([0, 0, 1])
+        >>> body.inertia.diagonal().tolist(), body.dipole.tolist()
+        ([1.0, 1.0, 1.0], [1.0, 0.0, 0.0])
+    """
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    dipole: Float[Array, "3"]
+
+    def __init__(self, mass: Any, inertia: Any, dipole: Any) -> None:
+        self.mass = _positive("mass", mass)
+        # a body's conditions have no scale, so they hold for SI numbers, too
+        body = Body(
+            finite("inertia", inertia, (3, 3), batch=False),
+            finite("dipole", dipole, (3,), batch=False),
+        )
+        self.inertia, self.dipole = body.inertia, body.dipole
+
+    @classmethod
+    def sphere(
+        cls, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous sphere, I = 2mR²/5.
+
+        Args:
+            radius: Radius R, m.
+            dipole: Dipole moment, shape (3,), C m.
+            mass: Mass m, kg; or else
+            density: density, kg/m³.
+
+        Raises:
+            ValueError: Unless `radius` and one of `mass` and `density` are given and positive; as
+                `Particle` for `dipole`.
+        """
+        radius = _positive("radius", radius)
+        mass = _mass(4 * math.pi / 3 * radius**3, mass, density)
+        return cls(mass, spheroid(mass, radius, radius, dipole=_UNUSED).inertia, dipole)
+
+    @classmethod
+    def cuboid(
+        cls, lengths: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous cuboid with its edges along the body axes.
+
+        Args:
+            lengths: Edges, shape (3,), m.
+            dipole: Dipole moment, shape (3,), C m.
+            mass: Mass, kg; or else
+            density: density, kg/m³.
+
+        Raises:
+            ValueError: Unless `lengths` and one of `mass` and `density` are given and positive; as
+                `Particle` for `dipole`.
+        """
+        lengths = _positive("lengths", lengths, (3,))
+        mass = _mass(jnp.prod(lengths), mass, density)
+        return cls(mass, box(mass, lengths, _UNUSED).inertia, dipole)
+
+    @classmethod
+    def rod(
+        cls, length: Any, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous cylinder about the third body axis.
+
+        Args:
+            length: Length, m.
+            radius: Radius, m.
+            dipole: Dipole moment, shape (3,), C m.
+            mass: Mass, kg; or else
+            density: density, kg/m³.
+
+        Raises:
+            ValueError: Unless `length`, `radius` and one of `mass` and `density` are given and
+                positive; as `Particle` for `dipole`.
+        """
+        length, radius = _positive("length", length), _positive("radius", radius)
+        mass = _mass(math.pi * radius**2 * length, mass, density)
+        return cls(mass, rod(mass, length, radius, dipole=_UNUSED).inertia, dipole)
+
+    @classmethod
+    def gaussian(cls, mass: Any, inertia: Any, dipole: Any) -> "Particle":
+        """A particle whose numbers are in Gaussian units.
+
+        Args:
+            mass: Mass, g.
+            inertia: Inertia tensor, shape (3, 3), g cm².
+            dipole: Dipole moment, shape (3,), statC cm (1 debye is 1e-18 statC cm).
+
+        Raises:
+            ValueError: As `Particle`; the sentence tells the Gaussian numbers.
+        """
+        given = cls(mass, inertia, dipole)
+        return cls(1e-3 * given.mass, 1e-7 * given.inertia, STATCOULOMB_CM * given.dipole)
+
+    def moment(self, axis: Any) -> Float[Array, ""]:
+        """I = n·In, the moment of inertia about the direction n of `axis`.
+
+        Args:
+            axis: Axis of rotation in body axes, shape (3,), of any length but 0.
+
+        Returns:
+            The moment, kg m².
+
+        Raises:
+            ValueError: If `axis` is zero or has a wrong shape.
+        """
+        axis = finite("axis", axis, (3,), batch=False)
+        axis = where_valid("axis", axis, jnp.any(axis != 0), "not be zero")
+        n = axis / jnp.linalg.norm(axis)
+        return dot(n, matvec(self.inertia, n))
+
+    def tau0(self, axis: Any) -> Float[Array, ""]:
+        """τ₀ = k d²/I, with I the moment about `axis`: the unit of time.
+
+        Args:
+            axis: Axis of rotation, shape (3,). A top wants an axis across its symmetry axis, so
+                that I is its transverse moment; a plane rotator the axis it turns about.
+
+        Returns:
+            τ₀, s.
+
+        Source: equation (2.2).
+        """
+        return RADIATION * dot(self.dipole, self.dipole) / self.moment(axis)
+
+    def body(self, axis: Any) -> Body:
+        """The dimensionless body: I in units of its moment about `axis`, and |d| = 1.
+
+        Args:
+            axis: As for `tau0`, which is then the unit of time.
+
+        Returns:
+            The body.
+        """
+        return Body(self.inertia / self.moment(axis), self.dipole / jnp.linalg.norm(self.dipole))
+
+    def omega(self, angular_velocity: Any, axis: Any) -> Float[Array, "*batch 3"]:
+        """ω = τ₀Ω, the dimensionless angular velocity.
+
+        Args:
+            angular_velocity: Ω in body axes, shape (3,) or (B, 3), rad/s.
+            axis: As for `tau0`.
+
+        Returns:
+            ω, of the same shape.
+        """
+        return self.tau0(axis) * finite("angular_velocity", angular_velocity, (3,))
+
+    def angular_velocity(self, omega: Any, axis: Any) -> Float[Array, "*batch 3"]:
+        """Ω = ω/τ₀, the angular velocity in rad/s.
+
+        Args:
+            omega: Dimensionless ω in body axes, shape (3,) or (B, 3).
+            axis: As for `tau0`.
+
+        Returns:
+            Ω, of the same shape, rad/s.
+        """
+        return finite("omega", omega, (3,)) / self.tau0(axis)
+
+    def seconds(self, tau: Any, axis: Any) -> Float[Array, "*batch"]:
+        """The time t = τ₀τ in seconds.
+
+        Args:
+            tau: Dimensionless time τ, shape () or (B,).
+            axis: As for `tau0`.
+
+        Returns:
+            t, of the same shape, s.
+        """
+        return self.tau0(axis) * finite("tau", tau)
+
+    def braking_time(self, speed: Any, axis: Any) -> Float[Array, "*batch"]:
+        """T = 1/(τ₀Ω₀²), after which a rotator has slowed down from Ω₀ to Ω₀/√3.
+
+        Args:
+            speed: Angular speed Ω₀ > 0, shape () or (B,), rad/s.
+            axis: Axis of rotation, shape (3,), across the dipole.
+
+        Returns:
+            T, of the same shape, s.
+
+        Raises:
+            ValueError: If `speed` is not positive; as `moment` for `axis`.
+
+        Source: equation (2.4).
+        """
+        speed = finite("speed", speed)
+        speed = where_valid("speed", speed, speed > 0, "be positive")
+        return 1 / (self.tau0(axis) * speed**2)
+
+
+class Rotator(NamedTuple):
+    """A particle that turns about an axis."""
+
+    name: str
+    particle: Particle
+    axis: tuple[float, float, float]
+    """In body axes, across the dipole."""
+
+
+class Row(NamedTuple):
+    """What `particle_table` says of a rotator."""
+
+    name: str
+    mass: float
+    """kg."""
+    moment: float
+    """About the axis of rotation, kg m²."""
+    debye: float
+    """Dipole moment |d|, debye."""
+    tau0: float
+    """τ₀, s."""
+    braking_time: float
+    """T = 1/(τ₀Ω₀²), s."""
+
+
+def paper_particles() -> tuple[Rotator, ...]:
+    """The particles of the paper's conclusions, each with its axis of rotation.
+
+    The dipole lies along the first body axis. The masses of CdSe and CdS, 3.80e-22 kg and
+    3.15e-22 kg, come from the densities 5.81 g/cm³ and 4.82 g/cm³ of the crystals.
+
+    Returns:
+        Six rotators: a silica sphere of radius 50 nm and mass 1 fg with the dipole of one charge
+        e at its surface; a cuboid of DAST about a long and about its short edge; a fibre of
+        cellulose; spheres of CdSe and CdS, 5 nm wide.
+
+    Raises:
+        ValueError: If float64 is off.
+
+    Source: conclusions.
+
+    Example:
+        >>> [rotator.name for rotator in paper_particles()][3:]
+        ['cellulose fibre', 'CdSe sphere', 'CdS sphere']
+    """
+    nm, x, y, z = 1e-9, np.array([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    silica = Particle.sphere(50 * nm, 50 * nm * e * x, mass=1e-18)
+    dast = Particle.cuboid(nm * np.array([100, 100, 50]), 2.8e7 * DEBYE * x, density=1280)
+    cellulose = Particle.cuboid(nm * np.array([300, 30, 30]), 4000 * DEBYE * x, density=1600)
+    cdse = Particle.sphere(2.5 * nm, 100 * DEBYE * x, density=5810)
+    cds = Particle.sphere(2.5 * nm, 100 * DEBYE * x, density=4820)
+    return (
+        Rotator("silica sphere", silica, z),
+        Rotator("DAST about the long axis", dast, y),
+        Rotator("DAST about the short axis", dast, z),
+        Rotator("cellulose fibre", cellulose, z),
+        Rotator("CdSe sphere", cdse, z),
+        Rotator("CdS sphere", cds, z),
+    )
+
+
+def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> list[Row]:
+    """τ₀ = k d²/I and T = 1/(τ₀Ω₀²) of each rotator, as plain numbers.
+
+    Args:
+        rotators: Such as `paper_particles()`.
+        speed: Ω₀, rad/s; by default 2π·10⁹/s.
+
+    Returns:
+        One row a rotator.
+
+    Raises:
+        ValueError: If `speed` is not positive.
+
+    Example:
+        >>> row = particle_table(paper_particles())[0]
+        >>> f"{row.debye:.1f} D, {row.tau0:.3e} s, {row.braking_time:.3e} s"
+        '2401.6 D, 1.427e-35 s, 1.775e+15 s'
+    """
+    return [
+        Row(
+            name,
+            mass=float(particle.mass),
+            moment=float(particle.moment(axis)),
+            debye=float(jnp.linalg.norm(particle.dipole)) / DEBYE,
+            tau0=float(particle.tau0(axis)),
+            braking_time=float(particle.braking_time(speed, axis)),
+        )
+        for name, particle, axis in rotators
+    ]
+
+
+_UNUSED = (1.0, 0.0, 0.0)
+"""A dipole for a body of which only the inertia is wanted."""
+
+
+def _positive(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+    """A positive number in SI units, or an array of them."""
+    array = finite(name, value, shape, batch=False)
+    if array.dtype != jnp.float64:
+        hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
+        refuse(name, "be float64", f"is {array.dtype}, which ends near 1e-38 ({hint})")
+    return where_valid(name, array, array > 0, "be positive")
+
+
+def _mass(volume: Float[Array, ""], mass: Any, density: Any) -> Float[Array, ""]:
+    """The mass, given or from the density, kg."""
+    if (mass is None) == (density is None):
+        was = "neither is" if mass is None else "both are"
+        refuse("mass", "be given or else `density`", was)
+    return volume * _positive("density", density) if mass is None else _positive("mass", mass)

@@ -1,0 +1,362 @@
+"""Small amplitudes of the transverse top: a planar system, its saddle, boundary and wobbling.
+
+With z = ω₃/u, u = ω⊥² and dσ = u dτ every level of the equation of motion tends, as u → 0, to
+
+    φ_σ = −δz − ½ sin 2φ        z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ)
+
+with c = 0 at order 1 and c = 1 at the levels that are consistent there: orders 2–4, the
+semi-reduced and the full equation ("corrected"). The first equation is the limit of (4.11).
+Symmetries: φ → φ + π, and (φ, z) → (−φ, −z). So the fate of a slow top is that of a point in a
+plane, the same at every small amplitude. Where dz/dφ = z_σ/φ_σ is regular, curves are followed
+as graphs over φ; round (π/2, 0) as graphs over the polar angle.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._checks import finite, refuse
+from ._types import Real
+from .equations._base import order_label, shape_parameter
+from .equations._regions import WOBBLING_FROM
+
+Point = Float[Array, "2 *#lanes"]
+"""A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
+
+PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
+ROUNDS = 8  # of Newton's method for the cycle, whose z lies within 3 % of the start for every δ
+HALVINGS = 52  # for its largest swing
+
+
+class Planar(eqx.Module):
+    """Small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − (2+δ)/(1−δ) cos²φ} − ….
+
+    The part left out, sin 2φ/(1−δ), is there only at the consistent levels. σ = ∫ω⊥²dτ.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+        corrected: whether it is the limit of orders 2–4, semi-reduced and full; else of order 1.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+
+    Example:
+        At order 1 a top that turns across its symmetry axis goes on so; in truth ω₃ sets in:
+
+        >>> import jax.numpy as jnp
+        >>> from dipoletop.planar import Planar
+        >>> across = jnp.array([jnp.pi / 4, 0.0])
+        >>> Planar(-0.25, corrected=False)(0.0, across).round(6)
+        Array([-0.5,  0. ], dtype=float64)
+        >>> Planar(-0.25)(0.0, across).round(6)
+        Array([-0.5, -0.8], dtype=float64)
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+    corrected: bool = eqx.field(static=True, default=True)
+
+    def __call__(self, t: Any, y: Point, args: Any = None) -> Point:
+        """d(φ, z)/dσ, shape (2,) or (2, B)."""
+        d = self.delta
+        phi, z = y
+        sine = jnp.sin(2 * phi)
+        growth = z * (1 - (2 + d) / (1 - d) * jnp.cos(phi) ** 2)
+        kick = sine / (1 - d) if self.corrected else jnp.zeros_like(sine)
+        return jnp.stack([-d * z - sine / 2, growth - kick])
+
+    @property
+    def level(self) -> str:
+        """Which limit this is, for labels."""
+        return f"small amplitude, {'corrected' if self.corrected else order_label(1)}"
+
+
+class Saddle(NamedTuple):
+    """The saddle of a planar system; NaN where there is none."""
+
+    phi: Real
+    """φ* in (0, π/2), radians."""
+    z: Real
+    """z*, of the sign of −δ."""
+    unstable: Real
+    """The positive eigenvalue, per unit of σ."""
+    stable: Real
+    """The negative eigenvalue."""
+    unstable_slope: Real
+    """dz/dφ along the unstable direction."""
+    stable_slope: Real
+    """dz/dφ along the stable direction."""
+
+
+@eqx.filter_jit
+def saddle(system: Planar) -> Saddle:
+    """The saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
+
+    Others follow from it by φ → φ + π and (φ, z) → (−φ, −z).
+
+    Args:
+        system: the planar system; its δ may have any shape.
+
+    Returns:
+        A `Saddle` whose fields have the shape of δ. NaN at δ = 0, at δ = −1, and for δ ≤ −1/2 at
+        order 1.
+
+    Example:
+        >>> from dipoletop.planar import Planar, saddle
+        >>> at = saddle(Planar(-0.2, corrected=False))
+        >>> f"{at.phi:.9f} {at.z:.9f} {at.unstable:.6f} {at.stable:.1f}"
+        '0.615479709 2.357022604 0.666667 -1.0'
+    """
+    d = system.delta
+    exists = (d != 0) & (d > (-1.0 if system.corrected else -0.5))
+    d = jnp.where(exists, d, 0.5)
+    if system.corrected:
+        square = (1 + d) / (2 + d)
+        unstable, stable = 2 / (2 + d), -(1 + d) / (1 - d)
+    else:
+        square = (1 - d) / (2 + d)
+        unstable, stable = 2 * (1 + 2 * d) / (2 + d), -jnp.ones_like(d)
+    cos, sin = jnp.sqrt(square), jnp.sqrt(1 - square)
+    cosine = 2 * square - 1  # cos 2φ*
+    found = (
+        jnp.arctan2(sin, cos),
+        -sin * cos / d,
+        unstable,
+        stable,
+        -(unstable + cosine) / d,
+        -(stable + cosine) / d,
+    )
+    return Saddle(*(jnp.where(exists, x, jnp.nan) for x in found))
+
+
+def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
+    """z_s(φ), the universal basin boundary: φ_σ z_s′ = z_σ along the saddle's stable manifold.
+
+    A slow top that starts at φ with ω₃ > z_s ω⊥² stops, rotating; from just below z_s it comes to
+    a residual rotation. Further below, only a narrow tongue between the fold (see below) and
+    φ = π/2 leads to a stop.
+    For ω₃ < 0 it is −z_s(−φ). In three dimensions the boundary lies O(ω⊥²) from it.
+
+    Each saddle's manifold comes to it from smaller φ, as a graph that begins at a fold, where its
+    slope is infinite. From there down to the saddle before, the highest curve is the other half
+    of that saddle's manifold; so z_s, their upper edge, jumps at the fold, and has period π.
+    May be jitted, vmapped, and differentiated forwards (`jax.jacfwd`).
+
+    Args:
+        system: the planar system, with a single δ.
+        phi: φ, shape () or (n,), radians.
+
+    Returns:
+        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and below
+        δ_c1 = −0.8598… (`critical_delta`) it parts the two senses of rotation only, residual
+        rotation keeps the inside of a cycle, and z_s is NaN between φ = π/2 and the fold.
+
+    Raises:
+        ValueError: bad arguments.
+
+    Example:
+        >>> from dipoletop.planar import Planar, boundary
+        >>> f"{boundary(Planar(-0.2, corrected=False), 0.0):.10f}"
+        '4.2553355749'
+        >>> import jax
+        >>> f"{jax.jacfwd(lambda d: boundary(Planar(d, corrected=False), 0.0))(-0.2):.6f}"
+        '32.685861'
+    """
+    if system.delta.ndim:
+        refuse("system", "have a single delta", f"has deltas of shape {system.delta.shape}")
+    angles = finite("phi", phi)
+    stable, sides = jnp.array([True, True]), jnp.array([-1.0, 1.0])
+    left, right = _branches(system, stable, sides, jnp.stack([angles.ravel()] * 2))
+    z = jnp.where(jnp.isfinite(left), left, right).reshape(angles.shape)
+    return jnp.where(system.delta < 0, z, jnp.nan)
+
+
+@eqx.filter_jit
+def _branches(
+    system: Planar, stable: Bool[Array, "b"], side: Float[Array, "b"], phi: Float[Array, "b n"]
+) -> Float[Array, "b n"]:
+    """Several branches at once, each at several angles."""
+    at_angles = jax.vmap(_branch, in_axes=(None, None, None, 0))
+    return jax.vmap(at_angles, in_axes=(None, 0, 0, 0))(system, stable, side, phi)
+
+
+def _branch(system: Planar, stable: Any, side: Any, phi: Array) -> Array:
+    """Where one half of a manifold of the saddle first reaches φ (modulo π): z.
+
+    Followed away from the saddle, along which what is off the manifold decays: backwards in σ if
+    it is stable, forwards if not. NaN if there is a fold before φ.
+    """
+    at = saddle(system)
+    slope = jnp.where(stable, at.stable_slope, at.unstable_slope)
+    heading = jnp.where(stable, -side, side)  # the sign of φ_σ
+    near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # so near, the curvature is below rounding
+
+    def rate(e: Array, z: Array, args: Any) -> Array:
+        change, lift = system(e, jnp.stack([at.phi + side * e, z]))
+        graph = heading * change > 0
+        return jnp.where(graph, side * lift / jnp.where(graph, change, 1.0), jnp.nan)
+
+    distance = jnp.mod(side * (phi - at.phi), jnp.pi)
+    start = at.z + side * slope * near
+    found = _solve(rate, (near, jnp.maximum(distance, near)), near, start)
+    z = jnp.where(distance > near, found.ys[-1], at.z + side * slope * distance)
+    return jnp.where(diffrax.is_successful(found.result), z, jnp.nan)
+
+
+def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
+    """A curve as precise as its floating-point type allows, from a first step on."""
+    eps = float(jnp.finfo(y0.dtype).eps)
+    controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(rate),
+        diffrax.Dopri8(),
+        *span,
+        step,
+        y0,
+        saveat=diffrax.SaveAt(t1=True, dense=dense),
+        stepsize_controller=controller,
+        max_steps=4096,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+
+
+class Wobble(NamedTuple):
+    """The wobbling limit cycle round (π/2, 0); NaN where there is none."""
+
+    z: Real
+    """|z| where it crosses φ = π/2."""
+    swing: Real
+    """The largest |φ − π/2|, radians."""
+    period: Real
+    """In units of σ."""
+    multiplier: Real
+    """Floquet multiplier of a whole period; below 1: stable."""
+    boundary: Real
+    """z_W: at φ = π/2 a top with smaller |z| is caught, one with larger |z| turns on."""
+
+
+def wobble(delta: Any) -> Wobble:
+    """The cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, in which a needle wobbles to its stop.
+
+    Half a turn maps (π/2, z) to (π/2, −P(z)); the cycle is P(z) = z, by Newton's method, with
+    P′ = (z/P) exp ∫div dσ. The basin's edge z_W is the crossing of the saddle's stable manifold.
+    May be jitted and vmapped.
+
+    Args:
+        delta: shape δ, dimensionless, a number.
+
+    Returns:
+        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`. As δ → 1, z → 4/√3, the
+        swing √(8(1−δ)/3), the period 2π√((1−δ)/2).
+
+    Raises:
+        ValueError: δ outside [−1, 1), or not a single number.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from dipoletop.planar import wobble
+        >>> jax.vmap(wobble)(jnp.array([0.75, 0.8, 0.9])).boundary.round(4)
+        Array([   nan, 3.0625, 6.7202], dtype=float64)
+    """
+    system = Planar(delta)
+    if system.delta.ndim:
+        refuse("delta", "be a single number", f"has shape {system.delta.shape}")
+    edge, _ = _crossings(system, True, True)  # twice, for the program of `critical_delta`
+    return _wobble(system.delta, edge)
+
+
+@eqx.filter_jit
+def _wobble(delta: Float[Array, ""], edge: Float[Array, ""]) -> Wobble:
+    exists = delta > WOBBLING_FROM
+    system = Planar(jnp.where(exists, delta, 0.9))  # any value at which there is a cycle
+
+    def newton(_: Any, found: tuple[Array, ...]) -> tuple[Array, ...]:
+        z = found[0]
+        after, time, spread, swing = _half_turn(system, z)
+        nearer = z + (after - z) / (1 - z / after * jnp.exp(spread))
+        return nearer, swing, 2 * time, jnp.exp(2 * spread)
+
+    unknown = jnp.full_like(delta, jnp.nan)
+    start = jnp.full_like(delta, 4 / 3**0.5)  # the limit δ → 1
+    found = jax.lax.fori_loop(0, ROUNDS, newton, (start, unknown, unknown, unknown))
+    return Wobble(*(jnp.where(exists, x, jnp.nan) for x in (*found, edge)))
+
+
+def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:
+    """From (π/2, z) once to the other side: the |z| there, σ, ∫div dσ, and the largest swing.
+
+    Over the angle θ in the plane where orbits near the focus are circles: there θ_σ > 0 up to the
+    saddles and their manifolds.
+    """
+    d = system.delta
+    scale = jnp.sqrt(d * (1 - d) / 2)
+
+    def place(theta: Array, y: Array) -> Point:
+        r = jnp.exp(y[0])
+        return jnp.stack([jnp.pi / 2 + r * jnp.cos(theta), r * jnp.sin(theta) / scale])
+
+    def rate(theta: Array, y: Array, args: Any) -> Array:
+        cos, sin = jnp.cos(theta), jnp.sin(theta)
+        across, along = system(theta, place(theta, y)) * jnp.exp(-y[0])
+        divergence = jnp.trace(jax.jacfwd(lambda x: system(theta, x))(place(theta, y)))
+        turning = cos * scale * along - sin * across  # θ_σ
+        forward = turning > 0
+        change = jnp.stack([cos * across + sin * scale * along, jnp.ones_like(d), divergence])
+        return jnp.where(forward, change / jnp.where(forward, turning, 1.0), jnp.nan)
+
+    ends = jnp.pi / 2, 3 * jnp.pi / 2
+    start = jnp.stack([jnp.log(z * scale), jnp.zeros_like(z), jnp.zeros_like(z)])
+    found = _solve(rate, ends, 0.01, start, dense=True)
+    r, time, spread = found.ys[-1]
+
+    def halve(_: Any, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = (low + high) / 2
+        back = system(middle, place(middle, found.evaluate(middle)))[0] > 0
+        return jnp.where(back, low, middle), jnp.where(back, middle, high)
+
+    bracket = tuple(jnp.asarray(end, z.dtype) for end in ends)
+    theta, _ = jax.lax.fori_loop(0, HALVINGS, halve, bracket)  # where φ_σ changes its sign
+    swing = jnp.pi / 2 - place(theta, found.evaluate(theta))[0]
+    return jnp.exp(r) / scale, time, spread, swing
+
+
+def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
+    """Z where stable or unstable manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0)."""
+    prolate, each = system.delta > 0, jnp.ones(len(stable))
+    sides = jnp.where(prolate, 1.0, -1.0) * each
+    section = jnp.where(prolate, jnp.pi / 2, 0.0) * each
+    return _branches(system, jnp.array(stable), sides, section[:, None])[:, 0]
+
+
+def critical_delta(*, prolate: bool = True) -> float:
+    """δ_c2 = 0.7532… or δ_c1 = −0.8598…, where z_s + z_u = 0: a cycle is born from two saddles.
+
+    There the unstable manifold of the saddle meets the stable one of its mirror image. Above δ_c2
+    a stable cycle round (π/2, 0) is the wobbling stop. Below δ_c1 an unstable cycle round (0, 0)
+    is the boundary of residual rotation. Both are of the corrected system only. A host function.
+
+    Args:
+        prolate: whether it is δ_c2, else δ_c1.
+
+    Returns:
+        The critical δ, dimensionless.
+
+    Example:
+        >>> from dipoletop.planar import critical_delta
+        >>> f"{critical_delta():.11f} {critical_delta(prolate=False):.5f}"
+        '0.75323579939 -0.85980'
+    """
+    from scipy.optimize import brentq
+
+    bracket = (0.7, 0.8) if prolate else (-0.9, -0.8)
+
+    def gap(delta: float) -> Array:  # by symmetry: stable manifold from the unstable one
+        return jnp.sum(_crossings(Planar(delta), True, False))
+
+    root: Any = brentq(gap, *bracket, xtol=1e-14)
+    return float(root)

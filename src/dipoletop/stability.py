@@ -1,0 +1,302 @@
+"""Which rotations last, and how the motions beside them decay: equilibria and their spectra.
+
+In the frame (n, a, b) of the dipole n = d/|d| the equations of every level, linear at ω = w n, are
+
+    w′ = 0,    x′ = S x,    x = (a·ω, b·ω),
+
+if n is a principal axis. A full equation has c = x′ as a state of its own, c′ = Cx + Dc. There S is
+the solvent of S² = DS + C with the small eigenvalues, and D − S has those of the runaways.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from ._checks import finite, refuse, where_valid
+from ._linalg import dot, scale
+from .equations._general import SAME, seen_from_dipole
+from .equations.transverse import TransverseAveraged
+from .manifold import is_full
+
+SWEEPS = 128  # of S = −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
+
+Two = Float[Array, "2 2"]
+Pair = Float[Array, "2"]
+
+
+class Equilibria(NamedTuple):
+    """Where an equation stays for ever: rest, and perhaps a line {w n} along the dipole."""
+
+    direction: Float[Array, "*batch 3"]
+    """n, a unit vector; NaN where only rest is fixed."""
+
+    def state(self, w: Any) -> Float[Array, "3"]:
+        """The angular velocity w n: rest at w = 0, else NaN where only rest is fixed."""
+        w = finite("w", w, batch=False)
+        return jnp.where(w == 0, 0.0, scale(w, self.direction))
+
+
+class Spectrum(NamedTuple):
+    """Eigenvalues of an equation at an equilibrium, in units of 1/τ₀.
+
+    From `jax.vmap` every field and property has the batch axis in front.
+    """
+
+    slow: Complex[Array, "*batch 3"]
+    """Those of physical motions: 0 along the dipole, then two with falling real part."""
+    fast: Complex[Array, "*batch runaways"]
+    """Those of the runaways: two for a full equation, else none."""
+    across: Float[Array, "*batch 2 2"]
+    """S, the linear part of physical motions across the dipole, in principal axes."""
+
+    @property
+    def eigenvalues(self) -> Complex[Array, "*batch n"]:
+        """All of them, the slow ones first."""
+        return jnp.concatenate([self.slow, self.fast], axis=-1)
+
+    @property
+    def growth(self) -> Float[Array, "*batch"]:
+        """Largest real part of the slow ones, without the 0 along the dipole."""
+        return jnp.real(self.slow[..., 1])
+
+    @property
+    def stable(self) -> Bool[Array, "*batch"]:
+        """Whether what lies beside the equilibrium decays to first order: never at rest."""
+        return self.growth < 0
+
+    @property
+    def return_time(self) -> Float[Array, "*batch"]:
+        """−1/growth, in units of τ₀; infinite where nothing returns."""
+        returns = ~(self.growth >= 0)  # NaN stays NaN
+        return jnp.where(returns, -1 / jnp.where(returns, self.growth, -1.0), jnp.inf)
+
+    @property
+    def reactivity(self) -> Float[Array, "*batch"]:
+        """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, above `growth` as a rule."""
+        s = self.across
+        mean, half = (s[..., 0, 0] + s[..., 1, 1]) / 2, (s[..., 0, 0] - s[..., 1, 1]) / 2
+        return mean + _root(half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2)
+
+
+def equilibria(equation: Any) -> Equilibria:
+    """Rest, and the line ω = w n along the dipole iff n × In = 0, n being a principal axis.
+
+    Args:
+        equation: any equation with a `body`.
+
+    Returns:
+        The direction n, shape (3,). The same rounding as in `verdict` is allowed for:
+        |n × In| ≤ 4096 eps tr I, which is 9e-13 tr I in float64.
+
+    Raises:
+        ValueError: an equation without a body, or without rotation along the dipole: that of the
+            plane rotator, and the averaged one, whose motions all stop.
+
+    Source: section 4, for a transverse dipole; for any body N = n × In = 0 in (3.3).
+
+    Example:
+        >>> from dipoletop import Body, Full
+        >>> from dipoletop.stability import equilibria
+        >>> equilibria(Full(Body([[2, 0, 0], [0, 3, 0], [0, 0, 4]], [0, 5, 0]))).direction.tolist()
+        [0.0, 1.0, 0.0]
+        >>> equilibria(Full(Body([[2, 0, 0], [0, 3, 0], [0, 0, 4]], [3, 4, 0]))).direction.tolist()
+        [nan, nan, nan]
+    """
+    return Equilibria(_direction(equation))
+
+
+def spectrum(equation: Any, state: Any) -> Spectrum:
+    """Eigenvalues at an equilibrium: λ = 0 along the dipole, the two of S, runaways of D − S.
+
+    The linear part is that of the equation itself, by automatic differentiation. Slow and fast
+    are taken apart before eigenvalues are, so that each is right to rounding (below 1e-12, real
+    and imaginary parts by themselves) however small w is, if the principal axes are the body
+    axes. In other axes rounding moves the elements of S by about eps |w|: relative to Re λ ~ w²
+    this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis
+    (nothing is left of it below |w| = 1e-8).
+
+    Args:
+        equation: any level, of any body whose dipole is along a principal axis (else, only rest).
+        state: the angular velocity ω, shape (3,): 0 or along the dipole, dimensionless.
+
+    Returns:
+        The spectrum. NaN at rest in cylindrical variables, which are singular there, and where
+        slow and fast are too close to be told apart (ω far above 1).
+
+    Raises:
+        ValueError: as `equilibria`, or a state that is not an equilibrium. A traced one gives NaN.
+
+    Source: (4.22)–(4.24) at order 1.
+
+    Example:
+        At order 1 they are 0, −w² and −(1+2δ)/(1−δ) w².
+
+        >>> import jax.numpy as jnp
+        >>> from dipoletop import TransverseReduced
+        >>> from dipoletop.stability import spectrum
+        >>> found = spectrum(TransverseReduced(delta=-0.2), jnp.array([0.1, 0, 0]))
+        >>> [f"{x:.6f}" for x in found.eigenvalues.real.tolist()]
+        ['0.000000', '-0.005000', '-0.010000']
+        >>> bool(found.stable)
+        True
+    """
+    state = finite("state", state, (3,), batch=False)
+    found, fixed = _spectrum(equation, state)
+    where_valid("state", state, fixed, "be 0, or along a dipole that is on a principal axis")
+    return found
+
+
+def threshold(family: Callable[[float], Any], w: float, lower: float, upper: float) -> float:
+    """The δ between `lower` and `upper` at which growth(δ) = 0 on the line ω = w n, by Brent.
+
+    It is driven from the host and compiles once, if the equations differ only in their numbers.
+
+    Args:
+        family: the equation of a parameter, δ or any other.
+        w: the angular velocity along the dipole, dimensionless.
+        lower: one end of the bracket.
+        upper: the other end.
+
+    Returns:
+        δ to 1e-15 or rounding; NaN if the line is stable at both ends or at none.
+
+    Raises:
+        ValueError: as `spectrum`.
+
+    Example:
+        At order 1 this is δ = −1/2. At the consistent levels there is none (orders
+        from 2 on: while |w| is well below 1 − δ).
+
+        >>> from dipoletop import TransverseReduced, TransverseSemi
+        >>> from dipoletop.stability import threshold
+        >>> print(f"{threshold(TransverseReduced, 0.1, -0.9, 0.5):.9f}")
+        -0.500000000
+        >>> threshold(TransverseSemi, 0.1, -0.9, 0.5)
+        nan
+    """
+    from scipy.optimize import root_scalar
+
+    def growth(parameter: float) -> float:
+        equation = family(parameter)
+        return float(spectrum(equation, equilibria(equation).state(w)).growth)
+
+    ends = growth(lower), growth(upper)
+    if not np.all(np.isfinite(ends)) or (ends[0] < 0) == (ends[1] < 0):
+        return float("nan")
+    return root_scalar(growth, bracket=(lower, upper), method="brentq", xtol=1e-15).root
+
+
+def _body(equation: Any) -> Any:
+    """The body of an equation that can stay on the line along its dipole."""
+    if not hasattr(equation, "body"):
+        refuse("equation", "have a body", f"{type(equation).__name__} has none")
+    spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
+    if isinstance(equation, TransverseAveraged) or not spatial:
+        kind = type(equation).__name__
+        refuse("equation", "keep rotation along the dipole among its motions", f"is {kind}")
+    return equation.body
+
+
+@eqx.filter_jit
+def _direction(equation: Any) -> Float[Array, "3"]:
+    frame = seen_from_dipole(_body(equation), jnp.eye(3))
+    return jnp.where(frame.principal, frame.w, jnp.nan)
+
+
+@eqx.filter_jit
+def _spectrum(equation: Any, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
+    """The spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
+    # The components of the unit vectors are those of n, a and b.
+    frame = seen_from_dipole(_body(equation), jnp.column_stack([jnp.eye(3), omega]))
+    table = jnp.stack([frame.w, frame.xa, frame.xb])
+    axes, w, off = table[:, :3], table[0, 3], table[1:, 3]
+    fixed = jnp.all(omega == 0) | (frame.principal & jnp.all(_negligible(off, w)))
+    w = jnp.where(fixed, w, jnp.nan)
+    zero = jax.lax.complex(w - w, w - w)
+    if is_full(equation):
+        slow, runaway = _slow_and_fast(*_balance(equation, axes, w))
+        fast = _eigenvalues(runaway)
+    else:
+        slow, fast = _slow(equation, axes, w), jnp.zeros((0,), zero.dtype)
+    return Spectrum(jnp.append(zero, _eigenvalues(slow)), fast, slow), fixed
+
+
+def _negligible(x: Float[Array, "*any"], size: Float[Array, ""]) -> Bool[Array, "*any"]:
+    """Whether x is no more than rounding of numbers of that size."""
+    return jnp.abs(x) <= SAME * float(jnp.finfo(x.dtype).eps) * jnp.abs(size)
+
+
+def _spread(axes: Float[Array, "3 3"], x: Pair) -> Float[Array, "3"]:
+    """The vector across the dipole with components x."""
+    return scale(x[0], axes[1]) + scale(x[1], axes[2])
+
+
+def _components(axes: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Pair:
+    """Its components across the dipole."""
+    return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
+
+
+def _slow(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> Two:
+    """S of an equation without runaways, whatever its variables."""
+
+    def rate(x: Pair) -> Pair:
+        y = equation.lift(scale(w, axes[0]) + _spread(axes, x))
+        return _components(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
+
+    return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
+
+
+def _balance(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> tuple[Two, Two]:
+    """C and D of a full equation, x″ = Cx + Dx′: its state is (ω, fast part of ω′)."""
+    one, two = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, as a and b are
+
+    def second(x: Pair, c: Pair) -> Pair:
+        omega = scale(w, axes[0]) + _spread(axes, x)
+        runaway = equation(0.0, jnp.concatenate([omega, c[0] * one + c[1] * two]))[3:]
+        return jnp.stack([jnp.sum(one * runaway), jnp.sum(two * runaway)])
+
+    zero = jnp.zeros(2, w.dtype)
+    return jax.jacfwd(second, argnums=(0, 1))(zero, zero)
+
+
+def _slow_and_fast(c: Two, d: Two) -> tuple[Two, Two]:
+    """S with S² = DS + C and small eigenvalues, and D − S; NaN where they are not told apart.
+
+    λ² − λD − C = (λ − (D − S))(λ − S). Each sweep of S = −(D − S)⁻¹C damps the error by the ratio
+    of slow to fast. No element is a small difference of large ones, so that their different
+    powers of w are all right to rounding.
+    """
+
+    def sweep(_: Any, s: Two) -> Two:
+        (p, q), (r, t) = d - s
+        adjugate = jnp.stack([jnp.stack([t, -q]), jnp.stack([-r, p])])
+        return jnp.matmul(adjugate, c, precision="highest") / (q * r - p * t)
+
+    before = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros_like(c))
+    s = sweep(None, before)
+    settled = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
+    s = jnp.where(settled, s, jnp.nan)
+    return s, d - s
+
+
+def _eigenvalues(m: Two) -> Complex[Array, "2"]:
+    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); of two real ones the smaller as det/larger."""
+    (a, b), (c, d) = m
+    mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
+    root, turns = _root(jnp.abs(square)), square < 0
+    large = jnp.where(mean < 0, mean - root, mean + root)
+    small = (a * d - b * c) / jnp.where(large == 0, 1.0, large)
+    falling = jnp.where(mean < 0, jnp.stack([small, large]), jnp.stack([large, small]))
+    real = jnp.where(turns, jnp.stack([mean, mean]), falling)
+    return jax.lax.complex(real, jnp.where(turns, jnp.stack([root, -root]), 0.0))
+
+
+def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Square root with derivative 0 at 0."""
+    some = square > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), jnp.where(some, 0.0, square))

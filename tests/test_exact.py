@@ -1,0 +1,229 @@
+"""Exact solutions: put into their equations, and against the paper's forms at 30 digits."""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import dipoletop as dt
+
+TIMES = jnp.array([0.0, 1e-3, 0.4, 7.0, 300.0])
+LATE = np.array([0.1, 1.0, 1e3, 1e8])
+averaged = jax.jit(dt.exact.averaged)
+
+
+def solves(equation, solution, *, start):
+    """Whether dω/dτ of a solution, by forward differentiation, is what the equation says."""
+    value, rate = jax.jvp(solution, (TIMES,), (jnp.ones_like(TIMES),))
+    np.testing.assert_allclose(value[0], start, rtol=1e-15)
+    expected = equation(0.0, jnp.moveaxis(value, -1, 0))
+    scale = np.max(np.abs(expected), axis=0)
+    assert np.all(np.abs(np.moveaxis(rate, -1, 0) - expected) <= 1e-13 * scale)
+
+
+def test_rotator():
+    solves(dt.RotatorReduced(), lambda t: dt.exact.rotator(-0.7, t)[:, None], start=[-0.7])
+    assert abs(float(dt.exact.rotator(1e-25, 1.5e50)) / 5e-26 - 1) < 1e-14
+
+
+@pytest.mark.parametrize("delta", [-1.0, -0.3, 0.0, 0.8])
+@pytest.mark.parametrize("start", [(0.3, -0.4, 0.5), (0.2, 0.1, 0.0), (1e-3, 0.0, 2.0)])
+def test_longitudinal(delta, start):
+    solution = jax.jit(lambda t: dt.exact.longitudinal(delta, np.array(start), t))
+    solves(dt.LongitudinalReduced(delta), solution, start=start)
+
+
+@pytest.mark.parametrize(("delta", "w3"), [(-0.5, 0.4), (0.5, 1e-7), (0.9, 1.0)])
+def test_longitudinal_as_the_paper_has_it(delta, w3):
+    """(3.11): ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), at 30 digits."""
+    found = dt.exact.longitudinal(delta, np.array([0.3, 0.4, w3]), TIMES)
+    with mp.workdps(50):
+        s = (1 - mp.mpf(delta)) * mp.mpf(w3)
+        for t, w in zip(TIMES.tolist(), np.hypot(found[:, 0], found[:, 1]), strict=True):
+            expected = s / mp.sqrt((1 + 4 * s**2) * mp.e ** (2 * s**2 * t) - 1)
+            assert abs(w / expected - 1) < 5e-14
+
+
+def test_longitudinal_limits():
+    """A rod, and ω₃ = 0: the rotator (3.13)."""
+    braked = dt.exact.rotator(0.5, TIMES)
+    for delta, w3 in ((1.0, 0.4), (0.3, 0.0)):
+        found = dt.exact.longitudinal(delta, np.array([0.3, 0.4, w3]), TIMES)
+        np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1]), braked, rtol=1e-15)
+
+
+def test_longitudinal_exponents():
+    """(2α−1)²α(α−1) = s², the series of α₋ and B, and the spectrum of the full equation."""
+    for delta, w3 in ((0.4, 1e-6), (-0.7, 0.3), (0.2, 5.0)):
+        s = mp.mpf(1 - delta) * mp.mpf(w3)
+        below, above, turn = (float(x) for x in dt.exact.longitudinal_exponents(delta, w3))
+        with mp.workdps(40):
+            for found, sign in ((below, -1), (above, 1)):
+                root = mp.sqrt((1 + mp.sqrt(1 + 16 * s**2)) / 2)
+                assert abs(found / ((1 + sign * root) / 2) - 1) < 1e-14
+            assert abs((2 * below - 1) ** 2 * below * (below - 1) / s**2 - 1) < 1e-14
+        at = jnp.array([0.0, 0.0, w3, 0.0, 0.0])
+        jacobian = jax.jacfwd(lambda y, delta=delta: dt.LongitudinalFull(delta)(0.0, y))(at)
+        rates = np.linalg.eigvals(np.asarray(jacobian))
+        assert np.min(np.abs(rates - complex(below, turn - w3))) < 1e-14 * max(1, w3)
+        assert np.min(np.abs(rates - complex(above, -turn - w3))) < 1e-14 * max(1, 30 * w3)
+    below, _, turn = (float(x) for x in dt.exact.longitudinal_exponents(0.0, 0.01))
+    assert abs(below + 0.01**2 - 5 * 0.01**4 + 42 * 0.01**6) < 1e-13
+    assert abs(turn - 0.01 + 2 * 0.01**3 - 14 * 0.01**5) < 2e-12
+
+
+@pytest.mark.parametrize(
+    ("delta", "start"),
+    [
+        (-0.3, (0.03, 0.4, 0.0)),  # (4.5)
+        (0.6, (0.0, -0.4, 0.0)),
+        (0.6, (0.0, 0.0, 0.7)),  # (4.6)
+        (0.0, (0.03, 0.24, 0.32)),  # a sphere
+    ],
+)
+def test_transverse(delta, start):
+    solution = jax.jit(lambda t: dt.exact.transverse(delta, np.array(start), t))
+    solves(dt.TransverseReduced(delta), solution, start=start)
+
+
+def closed_form(delta, start, xi):
+    """v, τ and ∫√v dτ at u/v = ξ by (4.16)–(4.18) with the corrected exponent."""
+    d, (u, v) = mp.mpf(delta), start
+    a, b = 1 + 2 * d, 1 + d**3
+    q, p = 2 / b, d * (1 - d) * (3 + 3 * d + d**2) / (a * b)
+
+    def shape(x):
+        return x ** (-q) * abs(a * x + b) ** p
+
+    constant = v / shape(u / v)
+
+    def integral(power):
+        def integrand(s):
+            x = mp.e**s
+            return (1 - d) * abs(constant * shape(x)) ** power / (constant * shape(x)) / (a * x + b)
+
+        ends = mp.linspace(mp.log(u / v), mp.log(xi), 8)
+        return mp.quad(integrand, ends)
+
+    return constant * shape(xi), integral(0), integral(mp.mpf(1) / 2)
+
+
+@pytest.mark.parametrize("delta", [-0.9, -0.55, -0.3, 0.2, 0.9])
+@pytest.mark.parametrize("start", [(1.0, 1.0), (0.1, 1.0), (1.0, 0.2)])
+def test_averaged(delta, start):
+    """v(ξ), the time and the angle, over eleven decades of τ."""
+    found = np.asarray(averaged(delta, dt.cylindrical(*start, 0.3), LATE))
+    with mp.workdps(30):
+        squares = tuple(mp.mpf(w) ** 2 for w in start)
+        for time, omega in zip(LATE, found, strict=True):
+            w1, w2, w3 = (mp.mpf(float(w)) for w in omega)
+            v, tau, turn = closed_form(delta, squares, (w1**2 + w2**2) / w3**2)
+            assert abs(w3**2 / v - 1) < 1e-12
+            assert abs(tau / time - 1) < 1e-12
+            angle = mp.mpf(0.3) - mp.mpf(delta) * turn - mp.atan2(w2, w1)
+            assert abs(mp.sin(angle / 2)) < 1e-12 * (1 + abs(turn))
+
+
+@pytest.mark.parametrize("delta", [-1.0, -0.5, 0.0])
+def test_averaged_where_exponents_degenerate(delta):
+    """The closed forms of their own that δ = −1, −1/2, 0 have, and no jump beside them."""
+    start = dt.cylindrical(1.0, 0.7, 0.0)
+    found = np.asarray(averaged(delta, start, LATE))
+    u, v = found[:, 0] ** 2 + found[:, 1] ** 2, found[:, 2] ** 2
+    xi, xi0 = u / v, 1 / 0.49
+    if delta == -1:  # v = Cξe^{−2/ξ}, τ = [(2y−1)e^{2y}]/(2C), y = 1/ξ
+        scaled = v / xi * np.exp(2 / xi)
+        constant = 0.49 / xi0 * np.exp(2 / xi0)
+        tau = [((2 / x - 1) * np.exp(2 / x)) / (2 * constant) for x in (*xi, xi0)]
+    elif delta == 0:  # v = C/ξ², τ = [ξ − ln(1+ξ)]/C
+        scaled, constant = v * xi**2, 0.49 * xi0**2
+        tau = [(x - np.log1p(x)) / constant for x in (*xi, xi0)]
+    else:  # v = Cξ^{−16/7}e^{−12ξ/7}, dτ = (12/(7C))ξ^{9/7}e^{12ξ/7}dξ
+        scaled = v * xi ** (16 / 7) * np.exp(12 * xi / 7)
+        constant = 0.49 * xi0 ** (16 / 7) * np.exp(12 * xi0 / 7)
+
+        def rate(x):
+            return 12 / (7 * constant) * x ** (9 / 7) * np.exp(12 * x / 7)
+
+        tau = [quad(rate, xi0, x, epsabs=0, epsrel=1e-13)[0] for x in (*xi, xi0)]
+    np.testing.assert_allclose(scaled, constant, rtol=2e-13)
+    np.testing.assert_allclose(np.array(tau[:-1]) - tau[-1], LATE, rtol=1e-12, atol=1e-14)
+    beside = np.asarray(averaged(delta + 1e-12, start, LATE))
+    np.testing.assert_allclose(beside[:, 2], found[:, 2], rtol=1e-9)
+
+
+def test_averaged_on_the_axes_and_at_the_fixed_ratio():
+    on_axis = averaged(-0.3, np.array([0.0, 0.0, -0.6]), LATE)
+    np.testing.assert_allclose(on_axis[:, 2], -0.6 / np.sqrt(1 + 0.72 * LATE / 1.3), rtol=1e-14)
+    across = averaged(-0.3, np.array([0.6, 0.0, 0.0]), LATE)
+    np.testing.assert_allclose(across[:, 0], 0.6 / np.sqrt(1 + 0.36 * LATE), rtol=1e-14)
+    ratio = (1 - 0.75**3) / 0.5  # ξ* of δ = −3/4
+    stays = np.asarray(averaged(-0.75, np.array([np.sqrt(ratio), 0.0, 1.0]), LATE))
+    u, v = stays[:, 0] ** 2 + stays[:, 1] ** 2, stays[:, 2] ** 2
+    np.testing.assert_allclose(u / v, ratio, rtol=1e-12)
+    np.testing.assert_allclose(1 / v, 1 + LATE * (1.25 * ratio + 2) / 1.75, rtol=1e-12)
+
+
+def test_averaged_time_is_the_inverse():
+    start = np.array([0.5, 0.0, 0.4])
+    for delta in (-0.8, -0.2, 0.5):
+        w = averaged(delta, start, LATE)[1]
+        xi = (w[0] ** 2 + w[1] ** 2) / w[2] ** 2
+        assert abs(float(dt.exact.averaged_time(delta, start, xi)) - 1) < 1e-12
+    with pytest.raises(ValueError, match=r"`xi` must lie between ξ₀ and its limit"):
+        dt.exact.averaged_time(0.5, start, 1.0)  # ξ has grown from 1.56 on
+    with pytest.raises(ValueError, match=r"`xi` must lie between"):
+        dt.exact.averaged_time(-0.8, start, 0.5)  # beyond ξ* = 0.81
+    with pytest.raises(ValueError, match=r"`omega0` must have ω⊥ ≠ 0 and ω₃ ≠ 0"):
+        dt.exact.averaged_time(0.5, np.array([0.0, 0.0, 1.0]), 1.0)
+
+
+@pytest.mark.parametrize("delta", [-1.0, -0.8, -0.5, -0.2, 0.0, 0.3])
+def test_late_averaged_motion(delta):
+    """(4.20), (4.21) and the two logarithms that the paper lacks."""
+    start = dt.cylindrical(1.0, 0.7, 0.0)
+    times = np.array([1e8, 1e30, 1e100, 1e250])
+    found = np.asarray(averaged(delta, start, times))
+    u, v = found[:, 0] ** 2 + found[:, 1] ** 2, found[:, 2] ** 2
+    late = dt.exact.averaged_late(delta, start, times)
+    for gap in (np.abs(u / late[0] - 1), np.abs(np.where(v > 0, v / late[1], 1) - 1)):
+        if delta in (-1.0, -0.5):  # the next term falls like ln ln τ/ln τ
+            assert gap[0] < 0.2
+            assert np.all(gap[2:] < 0.02)
+        else:
+            assert np.all(gap < (0.03, 1e-5, 1e-12, 1e-12))
+
+
+def test_late_rotator():
+    """(A.4) with its logarithm: what is left falls like 1/τ."""
+    f = jax.jit(dt.critical_manifold)
+    lacks, time = [], 0.0
+    for high, low in ((0.5, 0.02), (0.02, 0.01), (0.01, 0.005)):
+        time += quad(lambda s: float(-np.exp(s) / f(np.exp(s))), np.log(low), np.log(high))[0]
+        lacks.append((low / float(dt.exact.rotator_late(time)) - 1) * time)
+    assert abs(lacks[2] - lacks[1]) < 0.01
+    assert abs(lacks[2]) < 5
+
+
+def test_refusals():
+    start = np.array([0.1, 0.2, 0.3])
+    for solution in (
+        lambda t: dt.exact.rotator(0.5, t),
+        lambda t: dt.exact.longitudinal(0.5, start, t),
+        lambda t: dt.exact.transverse(0.0, start, t),
+        lambda t: dt.exact.averaged(0.5, start, t),
+    ):
+        with pytest.raises(ValueError, match=r"`tau` must not be before the start, τ = 0, but"):
+            solution(-1.0)
+    with pytest.raises(ValueError, match=r"`omega0` must have ω₃ = 0 or ω₁ = ω₂ = 0"):
+        dt.exact.transverse(0.5, start, 1.0)
+    with pytest.raises(ValueError, match=r"`delta` must lie in \[-1, 1\], but is 1.5"):
+        dt.exact.longitudinal(1.5, start, 1.0)
+    for solution in (dt.exact.transverse, dt.exact.averaged):
+        with pytest.raises(ValueError, match=r"`delta` must lie in \[-1, 1\), but is 1"):
+            solution(1.0, start, 1.0)
+    with pytest.raises(ValueError, match=r"`w` must be positive, but is 0"):
+        dt.exact.rotator_closed_time(0.0)
+    assert np.all(np.isnan(averaged(0.5, start, np.array([-1.0, np.nan]))))

@@ -1,0 +1,91 @@
+"""Longitudinal dipole: closed forms, levels, outcomes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+
+RNG = np.random.default_rng(5)
+B = 32
+DELTAS = jnp.asarray(np.concatenate([[-1.0, 0.0], RNG.uniform(-1, 0.95, B - 2)]))
+OMEGAS = jnp.asarray(RNG.normal(size=(3, B)))
+BODIES = jax.vmap(lambda d: dt.axisymmetric(d, "longitudinal"), out_axes=-1)(DELTAS)
+
+
+def same(found, expected, tolerance=1e-12):
+    """Equal up to a part of the largest component, lane by lane."""
+    size = jnp.max(jnp.abs(expected), axis=0)
+    assert float(jnp.max(jnp.abs(found - expected) / size[None])) < tolerance
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_closed_forms_equal_the_general_reduction(order):
+    found = dt.LongitudinalReduced(DELTAS, order)(0.0, OMEGAS)
+    same(found, dt.Reduced(BODIES, order)(0.0, OMEGAS))
+
+
+def test_the_other_levels_equal_the_general_ones():
+    same(dt.LongitudinalSemi(DELTAS)(0.0, OMEGAS), dt.SemiReduced(BODIES)(0.0, OMEGAS))
+    rates = jnp.asarray(RNG.normal(size=(2, B)))
+    five = dt.LongitudinalFull(DELTAS)(0.0, jnp.concatenate([OMEGAS, rates]))
+    six = dt.Full(BODIES)(0.0, jnp.concatenate([OMEGAS, rates, jnp.zeros((1, B))]))
+    same(five, six[:5])
+
+
+def test_first_order_is_that_of_the_paper():
+    """(3.9)–(3.10) in cylindrical variables."""
+    w, w3, phi = jnp.abs(OMEGAS[0]), OMEGAS[2], OMEGAS[1]
+    rate = dt.LongitudinalReduced(DELTAS)(0.0, dt.cylindrical(w, w3, phi))
+    across = rate[0] * jnp.cos(phi) + rate[1] * jnp.sin(phi)
+    around = (rate[1] * jnp.cos(phi) - rate[0] * jnp.sin(phi)) / w
+    np.testing.assert_allclose(across, -(w**2 + ((1 - DELTAS) * w3) ** 2) * w, rtol=1e-12)
+    np.testing.assert_allclose(around, -DELTAS * w3, rtol=1e-11, atol=1e-13)
+
+
+def test_semi_reduced_drag():
+    """ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²): why its outcome is certain."""
+    w1, w2, w3 = OMEGAS
+    rate = dt.LongitudinalSemi(DELTAS)(0.0, OMEGAS)
+    square = w1**2 + w2**2
+    expected = -(square + ((1 - DELTAS) * w3) ** 2) * square / (1 + 4 * w3**2)
+    np.testing.assert_allclose(w1 * rate[0] + w2 * rate[1], expected, rtol=1e-11, atol=1e-14)
+
+
+def test_every_motion_ends_about_the_dipole():
+    starts = jnp.array([[0.2, 0.1, 0.15], [0.2, 0.1, 0.0], [0.0, 0.0, -0.2], [0.0, 0.0, 0.0]])
+    levels = [
+        dt.LongitudinalReduced(0.4),
+        dt.LongitudinalReduced(0.4, 2),
+        dt.LongitudinalSemi(0.4),
+        dt.LongitudinalFull(0.4),
+    ]
+    for equation in levels:
+        found = jax.vmap(equation.verdict, -1)(jax.vmap(equation.lift, out_axes=-1)(starts))
+        assert found.outcome.tolist() == [1, 2, 1, 2]
+        assert found.omega_inf.tolist() == starts[:, 2].tolist()
+        assert np.asarray(found.stop).tolist() == [0, 1, 0, 1]
+        proven = equation.level in ("semi-reduced", "reduced, order 1 (the paper's)")
+        assert found.certified.tolist() == [proven] * 4
+
+
+def test_the_physical_branch_keeps_the_balance():
+    """Along the branch E − d₁·d₂ falls by what is radiated, and ω⊥ decays as α₋ says."""
+    equation = dt.LongitudinalFull(-0.5)
+    start = jnp.array([1e-4, 0.0, 0.3])
+    run = dt.simulate(equation, start, jnp.array([0.0, 20.0, 40.0]), rtol=1e-12, balance=True)
+    assert float(jnp.max(jnp.abs(run.balance_defect))) < 1e-11
+    decay, _, turn = dt.exact.longitudinal_exponents(-0.5, 0.3)
+    omega = np.asarray(run.omega)
+    w = omega[:, 0] + 1j * omega[:, 1]
+    slope = np.log(w[2] / w[1]) / 20
+    assert abs(slope.real / float(decay) - 1) < 1e-6
+    assert abs(slope.imag / float(turn - 0.3) - 1) < 1e-6
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match=r"`delta` must lie in \[-1, 1\), but is 1"):
+        dt.LongitudinalSemi(1.0)
+    with pytest.raises(ValueError, match=r"`order` must be 1, 2, 3 or 4, but is 5"):
+        dt.LongitudinalReduced(0.0, 5)
