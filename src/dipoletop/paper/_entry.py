@@ -1,0 +1,63 @@
+"""One line of the ledger, and how residuals are measured."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+LANES = 32
+
+
+class Entry(NamedTuple):
+    """An equation, claim, figure or number of the paper, and what was found when it was tried."""
+
+    place: str
+    """Where it stands in the paper."""
+    claim: str
+    """What holds: the paper's form, or the right one if the paper is corrected."""
+    residual: float
+    """By how much it fails, relative to its own size, as computed just now."""
+    limit: float
+    """What rounding, tolerances or neglected terms allow."""
+    correction: str = ""
+    """What the paper has in its place; empty if it is confirmed."""
+    paper: float | None = None
+    """By how much the paper's form fails, where that form can be tried."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the claim holds, and the paper's own form, if corrected and tried, does not."""
+        return self.residual <= self.limit and (self.paper is None or self.paper > self.limit)
+
+    @property
+    def verdict(self) -> str:
+        """Confirmed, corrected or FAILED."""
+        if not self.holds:
+            return "FAILED"
+        return "corrected" if self.correction else "confirmed"
+
+
+def gap(found: Any, expected: Any) -> float:
+    """Largest difference over the largest of the expected numbers; NaN counts as infinite."""
+    got, wanted = np.asarray(found), np.asarray(expected)
+    worst = np.max(np.abs(got - wanted)) / np.max(np.abs(wanted))
+    return float(worst) if np.isfinite(worst) else np.inf
+
+
+def unsolved(equation: Any, solution: Any, times: Any) -> float:
+    """How far dω/dτ of a solution (T, n) is from what an equation says, over the largest rate."""
+    t = jnp.asarray(times)
+    value, rate = jax.jvp(solution, (t,), (jnp.ones_like(t),))
+    return gap(rate.T, equation(0.0, value.T))
+
+
+def states(components: int, seed: int = 0) -> jnp.ndarray:
+    """Random states, components on axis 0."""
+    return jnp.asarray(np.random.default_rng(seed).normal(size=(components, LANES)))
+
+
+def shapes() -> jnp.ndarray:
+    """As many shapes δ, the disc, δ = −1/2 and the sphere among them."""
+    some = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
+    return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], some]))
