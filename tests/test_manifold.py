@@ -29,7 +29,7 @@ branch = eqx.filter_jit(dt.slow_manifold)
 def test_plane_rotator(speed, exact, tolerance):
     rate, error = branch(TOP, jnp.array([0.0, speed, 0.0]), with_error=True)
     assert abs(rate[1] / exact - 1) < tolerance
-    assert abs(rate[1] - exact) < error < 10 * tolerance * abs(exact)
+    assert abs(rate[1] - exact) < error < 1e-9 * abs(exact)
     assert jnp.all(rate[jnp.array([0, 2])] == 0)
 
 
@@ -64,6 +64,32 @@ def test_runaway_rate(delta):
         np.testing.assert_allclose(dt.Full(body).runaway_rate, rates[0], rtol=1e-12)
     same = dt.Full(bodies[0]).runaway_rate
     np.testing.assert_allclose(same, dt.TransverseFull(delta).runaway_rate, rtol=1e-12)
+
+
+@pytest.mark.parametrize("wanted", [1e-10, 1e-5])
+def test_a_requested_accuracy(wanted):
+    """The estimate covers the error, and what misses the request is not given."""
+    rng = np.random.default_rng(2)
+    sizes = np.geomspace(0.05, 4.0, 24)[:, None]
+    ways = rng.normal(size=(24, 3))
+    starts = jnp.asarray(sizes * ways / np.linalg.norm(ways, axis=1, keepdims=True))
+
+    def at(rtol):
+        return [to_an_accuracy(start, jnp.asarray(rtol)) for start in starts]
+
+    for (rate, error), (best, rest) in zip(at(wanted), at(wanted / 100), strict=True):
+        size = jnp.max(jnp.abs(rate))
+        if jnp.isfinite(size):
+            assert error <= wanted * size
+        if jnp.isfinite(size + best[0]):
+            assert jnp.max(jnp.abs(rate - best)) <= error + rest
+    found = [bool(jnp.isfinite(rate[0])) for rate, _ in at(wanted)]
+    assert np.mean(found) > 0.6
+
+
+@jax.jit
+def to_an_accuracy(start, rtol):
+    return dt.slow_manifold(TOP, start, rtol=rtol, with_error=True)
 
 
 def test_small_amplitudes_have_the_series():
@@ -162,6 +188,8 @@ def test_where_there_is_no_branch():
 def test_refusals():
     with pytest.raises(ValueError, match=r"`equation` must be a full equation, but is Transverse"):
         dt.slow_manifold(dt.TransverseSemi(-0.2), jnp.ones(3))
+    with pytest.raises(ValueError, match=r"`rtol` must lie between .* is 2"):
+        dt.slow_manifold(TOP, jnp.ones(3), rtol=2.0)
     with pytest.raises(ValueError, match=r"`omega` must be finite"):
         dt.slow_manifold(TOP, jnp.array([0.1, jnp.nan, 0.0]))
     with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' .* equation is full"):

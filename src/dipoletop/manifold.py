@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from . import _windows, lanes, radiation
 from ._checks import finite, refuse
+from ._settings import tolerance
 from ._types import Verdict
 from ._windows import Window
 
@@ -38,7 +39,7 @@ def physical(equation: Any) -> Any:
     return getattr(equation, "branch", equation)
 
 
-def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any:
+def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bool = False) -> Any:
     """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
 
     The motion from Ω on is solved for as a boundary-value problem over some runaway times. What
@@ -47,11 +48,13 @@ def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any
     Args:
         equation: a full equation, such as `TransverseFull` or `Full`.
         omega: Ω, shape (3,), dimensionless, body axes.
+        rtol: the accuracy wanted, relative to the largest component of Ω̇; None means the best
+            there is. A larger one takes a shorter stretch, which is found at larger |Ω|, too.
         with_error: also return an estimate of the error.
 
     Returns:
-        Ω̇, shape (3,); NaN where no branch was found. With `with_error` a pair of it and the
-        estimated largest error of its components.
+        Ω̇, shape (3,); NaN where no branch was found, or not to `rtol`. With `with_error` a pair
+        of it and the estimated largest error of its components.
 
     Raises:
         ValueError: bad arguments.
@@ -66,30 +69,36 @@ def slow_manifold(equation: Any, omega: Any, *, with_error: bool = False) -> Any
     if not is_full(equation):
         refuse("equation", "be a full equation", f"is {type(equation).__name__}")
     start = finite("omega", omega, (3,), batch=False)
-    if physical(equation) is not equation:
-        return _known_branch(physical(equation), start, with_error)
-    return _slow_manifold(equation, start, with_error)
-
-
-def _known_branch(branch: Any, omega: Array, with_error: bool) -> Any:
-    y = branch.lift(omega)
-    rate = jax.jvp(branch.omega, (y,), (branch(0.0, y),))[1]
-    error = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
+    wanted = jnp.asarray(jnp.inf) if rtol is None else tolerance("rtol", rtol)
+    found = _known_branch if physical(equation) is not equation else _slow_manifold
+    rate, error = found(equation, start, wanted)
     return (rate, error) if with_error else rate
 
 
+def _known_branch(equation: Any, omega: Array, wanted: Array) -> tuple[Array, Array]:
+    branch = physical(equation)
+    y = branch.lift(omega)
+    rate = jax.jvp(branch.omega, (y,), (branch(0.0, y),))[1]
+    error = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
+    return jnp.where(error <= wanted * jnp.max(jnp.abs(rate)), rate, jnp.nan), error
+
+
 @eqx.filter_jit
-def _slow_manifold(equation: Any, omega: Array, with_error: bool) -> Any:
-    window = _windows.solve(equation, omega, EFOLDS / equation.runaway_rate)
+def _slow_manifold(equation: Any, omega: Array, wanted: Array) -> tuple[Array, Array]:
+    # The far end is to fade below what is wanted, from an error of the size of Ω̇ itself.
+    efolds = jnp.where(wanted < 1, jnp.clip(4 - jnp.log(wanted), 8.0, EFOLDS), EFOLDS)
+    window = _windows.solve(equation, omega, efolds / equation.runaway_rate)
     rate = equation.omega_dot(window.states[0, 0])
-    rate = jnp.where(window.converged, rate, jnp.nan)
-    if not with_error:
-        return rate
-    # The far end as it has faded, the first element's last coefficients as a rate, rounding.
-    far = window.wrong_end * jnp.exp(-EFOLDS)
-    lacking = window.tail[0] * jnp.max(jnp.abs(omega)) / window.times[0, -1]
-    rounding = jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
-    return rate, jnp.where(window.converged, far + 10 * (lacking + rounding), jnp.nan)
+    size = jnp.max(jnp.abs(rate))
+    # The far end as it has faded; the last coefficients of each element as a rate, of which the
+    # element before feels little; rounding.
+    far = window.wrong_end * jnp.exp(-efolds)
+    lengths = window.times[:, -1] - window.times[:, 0]
+    felt = REACHES ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype) / lengths
+    lacking = jnp.max(window.tail * felt) * jnp.max(jnp.abs(omega))
+    error = 3 * far + 10 * (lacking + jnp.finfo(omega.dtype).eps * size)
+    good = window.converged & ((error <= wanted * size) | (wanted >= 1))
+    return jnp.where(good, rate, jnp.nan), jnp.where(window.converged, error, jnp.nan)
 
 
 class Pace(NamedTuple):
