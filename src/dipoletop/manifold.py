@@ -94,8 +94,10 @@ def _slow_manifold(equation: Any, omega: Array, wanted: Array) -> tuple[Array, A
     # element before feels little; rounding.
     far = window.wrong_end * jnp.exp(-efolds)
     lengths = window.times[:, -1] - window.times[:, 0]
-    felt = REACHES ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype) / lengths
-    lacking = jnp.max(window.tail * felt) * jnp.max(jnp.abs(omega))
+    reached = REACHES ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype)
+    faded = jnp.exp(-equation.runaway_rate * window.times[:, 0])
+    felt = window.tail * jnp.minimum(reached, faded) / lengths
+    lacking = jnp.max(felt) * jnp.max(jnp.abs(omega))
     error = 3 * far + 10 * (lacking + jnp.finfo(omega.dtype).eps * size)
     good = window.converged & ((error <= wanted * size) | (wanted >= 1))
     return jnp.where(good, rate, jnp.nan), jnp.where(window.converged, error, jnp.nan)
