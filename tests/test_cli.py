@@ -367,7 +367,7 @@ def test_validate_ends_with_1_if_a_check_fails(monkeypatch, error):
     assert result.output.endswith("2 failed.\n")
 
 
-@pytest.mark.parametrize("command", [[], ["map"], ["simulate"]])
+@pytest.mark.parametrize("command", [[], ["map"], ["simulate"], ["spectrum"]])
 def test_help_explains_every_word(command):
     result = invoke(*command, "--help")
     assert result.exit_code == 0
@@ -409,6 +409,18 @@ def test_levels_are_the_equations_they_are_called():
     for order in (1, 2, 3, 4):
         assert _mapping.equation(f"order-{order}", 0.1).order == order
     assert isinstance(_mapping.equation("semi", 0.1), dt.TransverseSemi)
+    assert isinstance(_mapping.equation("full", 0.1), dt.TransverseFull)
+
+
+def test_spectrum_prints_the_eigenvalues():
+    """Order 1: 0, −w², −(1+2δ)/(1−δ) w²; at δ = −0.6 the last is positive."""
+    result = invoke("spectrum", "--delta", -0.6, "--w", 0.1, "--level", "order-1")
+    assert result.exit_code == 0
+    first, slow, back = result.output.splitlines()
+    assert first.endswith("not stable")
+    assert [float(x) for x in slow.split()[1:]] == pytest.approx([0, 0.00125, -0.01], rel=1e-9)
+    assert back.strip().startswith("return time inf")
+    assert "`delta` must lie in [-1, 1), but is 1" in refusal("spectrum", "--delta", 1)
 
 
 def test_compiling_time_is_counted_once_however_many_threads_compile():

@@ -17,7 +17,7 @@ import dipoletop as dt
 from dipoletop import outcomes
 from dipoletop.basin import FIELDS
 
-DEVICES = 2
+COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
 ENGINES = ["jax", "native"]
 TILE, TILES = 128, 6
 WAYS = np.random.default_rng(8).normal(size=(32, 3))
@@ -96,7 +96,7 @@ def everything(engine):
 @pytest.fixture(scope="module")
 def runs():
     settings = {
-        "XLA_FLAGS": f"--xla_force_host_platform_device_count={DEVICES}",
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {COUNT}={DEVICES}",
         "JAX_ENABLE_X64": "1",
         "JAX_PLATFORMS": "cpu",
     }

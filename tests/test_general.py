@@ -18,7 +18,6 @@ from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
 LANES = 16  # of each kind of body
 MANY = 320  # states to be judged: always as many, so that a level compiles once
-RUN_LEVELS = ["1", "semi"]
 LEVELS = {"1": 1, "2": 2, "3": 3, "semi": None}
 
 
@@ -68,7 +67,7 @@ def isotropic(rng, n, low, high):
     return omega * (speed / np.linalg.norm(omega, axis=1))[:, None]
 
 
-@pytest.fixture(scope="module", params=RUN_LEVELS)
+@pytest.fixture(scope="module", params=["semi"])  # `benchmarks/bench_labels.py` has them all
 def runs(request):
     """Dipole on the largest, the middle and the smallest axis, and on none; the last oblate."""
     rng = np.random.default_rng(7)

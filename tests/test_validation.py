@@ -1,4 +1,4 @@
-"""The checks of `dipoletop validate`: all pass here, and each would notice a fault."""
+"""The checks of `dipoletop validate`: they pass here, and each would notice a fault."""
 
 import math
 
@@ -10,23 +10,27 @@ from dipoletop.equations.rigid import Reduced
 from dipoletop.equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 from dipoletop.validation import Check
 
+QUICK = ("float64", "sphere", "closed_forms", "energy_balance")
+
 
 @pytest.fixture(scope="module")
 def checks():
-    return list(validation.run())
+    """Those that compile little; `.ci/run` runs them all."""
+    with pytest.MonkeyPatch.context() as patch:
+        chosen = [check for check in validation.CHECKS if check.__name__ in QUICK]
+        patch.setattr(validation, "CHECKS", chosen)
+        return list(validation.run())
 
 
-def test_all_checks_pass(checks):
+def test_quick_checks_pass(checks):
     assert [check.name for check in checks if not check.passed] == []
 
 
 def test_no_check_is_missing_and_names_fit_the_table(checks):
     names = [check.name for check in checks]
-    assert len(set(names)) == len(names) >= 20
+    assert len(set(names)) == len(names) >= len(QUICK)
     assert max(len(name) for name in names) <= 46
-    # Seven states of figure 2, and what is exact is asked for to better than 1e-8.
-    assert sum(name.startswith("figure 2") for name in names) == 8
-    assert sorted(check.tolerance for check in checks)[-3] <= 1e-8
+    assert max(check.tolerance for check in checks) <= 1e-8
 
 
 def test_a_check_measures_against_its_scale():

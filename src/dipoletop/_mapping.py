@@ -16,7 +16,7 @@ import numpy as np
 from ._monitoring import COMPILING
 from ._types import Outcome
 from .basin import Basin, Share
-from .equations.transverse import TransverseReduced, TransverseSemi, cylindrical
+from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 from .grids import Grid
 from .sweep import sweep
 from .symmetry import unfold
@@ -54,10 +54,10 @@ class Run(NamedTuple):
     """Seconds in which something was compiled."""
 
 
-def equation(level: str, delta: Any) -> TransverseReduced | TransverseSemi:
-    """The equation of a level: order-1 … order-4, or semi."""
-    if level == "semi":
-        return TransverseSemi(delta)
+def equation(level: str, delta: Any) -> TransverseReduced | TransverseSemi | TransverseFull:
+    """The equation of a level: order-1 … order-4, semi, or full."""
+    if level in ("semi", "full"):
+        return TransverseSemi(delta) if level == "semi" else TransverseFull(delta)
     return TransverseReduced(delta, int(level.removeprefix("order-")))
 
 

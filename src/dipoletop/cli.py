@@ -1,9 +1,7 @@
-"""The command line: `dipoletop map`, `dipoletop simulate`, `dipoletop validate`."""
+"""The command line: `dipoletop map`, `simulate`, `figures`, `spectrum`, `validate`."""
 
 import functools
-import math
 import os
-import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +9,13 @@ from typing import Any
 
 import click
 
+from ._parameters import Number, Size
+
 LEVELS = click.Choice(["order-1", "order-2", "order-3", "order-4", "semi"])
+FULL_TOO = click.Choice([*LEVELS.choices, "full"])
 NAMES = click.Choice(["delta", "w-perp", "w3", "phi", "amplitude", "theta"])
 FORMATS = click.Choice(["png", "pdf", "svg"])
+FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
 
 TERMS = """\b
 Quantities (dimensionless: ω = τ₀Ω and τ = t/τ₀, with τ₀ = 2d²/(3c³I₁) in Gaussian units):
@@ -31,49 +33,11 @@ Levels of the equation of motion:
              are not those of the full equation
   order-2 … order-4   the same reduction carried to higher order, without that defect
   semi       semi-reduced: only the second derivative of ω is replaced; without it too
+  full       the full equation along its physical branch (not for maps: slow)
 
 \b
 Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (out of
 steps), failed (not a number). Certified: decided in a region that is proven to decide."""
-
-
-class Number(click.ParamType):
-    """A finite number; multiples of π as pi/30, 2pi or 2*pi/3."""
-
-    name = "number"
-    WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Read one."""
-        try:
-            number = self._read(str(value))
-        except (ValueError, ZeroDivisionError):
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is not a finite number such as 0.2, 1e-3 or pi/30.", param, ctx)
-        return number
-
-    def _read(self, text: str) -> float:
-        parts = self.WITH_PI.fullmatch(text)
-        if not parts:
-            return float(text)
-        sign, factor, divisor = parts.groups()
-        return float(f"{sign}{factor or 1}") * math.pi / float(divisor or 1)
-
-
-class Size(click.ParamType):
-    """N, or NXxNY."""
-
-    name = "N or NXxNY"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
-        """Read one or two."""
-        if isinstance(value, tuple):
-            return value
-        parts = re.fullmatch(r"(\d+)(?:x(\d+))?", str(value))
-        if not parts or min(int(n) for n in parts.groups() if n) < 2:
-            self.fail(f"{value!r} is not a size such as 512 or 512x256, at least 2.", param, ctx)
-        return int(parts[1]), int(parts[2] or parts[1])
 
 
 class Refusal(click.ClickException):
@@ -251,7 +215,7 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
 
 @main.command(epilog=TERMS, short_help="One top: its motion and its end.")
 @click.option(
-    "--level", type=LEVELS, metavar="LEVEL", default="order-1", help="Level of the equation."
+    "--level", type=FULL_TOO, metavar="LEVEL", default="order-1", help="Level of the equation."
 )
 @_quantities
 @click.option("--tau-max", type=NUMBER, default="1000", help="End of the run.")
@@ -331,6 +295,66 @@ def _ending(verdict: Any) -> str:
     )
 
 
+@main.command(short_help="The figures of the paper, and three more.")
+@click.argument("names", type=FIGURES, metavar="[NAME]...", nargs=-1)
+@click.option("--output", default="dipoletop-figures", help="Folder of the figures.")
+@click.option(
+    "--format",
+    "suffixes",
+    type=FORMATS,
+    multiple=True,
+    default=("pdf", "png"),
+    help="Of the figures; may be given several times.",
+)
+@_computing
+def figures(**options: Any) -> None:
+    r"""Compute and draw the figures of the paper, and three that it does not have.
+
+    \b
+    1        which ends are possible for which shape δ, at order 1
+    1-full   the same by the semi-reduced and the full equation
+    2        ω₁, ω₂, ω₃ against τ: a residual rotation and a stop, order 1 and full
+    3        phase plane of the plane rotator, with its runaways
+    spectra  how motions beside a residual rotation decay, at every level
+    levels   which starts end otherwise at another level
+
+    Without names: all of them, in about two minutes.
+    """
+    from . import figures
+
+    folder = Path(options["output"])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in dict.fromkeys(options["names"] or FIGURES.choices):
+        figure = figures.draw(name)
+        for suffix in dict.fromkeys(options["suffixes"]):
+            path = folder / f"figure-{name}.{suffix}"
+            figures.save(figure, path)
+            click.echo(f"Figure: {path}")
+
+
+@main.command(epilog=TERMS, short_help="How motions beside a residual rotation decay.")
+@click.option("--delta", type=NUMBER, default=-0.2, help="δ = 1 − I₃/I₁.")
+@click.option("-w", "--w", type=NUMBER, default=0.1, help="ω of the residual rotation.")
+@click.option(
+    "--level",
+    type=FULL_TOO,
+    metavar="LEVEL",
+    multiple=True,
+    default=("order-1", "semi", "full"),
+    help="Level of the equation; may be given several times.",
+)
+@_computing
+def spectrum(delta: float, w: float, level: tuple[str, ...]) -> None:
+    """Eigenvalues at ω = (w, 0, 0), rotation about the dipole, in units of 1/τ₀.
+
+    The slow ones belong to physical motions, those of runaways to the full equation only.
+    """
+    from . import _mapping, _reports
+
+    for line in _reports.spectra([_mapping.equation(name, delta) for name in level], w):
+        click.echo(line)
+
+
 @main.command(short_help="Check this installation against exact values.")
 @click.option(
     "--paper",
@@ -344,44 +368,12 @@ def validate(paper: bool) -> None:
 
     Takes under a minute; the exit status is 1 if a check fails.
     """
-    from . import validation
+    from . import _reports, validation
 
     click.echo(validation.environment())
-    failed = _ledger() if paper else _checks()
+    failed = 0
+    for line, good in _reports.paper() if paper else _reports.checks():
+        click.echo(line)
+        failed += not good
     click.echo(f"{failed} failed." if failed else "All passed.")
     raise SystemExit(1 if failed else 0)
-
-
-def _checks() -> int:
-    """Print the checks; how many failed."""
-    from . import validation
-
-    click.echo(f"{'check':46} {'expected':>20} {'found':>20} {'error':>8} {'allowed':>8}")
-    failed = 0
-    for check in validation.run():
-        failed += not check.passed
-        click.echo(
-            f"{check.name:46} {check.expected:20.12g} {check.found:20.12g} "
-            f"{check.error:8.1e} {check.tolerance:8.1e} {'ok' if check.passed else 'FAILED'}"
-        )
-    return failed
-
-
-def _ledger() -> int:
-    """Print the paper's ledger; how many lines failed."""
-    from .paper import ledger
-
-    click.echo(
-        f"{'':9} {'where':24} {'residual':>8} {'allowed':>8}  what holds [what the paper has]"
-    )
-    failed = 0
-    for entry in ledger():
-        failed += not entry.holds
-        text = entry.claim
-        if entry.correction:
-            off = "" if entry.paper is None else f", off by {entry.paper:.2g}"
-            text += f" [{entry.correction}{off}]"
-        click.echo(
-            f"{entry.verdict:9} {entry.place:24} {entry.residual:8.1e} {entry.limit:8.1e}  {text}"
-        )
-    return failed

@@ -15,6 +15,8 @@ Flag = Bool[Array, "*#lanes"]
 
 WOBBLING_FROM = 0.7532357993909
 """δ above which the consistent levels have a stable wobbling cycle in the small-amplitude limit."""
+BESIDE = 1e-4
+"""T² + Z² up to which motions of the full equation beside the residual line decay."""
 
 
 def _guarded(denominator: Real) -> Real:
@@ -142,6 +144,23 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
     reach = crossing * (1 - 0.005 - 10 * u / y - 0.3 * e**4) + e * (-1 / room + e * (c2 + e * c3))
     small = u <= 10 * x * (d - WOBBLING_FROM)
     return (d > WOBBLING_FROM) & (u > 0) & small & (w1**2 <= 0.31 * u) & (jnp.abs(z) <= reach)
+
+
+def full(delta: Real, w: Vector) -> Verdict:
+    """On the physical branch: as orders 2–4, and beside the residual line at any amplitude.
+
+    There T = ω₂/ω₁ and Z = ω₃/(ω₁ min(|ω₁|, 1)) decay, for the line is stable at every ω₁ ≠ 0
+    and δ: of its characteristic polynomial the constant term, ω₁⁴, is positive. Tested only.
+    """
+    found = higher_order(delta, w)
+    one = _guarded(w[0])
+    off = (w[1] / one) ** 2 + (w[2] / (one * jnp.minimum(jnp.abs(one), 1.0))) ** 2
+    beside = (found.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (off <= BESIDE)
+    return found._replace(
+        outcome=jnp.where(beside, Outcome.RESIDUAL, found.outcome),
+        omega_inf=jnp.where(beside, w[0], found.omega_inf),
+        error=jnp.where(beside, 10 * off, found.error),
+    )
 
 
 def higher_order(delta: Real, w: Vector) -> Verdict:

@@ -194,7 +194,7 @@ class TransverseFull(eqx.Module):
 
     def verdict(self, y: Float[Array, "5 *lanes"]) -> Verdict:
         """That of a state on the physical branch: the semi-reduced regions, uncertified."""
-        return _regions.higher_order(self.delta, self.omega(y))
+        return _regions.full(self.delta, self.omega(y))
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import particles, planar
-from .._types import Outcome
+from .._types import Outcome, Stop
 from ..bodies import Body
 from ..equations.rigid import Reduced
 from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
@@ -72,6 +72,10 @@ def exceptions() -> Iterator[Entry]:
     wrong = float(int(needle.outcome) != Outcome.STOP or int(first.outcome) != Outcome.RESIDUAL)
     claim = "a needle (δ = 0.9) that stops wobbling, where order 1 keeps it"
     yield Entry("section 4.2, 1", claim, wrong, 0.0, "residual")
+    beside = cylindrical(0.05, 0.5 * 0.05**2, np.pi / 2 + 0.7)
+    full = classify(TransverseFull(0.85), beside)
+    claim = "the same (δ = 0.85) by the full equation, on its physical branch"
+    yield Entry("section 4.2, 1", claim, float(int(full.stop) != Stop.WOBBLING), 0.0, "residual")
 
 
 FAMILIES = (
