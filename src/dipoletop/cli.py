@@ -325,7 +325,7 @@ def figures(**options: Any) -> None:
     folder = Path(options["output"])
     folder.mkdir(parents=True, exist_ok=True)
     for name in dict.fromkeys(options["names"] or FIGURES.choices):
-        figure = figures.draw(name)
+        figure = figures.FIGURES[name]()
         for suffix in dict.fromkeys(options["suffixes"]):
             path = folder / f"figure-{name}.{suffix}"
             figures.save(figure, path)

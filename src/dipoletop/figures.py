@@ -4,6 +4,7 @@ Every function computes and returns a matplotlib `Figure`; `save` writes it with
 the same bytes each time.
 """
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -52,10 +53,15 @@ NEEDLE = 0.99  # the largest δ
 STARTS, FINE, EVERY = 1024, 280, 9
 
 
-def draw(name: str) -> Figure:
-    """Compute and draw one of `FIGURES`, in the common style, which no other figure sees."""
-    with mpl.rc_context(STYLE):
-        return FIGURES[name]()
+def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
+    """In the common style, which no other figure of the process sees."""
+
+    @functools.wraps(draw)
+    def styled() -> Figure:
+        with mpl.rc_context(STYLE):
+            return draw()
+
+    return styled
 
 
 def save(figure: Figure, path: Any) -> None:
@@ -70,6 +76,7 @@ def save(figure: Figure, path: Any) -> None:
         figure.savefig(path, dpi=300, metadata=DATES.get(suffix))
 
 
+@_styled
 def ends_order_1() -> Figure:
     """Shares of the ends over the shape δ, at order 1: stop, both, residual rotation."""
     critical = threshold(data.LEVELS["order 1"], 0.05, -0.9, 0.5)
@@ -83,6 +90,7 @@ def ends_order_1() -> Figure:
     return figure
 
 
+@_styled
 def ends_full() -> Figure:
     """The same by the semi-reduced equation, with dots by the full one.
 
@@ -172,6 +180,7 @@ def _regimes(strip: Axes, ends: list[float], names: list[str]) -> None:
         strip.text((low + high) / 2, 0.05, name, ha="center", va="bottom")
 
 
+@_styled
 def two_starts() -> Figure:
     """ω₁, ω₂, ω₃ against τ from φ₀ = π/30 (residual) and π/3 (stop), order 1 and full."""
     times = np.concatenate([[0], np.geomspace(0.3, 3000, 500)])
@@ -217,6 +226,7 @@ def _motion(ax: Axes, level: str, found: Any) -> None:
         )
 
 
+@_styled
 def rotator_plane() -> Figure:
     """Phase plane of the plane rotator's full equation: separatrices, domains, runaways."""
     figure = Figure((NARROW, 88 * MM), layout="constrained")
@@ -275,6 +285,7 @@ def _runaways(ax: Axes, right: float, top: float) -> None:
     )
 
 
+@_styled
 def spectra() -> Figure:
     """λ/w² of the slow motions at {w, 0, 0} against δ, by level, with the limit of small w."""
     w, deltas = 0.05, np.linspace(-1, 0.99, 399)
@@ -318,6 +329,7 @@ def _thresholds(ax: Axes, w: float) -> None:
         ax.annotate(text, (delta, 0), (20 if delta < 0 else -45, 8), **place)
 
 
+@_styled
 def levels() -> Figure:
     """Where the end depends on the level: a map over φ and ω₃ at δ = −0.2, ω⊥ = 0.2."""
     found = data.maps(FINE, EVERY, 0.4)
