@@ -199,6 +199,15 @@ def test_cycle_closes(delta):
     assert slope**2 == pytest.approx(float(cycle.multiplier), rel=1e-3)
 
 
+def test_no_cycle_is_made_up_beside_the_critical_shape():
+    """A cycle lies inside its basin; where Newton's method leaves that, there is no value."""
+    for above in (1e-12, 1e-9, 1e-7, 3e-7):
+        found = wobble(critical_delta() + above)
+        assert found.boundary > 2.36
+        assert np.isnan(found.z) or found.z < found.boundary
+        assert np.isnan([found.z, found.swing, found.period]).all() or found.period > 30
+
+
 def test_cycle_of_a_thin_needle_is_harmonic():
     """η = 1 − δ → 0: e″ = −2e/η with growth 2 − 3e²/η on average, so e = √(8η/3) cos √(2/η)σ."""
     eta = 1e-3

@@ -28,6 +28,7 @@ Point = Float[Array, "2 *#lanes"]
 """A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
 
 PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
+SETTLED = 1e-6  # last step of Newton's method, whose error is then its square
 ROUNDS = 8  # of Newton's method for the cycle, whose z lies within 3 % of the start for every δ
 HALVINGS = 52  # for its largest swing
 
@@ -250,7 +251,8 @@ def wobble(delta: Any) -> Wobble:
         delta: shape δ, dimensionless, a number.
 
     Returns:
-        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`. As δ → 1, z → 4/√3, the
+        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`, and but for the boundary also
+        within 1e-6 above it, where the cycle is not found. As δ → 1, z → 4/√3, the
         swing √(8(1−δ)/3), the period 2π√((1−δ)/2).
 
     Raises:
@@ -278,12 +280,17 @@ def _wobble(delta: Float[Array, ""], edge: Float[Array, ""]) -> Wobble:
         z = found[0]
         after, time, spread, swing = _half_turn(system, z)
         nearer = z + (after - z) / (1 - z / after * jnp.exp(spread))
-        return nearer, swing, 2 * time, jnp.exp(2 * spread)
+        return nearer, swing, 2 * time, jnp.exp(2 * spread), jnp.abs(nearer - z)
 
     unknown = jnp.full_like(delta, jnp.nan)
-    start = jnp.full_like(delta, 4 / 3**0.5)  # the limit δ → 1
-    found = jax.lax.fori_loop(0, ROUNDS, newton, (start, unknown, unknown, unknown))
-    return Wobble(*(jnp.where(exists, x, jnp.nan) for x in (*found, edge)))
+    start = jnp.full_like(delta, 4 / 3**0.5), *([unknown] * 4)  # the limit δ → 1
+    z, swing, period, multiplier, step = jax.lax.fori_loop(0, ROUNDS, newton, start)
+    # Close to δ_c2 orbits linger at the saddles, and Newton's method may leave the basin.
+    good = exists & (step <= SETTLED * z) & (z < edge)
+    z, swing, period, multiplier = (
+        jnp.where(good, x, jnp.nan) for x in (z, swing, period, multiplier)
+    )
+    return Wobble(z, swing, period, multiplier, jnp.where(exists, edge, jnp.nan))
 
 
 def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:

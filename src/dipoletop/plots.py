@@ -243,7 +243,7 @@ def _hatch(ax: Axes, xs, ys, differs: Bool[np.ndarray, "Y X"]) -> Patch:
 
 def _mark_quarters(axis: Any) -> None:
     """Ticks at multiples of π/2."""
-    names = {0: "0", 1: r"$\pi/2$", 2: r"$\pi$", 3: r"$3\pi/2$"}
+    names = {-2: r"$-\pi$", -1: r"$-\pi/2$", 0: "0", 1: r"$\pi/2$", 2: r"$\pi$", 3: r"$3\pi/2$"}
 
     def name(value: float, _: Any) -> str:
         return names.get(round(value / (np.pi / 2)), rf"${value / np.pi:g}\pi$")
