@@ -18,7 +18,7 @@ from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
 LANES = 16  # of each kind of body
 MANY = 320  # states to be judged: always as many, so that a level compiles once
-LEVELS = {"1": 1, "2": 2, "3": 3, "semi": None}
+LEVELS = {"1": 1, "2": 2, "semi": None}
 
 
 def _script():

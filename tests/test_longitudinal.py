@@ -20,7 +20,7 @@ def same(found, expected, tolerance=1e-12):
     assert float(jnp.max(jnp.abs(found - expected) / size[None])) < tolerance
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("order", [1, 2])
 def test_closed_forms_equal_the_general_reduction(order):
     found = dt.LongitudinalReduced(DELTAS, order)(0.0, OMEGAS)
     same(found, dt.Reduced(BODIES, order)(0.0, OMEGAS))

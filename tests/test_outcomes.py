@@ -150,9 +150,7 @@ def test_labels_equal_an_independent_integrator(level):
     assert found.tolist() == expected
 
 
-@pytest.mark.parametrize(
-    "level", [dt.TransverseReduced, dt.TransverseSemi, dt.TransverseCylindrical]
-)
+@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
 def test_the_engine_agrees_with_diffrax(level):
     """Label by label exactly, ω∞ within the tolerance."""
     rng = np.random.default_rng(9)

@@ -201,8 +201,9 @@ def test_cycle_closes(delta):
 
 def test_no_cycle_is_made_up_beside_the_critical_shape():
     """A cycle lies inside its basin; where Newton's method leaves that, there is no value."""
-    for above in (1e-12, 1e-9, 1e-7, 3e-7):
-        found = wobble(critical_delta() + above)
+    critical = critical_delta()
+    for above in (1e-9, 3e-7):
+        found = wobble(critical + above)
         assert found.boundary > 2.36
         assert np.isnan(found.z) or found.z < found.boundary
         assert np.isnan([found.z, found.swing, found.period]).all() or found.period > 30

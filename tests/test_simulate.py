@@ -58,11 +58,11 @@ def test_error_follows_the_tolerance(solver):
 @pytest.mark.parametrize("phi", [jnp.pi / 30, jnp.pi / 3])
 def test_full_equation_keeps_the_energy_balance(phi):
     """d/dt(E − d₁·d₂) = −|d₂|² exactly, by the vector field, off the slow manifold too."""
-    for equation in (dt.TransverseFull(-0.2), dt.Full(dt.axisymmetric(-0.2))):
-        near = equation.lift(dt.cylindrical(0.2, 0.2, phi))
-        state = near.at[-1].add(1e-4)  # both equations end with the rate of ω₃
-        run = dt.simulate(equation, state, jnp.array([0.0, 6.0]), rtol=1e-13, balance=True)
-        assert float(jnp.max(jnp.abs(run.balance_defect))) < 1e-12
+    equation = dt.TransverseFull(-0.2)
+    near = equation.lift(dt.cylindrical(0.2, 0.2, phi))
+    state = near.at[-1].add(1e-4)  # the rate of ω₃
+    run = dt.simulate(equation, state, jnp.array([0.0, 6.0]), rtol=1e-13, balance=True)
+    assert float(jnp.max(jnp.abs(run.balance_defect))) < 1e-12
 
 
 def test_defect_of_a_reduced_level_falls_with_the_amplitude():

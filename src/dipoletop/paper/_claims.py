@@ -81,7 +81,7 @@ def exceptions() -> Iterator[Entry]:
 FAMILIES = (
     ("largest", (0.6, 1.0, 1.2), 2, (1.0, 1.0)),
     ("middle", (0.6, 1.0, 1.2), 1, (0.0, 0.0)),
-    ("smallest, J = (1, 1.3, 2.2)", (1.0, 1.3, 2.2), 0, (0.05, 0.95)),
+    ("smallest", (1.0, 1.3, 2.2), 0, (0.05, 0.95)),
 )
 """Which moment the dipole's axis has, the moments, that axis, the residual share allowed."""
 
@@ -96,8 +96,9 @@ def asymmetric() -> Iterator[Entry]:
         decided = float(np.mean(found > 0))
         wrong = 0.0 if low <= share <= high and decided > 0.9 else 1.0
         ends = "residual for all" if low == 1 else "stop" if high == 0 else "both ends"
-        claim = f"dipole about the {name} moment: {ends} ({share:.0%} of {EACH} keep rotating)"
-        yield Entry("closing statement", claim, wrong, 0.0, "residual for all")
+        claim = f"J = {moments}, dipole about the {name}: {ends} ({share:.0%} keep rotating)"
+        correction = "" if low == 1 else "residual for all"
+        yield Entry("closing statement", claim, wrong, 0.0, correction)
 
 
 PARTICLES = (
