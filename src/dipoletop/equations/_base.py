@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 from jaxtyping import Array, Float
 
 from .._checks import real, refuse, where_valid
@@ -18,6 +19,11 @@ def check_order(order: Any) -> None:
     """Orders beyond 4 cost about four times more each, and the series diverges."""
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 4:
         refuse("order", "be 1, 2, 3 or 4", f"is {order!r}")
+
+
+def one_order_up(lower: Any, t: Any, y: Vector) -> tuple[Vector, Vector]:
+    """Ω̇ and Ω̈ = DF·F of the motions of an equation F, which order m + 1 puts into the torque."""
+    return jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
 
 
 def order_label(order: int) -> str:

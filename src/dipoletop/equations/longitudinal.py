@@ -11,13 +11,12 @@ Every physical motion ends in rotation about the dipole, ω → (0, 0, ω₃).
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._base import check_order, order_label, shape_parameter, unchanged
+from ._base import check_order, one_order_up, order_label, shape_parameter, unchanged
 
 Whole = Float[Array, "5 *lanes"]
 SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
@@ -84,8 +83,7 @@ class LongitudinalReduced(eqx.Module):
         d = self.delta
         if self.order > 1:
             lower = LongitudinalReduced(d, self.order - 1)
-            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
-            return _balance(d, y, rate, second)
+            return _balance(d, y, *one_order_up(lower, t, y))
         w1, w2, w3 = y
         drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])

@@ -16,7 +16,7 @@ from .._types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from . import _general
-from ._base import check_order, order_label, unchanged
+from ._base import check_order, one_order_up, order_label, unchanged
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
@@ -56,8 +56,7 @@ class Reduced(eqx.Module):
         if self.order == 1:
             rate, second = free_rotation(body, y)
         else:
-            lower = Reduced(body, self.order - 1)
-            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
+            rate, second = one_order_up(Reduced(body, self.order - 1), t, y)
         torque = radiation_torque(body, y, rate, second) - gyroscopic_torque(body, y)
         return matvec(inverse(body.inertia), torque)
 

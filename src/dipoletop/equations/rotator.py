@@ -34,13 +34,19 @@ def _speed(omega0: Vector) -> Real:
     return where_valid("omega0", omega0[2], flat, "lie along axis 3 (a plane rotator)")
 
 
-def _about_axis_3(y: Float[Array, "n *lanes"]) -> Vector:
+def _lift(self: Any, omega0: Vector) -> One:
+    """Component 3 of ω₀; the others must be 0."""
+    return _speed(omega0)[None]
+
+
+def _about_axis_3(self: Any, y: Float[Array, "n *lanes"]) -> Vector:
+    """(0, 0, ω)."""
     zero = jnp.zeros_like(y[0])
     return jnp.stack([zero, zero, y[0]])
 
 
-def _stops(y: Float[Array, "n *lanes"]) -> Verdict:
-    """ω falls like (2τ)^{−1/2}."""
+def _stops(self: Any, y: Float[Array, "n *lanes"]) -> Verdict:
+    """STOP, always, on the physical branch: ω falls like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
     outcome = jnp.where(jnp.isfinite(y[0]), int(Outcome.STOP), int(Outcome.FAILED))
     return Verdict(outcome.astype("int32"), zero, zero == 0, int(Stop.AXIS))
@@ -64,17 +70,7 @@ class RotatorReduced(eqx.Module):
         """dω/dτ, shape (1,) or (1, B)."""
         return -(y**3)
 
-    def lift(self, omega0: Vector) -> One:
-        """Component 3 of ω₀; the others must be 0."""
-        return _speed(omega0)[None]
-
-    def omega(self, y: One) -> Vector:
-        """(0, 0, ω)."""
-        return _about_axis_3(y)
-
-    def verdict(self, y: One) -> Verdict:
-        """STOP, always."""
-        return _stops(y)
+    lift, omega, verdict = _lift, _about_axis_3, _stops
 
     body = property(_rotator)
 
@@ -91,17 +87,7 @@ class RotatorBranch(eqx.Module):
         """dω/dτ, shape (1,) or (1, B)."""
         return critical_manifold(y)
 
-    def lift(self, omega0: Vector) -> One:
-        """Component 3 of ω₀; the others must be 0."""
-        return _speed(omega0)[None]
-
-    def omega(self, y: One) -> Vector:
-        """(0, 0, ω)."""
-        return _about_axis_3(y)
-
-    def verdict(self, y: One) -> Verdict:
-        """STOP, always: f has the sign of −ω."""
-        return _stops(y)
+    lift, omega, verdict = _lift, _about_axis_3, _stops
 
     body = property(_rotator)
 
@@ -146,13 +132,7 @@ class RotatorFull(eqx.Module):
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
 
-    def omega(self, y: Pair) -> Vector:
-        """(0, 0, ω)."""
-        return _about_axis_3(y)
-
-    def verdict(self, y: Pair) -> Verdict:
-        """That of a state on the physical branch: STOP."""
-        return _stops(y)
+    omega, verdict = _about_axis_3, _stops
 
     def lyapunov(self, y: Pair) -> Real:
         """V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""

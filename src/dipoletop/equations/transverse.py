@@ -13,7 +13,6 @@ import functools
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -21,7 +20,7 @@ from .._checks import finite, real
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
-from ._base import check_order, order_label, shape_parameter, unchanged
+from ._base import check_order, one_order_up, order_label, shape_parameter, unchanged
 
 
 def top(self: Any) -> Body:
@@ -87,8 +86,7 @@ class TransverseReduced(eqx.Module):
         d = self.delta
         if self.order > 1:
             lower = TransverseReduced(d, self.order - 1)
-            rate, second = jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
-            return _balance(d, y, rate, second)
+            return _balance(d, y, *one_order_up(lower, t, y))
         w1, w2, w3 = y
         square = w1**2 + w2**2 + w3**2
         return jnp.stack(

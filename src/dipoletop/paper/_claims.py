@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from .. import particles, planar
+from .. import exact, particles, planar
 from .._types import Outcome, Stop
 from ..bodies import Body
 from ..equations.rigid import Reduced
@@ -113,7 +113,11 @@ PARTICLES = (
 
 
 def conclusions() -> Iterator[Entry]:
-    """The particles of the conclusions."""
+    """The particles of the conclusions, and how long a stop takes."""
+    after = exact.rotator(1.0, jnp.array([1.0, 5e3]))  # in units of T, where ω₀ = 1
+    wrong = 0.0 if after[0] > 0.5 and after[1] < 0.011 else 1.0
+    claim = f"rotation ceases at t ≫ T: ω/ω₀ = {after[0]:.2f} at T, {after[1]:.2f} at 5000 T"
+    yield Entry("conclusions", claim, wrong, 0.0, "another condition on t")
     for row, expected in zip(
         particles.particle_table(particles.paper_particles()), PARTICLES, strict=True
     ):

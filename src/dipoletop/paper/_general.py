@@ -115,6 +115,9 @@ def phase_plane() -> Iterator[Entry]:
     expected = np.array([[1, 1, -1, -1, -1, 1], [-1, 1, 1, -1, 1, -1]])
     found = gap(np.stack([domain.past, domain.future]), expected)
     yield Entry("figure 3", "AOC and BOD part four domains of runaways", found, 0.0)
+    found = float(jnp.max(jnp.abs(critical_manifold(small) / -(small**3) - 1) / small**2))
+    claim = "slow motions obey (2.3), but for 3ω² of the rate"
+    yield Entry("end of appendix A", claim, abs(found / 3 - 1), 1e-4, "another number")
     inverse_rate = jax.vmap(jax.grad(exact.rotator_closed_time))(w)
     claim = "−ω³/√(1+2ω²) integrates to √(1+2ω²)/(2ω²) + arsinh(1/(√2 ω))"
     yield Entry("appendix A", claim, gap(inverse_rate * closed_manifold(w), one), 1e-13)

@@ -11,6 +11,7 @@ from .. import exact
 from ..bodies import axisymmetric
 from ..equations.longitudinal import LongitudinalFull, LongitudinalReduced
 from ..equations.rigid import Full, Reduced
+from ..equations.rotator import critical_manifold
 from ..manifold import slow_manifold
 from ._entry import LANES, Entry, gap, shapes, states, unsolved
 
@@ -59,6 +60,10 @@ def asymptotics() -> Iterator[Entry]:
     series = (-(0.01**2) + 5 * 0.01**4 - 42 * 0.01**6, 0.01 - 2 * 0.01**3 + 14 * 0.01**5)
     found = max(abs(float(small[0]) / series[0] - 1), abs(float(small[2]) / series[1] - 1))
     yield Entry("(B.12)", "α₋ = −s² + 5s⁴ − 42s⁶ + …, B = s − 2s³ + 14s⁵ − …", found, 1e-9)
+    plane = slow_manifold(LongitudinalFull(delta), jnp.array([0.3, 0.0, 0.0]))
+    found = gap(plane[0], critical_manifold(0.3))
+    claim = "ω₃ = 0: the branch is the rotator's, so ω⊥ decays by (A.4), with its logarithm"
+    yield Entry("(B.5)", claim, found, 1e-13, "correction O(1/τ)")
     yield from on_the_branch(delta, w3, complex(below, turn - w3))
     yield from blow_up(delta, w3)
 
@@ -96,7 +101,7 @@ def blow_up(delta: float, w3: float) -> Iterator[Entry]:
     w, rate = run.y[0] + 1j * run.y[1], run.y[3] + 1j * run.y[4]
     decay = (rate / w).real[-1]  # ω⊥′/ω⊥ = 1/|τ|, τ < 0 before the blow-up
     found = abs(abs(w[-1]) / (np.sqrt(2) * decay) - 1)
-    yield Entry("(B.5)", "ω⊥ ~ √2/|τ| near a blow-up, but for O(τ)", float(found), 1e-4)
+    yield Entry("appendix B", "ω⊥ ~ √2/|τ| near a blow-up, but for O(τ)", float(found), 1e-4)
     here = np.argmin(np.abs(np.abs(w) - 1e3))
     tau = -np.sqrt(2) / abs(w[here])
     turn = (rate / w).imag[here] + w3
