@@ -1,7 +1,7 @@
 """The lane engine: adaptive explicit Runge–Kutta steps on a block of lanes, end states only.
 
 A queue of starts `(n, N)` is worked off by a block of `width` lanes. Each lane has its own
-step size; a lane that is finished waits until a tenth of the block is, then all finished lanes
+step size; a lane that is finished waits until a part of the block is, then all finished lanes
 write their end states and take the next starts from the queue. So no lane pays for a slower
 one, and nothing is stored but the ends. The equation is any first-order equation whose
 components lie on axis 0; the method is the Butcher tableau of any explicit diffrax solver.
@@ -26,7 +26,7 @@ Until = Literal["outcome", "value", "time"]
 """When a lane is finished: its outcome is certain; also ω∞ to the tolerance; or at time t1."""
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
-REFILL = 10  # refill when one lane in so many is finished
+REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
 LARGE = 200  # operations of a right-hand side from which the stages become a loop
 VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
@@ -75,16 +75,18 @@ class Lanes(eqx.Module):
 
 
 class _Block(eqx.Module):
-    """Runs with their places among the starts: the lanes at work, or the queue behind them."""
+    """Runs with their places among the starts: the lanes at work, the queue, or what has ended."""
 
     slot: Int[Array, "B"]  # which start; past the end when idle
     at: Lanes
-    taken: Int[Array, ""]  # how much of the queue has been handed out
-    sweeps: Int[Array, ""]
 
     @property
     def running(self) -> Bool[Array, "B"]:
         return self.at.status == RUNNING
+
+    def part(self, first: Any, width: int) -> "_Block":
+        """So many neighbours."""
+        return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
 
 def _largest(components: Any) -> Real:
@@ -237,48 +239,61 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     return Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
 
 
-def _step(block: _Block, limits: Limits, solver: Any, until: Until) -> _Block:
-    at = advance(block.at, limits.rtol, limits.max_steps, solver, until)
-    return _Block(block.slot, at, block.taken, block.sweeps + 1)
+def _in_front(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
+    """The order in which the chosen come first, as it was otherwise; and how many they are."""
+    count = jnp.sum(chosen)
+    place = jnp.where(chosen, jnp.cumsum(chosen) - 1, count + jnp.cumsum(~chosen) - 1)
+    # A scatter: XLA:CPU takes thirty times as long to sort.
+    order = jnp.zeros(chosen.size, int).at[place].set(jnp.arange(chosen.size), unique_indices=True)
+    return order, count
 
 
-def _write(ends: Ends, block: _Block) -> Ends:
-    """End states of the lanes that stand still; idle lanes write outside and are dropped."""
-    slot = jnp.where(block.running, ends.t.shape[0], block.slot)
+def _still_first(block: _Block) -> tuple[_Block, Array]:
+    """The lanes that stand still moved to the front, and how many they are."""
+    order, count = _in_front(~block.running)
+    return jax.tree.map(lambda x: x[..., order], block), count
 
-    def put(into: Array, values: Array) -> Array:
-        return into.at[..., slot].set(values, mode="drop")
 
+def _result(block: _Block) -> tuple[Array, ...]:
+    """What is kept of runs that have ended, and which they were."""
     at = block.at
-    steps, status = put(ends.steps, at.steps), put(ends.status, at.status)
-    return Ends(put(ends.y, at.y), put(ends.t, at.t), steps, status, ends.sweeps)
+    return block.slot, at.y, at.t, at.steps, at.status
 
 
-def _refill(block: _Block, queue: _Block) -> _Block:
-    """Give the lanes that stand still the next starts of the queue."""
-    size = queue.slot.shape[0]
-    free = ~block.running
-    place = block.taken + jnp.cumsum(free) - 1
-    take = free & (place < size)
-    source = jnp.where(take, place, 0)
-    at = jax.tree.map(lambda old, new: jnp.where(take, new[..., source], old), block.at, queue.at)
-    slot = jnp.where(take, queue.slot[source], jnp.where(free, size, block.slot))
-    return _Block(slot, at, block.taken + jnp.sum(take), block.sweeps)
+def _queue(begun: Lanes, width: int) -> tuple[_Block, Array]:
+    """The runs, those that need a step in front, and how many these are; idle lanes behind."""
+    front, count = _in_front(begun.status == RUNNING)
+    size = front.size
+    padded = jnp.concatenate([front, jnp.zeros(width, int)])
+    at = jax.tree.map(lambda x: x[..., padded], begun)
+    idle = jnp.arange(padded.size) >= size
+    at = eqx.tree_at(lambda at: at.status, at, jnp.where(idle, FINISHED, at.status))
+    return _Block(jnp.where(idle, size, padded), at), count
 
 
-def _narrowed(block: _Block, width: int) -> _Block:
-    """The first `width` lanes after those that run have been moved to the front."""
-    front = jnp.argsort(~block.running, stable=True)[:width]
-    at = jax.tree.map(lambda x: x[..., front], block.at)
-    return _Block(block.slot[front], at, block.taken, jnp.zeros((), int))
+def _stepped(
+    block: _Block, least: Any, limits: Limits, solver: Any, until: Until
+) -> tuple[_Block, Array]:
+    """Step while at least so many lanes are running; how many steps."""
+
+    def step(carry: Any) -> Any:
+        block, count = carry
+        at = advance(block.at, limits.rtol, limits.max_steps, solver, until)
+        return _Block(block.slot, at), count + 1
+
+    def busy(carry: Any) -> Bool[Array, ""]:
+        return jnp.sum(carry[0].running) >= least
+
+    return jax.lax.while_loop(busy, step, (block, jnp.zeros((), int)))
 
 
-def _prepare(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> _Block:
-    """The queue; what is decided or broken at once stands at its far end."""
-    at = begin(equation, y0, limits, order, until)
-    size = at.t.shape[0]
-    count = jnp.sum(at.status == RUNNING)
-    return _narrowed(_Block(jnp.arange(size), at, count, count), size)
+def _put(out: Any, block: _Block, written: Array) -> Any:
+    """Results of a block behind those that are written."""
+    return jax.tree.map(
+        lambda into, x: jax.lax.dynamic_update_slice_in_dim(into, x, written, axis=-1),
+        out,
+        _result(block),
+    )
 
 
 def _integrate(
@@ -290,39 +305,43 @@ def _integrate(
     width: int,
 ) -> Ends:
     size = y0.shape[1]
-    queue = _prepare(equation, y0, limits, int(solver.order(None)), until)  # pyright: ignore
-    many = queue.taken  # starts that need a step
-    none = jnp.zeros(size, "int32")
-    ends = Ends(y0, jnp.zeros_like(limits.t1), none, none, jnp.zeros(2, int))
-    ends = _write(ends, queue)
-    slot = jnp.where(queue.running, queue.slot, size)
-    idle = eqx.tree_at(lambda at: at.status, queue.at, none)
-    queue = _Block(slot, queue.at, many, many)
-    block = _Block(jnp.full(size, size), idle, jnp.zeros((), int), many)
+    narrow = max(width // NARROW, 1)
+    begun = begin(equation, y0, limits, int(solver.order(None) or 0), until)
+    queue, many = _queue(begun, width)
+
+    def work(carry: Any) -> Any:
+        block, taken, written, out, sweeps = carry
+        block, count = _still_first(block)
+        out = _put(out, block, written)  # what runs stands behind: the next results cover it
+        fresh, here = queue.part(taken, width), jnp.arange(width) < count
+        block = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, block)
+        taken = taken + count
+        least = jnp.where(taken < many, width - width // REFILL, narrow + 1)
+        block, more = _stepped(block, least, limits, solver, until)
+        return block, taken, written + count, out, sweeps + more
+
+    def unfinished(carry: Any) -> Bool[Array, ""]:
+        return (carry[1] < many) | (jnp.sum(carry[0].running) > narrow)
+
+    room = size + 4 * width  # idle lanes are written too, at both ends
+    out = jax.tree.map(lambda x: jnp.zeros((*x.shape[:-1], room), x.dtype), _result(queue))
+    zero = jnp.zeros((), int)
+    carry = queue.part(size, width), zero, zero, (jnp.full(room, size), *out[1:]), zero
+    block, _, written, out, wide = jax.lax.while_loop(unfinished, work, carry)
 
     # The slowest lanes end in a narrow block, where a step costs less.
-    sweeps = []
-    narrow = max(width // NARROW, 1)
-    for lanes, keep in ((width, width // NARROW), (narrow, 0)):
-        block = _narrowed(block, lanes)
+    block, count = _still_first(block)
+    out = _put(out, block, written)
+    block = block.part(width - narrow, narrow)
+    block = eqx.tree_at(lambda b: b.slot, block, jnp.where(block.running, block.slot, size))
+    block, last = _stepped(block, 1, limits, solver, until)
+    slot, *late = _put(out, block, written + count)
 
-        def busy(block: _Block, lanes: int = lanes, keep: int = keep) -> Bool[Array, ""]:
-            wanted = jnp.where(block.taken < many, lanes - lanes // REFILL, keep + 1)
-            return jnp.sum(block.running) >= wanted
-
-        def work(carry: Any, busy: Any = busy) -> tuple[_Block, Ends]:
-            block, ends = carry
-            block = _refill(block, queue)
-            block = jax.lax.while_loop(busy, lambda b: _step(b, limits, solver, until), block)
-            return block, _write(ends, block)
-
-        def unfinished(carry: Any, keep: int = keep) -> Bool[Array, ""]:
-            block, _ = carry
-            return (jnp.sum(block.running) > keep) | (block.taken < many)
-
-        block, ends = jax.lax.while_loop(unfinished, work, (block, ends))
-        sweeps.append(block.sweeps)
-    return Ends(ends.y, ends.t, ends.steps, ends.status, jnp.stack(sweeps))
+    found = jnp.full(size, -1).at[slot].set(jnp.arange(room), mode="drop")
+    _, *early = _result(_Block(slot, begun))
+    pairs = zip(late, early, strict=True)
+    y, t, steps, status = (jnp.where(found >= 0, x[..., found], at_once) for x, at_once in pairs)
+    return Ends(y, t, steps, status, jnp.stack([wide, last]))
 
 
 _seen: set[Any] = set()

@@ -87,15 +87,12 @@ class TransverseReduced(eqx.Module):
         if self.order > 1:
             lower = TransverseReduced(d, self.order - 1)
             return _balance(d, y, *one_order_up(lower, t, y))
+        # What depends on δ alone stands together: the stages of a step share it.
         w1, w2, w3 = y
-        square = w1**2 + w2**2 + w3**2
-        return jnp.stack(
-            [
-                d * w2 * w3,
-                -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2,
-                -(square + d * (2 * w1**2 - w2**2)) * w3 / (1 - d),
-            ]
-        )
+        turn = d * w3
+        drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
+        axial = (1 + 2 * d) / (1 - d) * w1**2 + w2**2 + 1 / (1 - d) * w3**2
+        return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
 
     lift = omega = unchanged
 
@@ -137,9 +134,9 @@ class TransverseSemi(eqx.Module):
         square = w1**2 + w2**2 + w3**2
         r2 = -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2
         r3 = (d * w2**2 - square) * w3
-        determinant = 1 - d + 4 * w1**2
-        p2 = ((1 - d) * r2 - 2 * w1 * r3) / determinant
-        p3 = (r3 + 2 * w1 * r2) / determinant
+        inverse = 1 / (1 - d + 4 * w1**2)
+        p2 = ((1 - d) * r2 - 2 * w1 * r3) * inverse
+        p3 = (r3 + 2 * w1 * r2) * inverse
         return jnp.stack([d * w2 * w3, p2, p3])
 
     lift = omega = unchanged
