@@ -99,6 +99,17 @@ def test_what_is_not_a_number_stays_so():
     np.testing.assert_array_equal(found, expected)
 
 
+def test_logarithms_in_single_precision():
+    """Our own code for them, for every kind of number."""
+    numbers = [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 1e-40, 1.2e-38, 3e38, 1.0]
+    numbers += [0.70710677, 0.7071069, *np.nextafter(np.float32(1), np.float32([0, 2]))]
+    table = np.append(numbers, 10 ** RNG.uniform(-38, 38, 33)).reshape(1, -1)
+    found = machine(lambda x: jnp.log(x.astype("float32")).astype(float), table)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.log(table.astype("float32").astype(float))
+    np.testing.assert_allclose(found, expected, rtol=3e-7)
+
+
 def problem(make, size=0.3, n=128):
     """Equations of many shapes, their starts and limits."""
     deltas = jnp.asarray(RNG.uniform(-0.9, 0.7, n))

@@ -21,7 +21,7 @@ from ._simd import COMPARE, FLOAT, Unsupported, Writer, is_float, machine_code
 Value = np.ndarray  # of numbers, known now, or of LLVM values (dtype object), known at run time
 
 _BITS = {"and": "and_", "or": "or_", "xor": "xor"}
-_FUNCTIONS = {"sqrt", "exp", "log", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
+_FUNCTIONS = {"sqrt", "exp", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
 _FUNCTIONS |= {"exp2", "asin", "acos", "atan", "sinh", "cosh"}
 _ROUND = ("round", "roundeven")  # by lax.RoundingMethod
 _INNER = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
@@ -182,6 +182,7 @@ def _elementwise(name: str, eqn: Any, w: Writer) -> Callable[..., Any] | None:
         ),
         "abs": lambda a: w.absolute(a, dtype),
         "sign": lambda a: w.sign(a, dtype),
+        "log": w.logarithm,
         "square": lambda a: w.arithmetic("mul", a, a),
         "rsqrt": lambda a: w.arithmetic("div", one(), w.function("sqrt", a)),
         "integer_pow": lambda a: w.power(a, params["y"]),

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -43,6 +44,7 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     return array
 
 
+@jax.jit
 def _norm(vector: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
     """|ω|, without underflow of the squares."""
     most = jnp.max(jnp.abs(vector), axis=0)

@@ -54,7 +54,7 @@ class Writer:
             raise Unsupported(f"more than {LONGEST} instructions")
         return value
 
-    def function(self, name: str, *args: Any) -> Any:
+    def function(self, name: str, *args: Any, flags: tuple[str, ...] = ()) -> Any:
         """An intrinsic of LLVM, lane by lane."""
         kind = args[0].type
         suffix = f"v{self.width}{'f64' if kind.element == ir.DoubleType() else 'f32'}"
@@ -63,7 +63,7 @@ class Writer:
         found = module.globals.get(full)
         if found is None:
             found = ir.Function(module, ir.FunctionType(kind, [kind] * len(args)), full)
-        return self.note(self.builder.call(found, args))
+        return self.note(self.builder.call(found, args, fastmath=flags))
 
     def arithmetic(self, name: str, a: Any, b: Any) -> Any:
         if is_float(a):
@@ -86,8 +86,8 @@ class Writer:
 
     def extreme(self, name: str, a: Any, b: Any) -> Any:
         """The larger or smaller; one that is not a number wins, as in JAX."""
-        if is_float(a):
-            return self.function("maximum" if name == "max" else "minimum", a, b)
+        if is_float(a):  # the sign of a zero does not matter, and costs much
+            return self.function("maximum" if name == "max" else "minimum", a, b, flags=("nsz",))
         return self.select(self.compare("gt" if name == "max" else "lt", a, b), a, b)
 
     def power(self, a: Any, exponent: int) -> Any:
@@ -115,6 +115,47 @@ class Writer:
             names = {"f": ("fptrunc", "fpext"), "i": ("trunc", "sext")}[new.kind]
             return self.note(getattr(b, names[wider])(a, kind))
         return self.note(b.sitofp(a, kind) if new.kind == "f" else b.fptosi(a, kind))
+
+    def logarithm(self, a: Any) -> Any:
+        """Natural logarithm: in single precision without a call for every lane, else the library's.
+
+        a = 2ⁿ(1 + f), 1 + f between √½ and √2; ln(1 + f) = 2 artanh s, s = f/(2 + f).
+        """
+        if a.type.element != ir.FloatType():
+            return self.function("log", a)
+        make, zero, one = self.arithmetic, self.constant(0, "float32"), self.constant(1, "float32")
+
+        def integer(x: int) -> ir.Constant:
+            return self.constant(x, "int32")
+
+        low = self.compare("lt", a, self.constant(2.0**-126, "float32"))  # 0, or subnormal
+        bits = self.note(
+            self.builder.bitcast(
+                self.select(low, make("mul", a, self.constant(2.0**23, "float32")), a),
+                self.vector("int32"),
+            )
+        )
+        root = 0x3F3504F3  # √½
+        above = make("sub", bits, integer(root))
+        power = self.note(self.builder.ashr(above, integer(23)))
+        power = make("sub", power, self.select(low, integer(23), integer(0)))
+        rest = self.note(self.builder.and_(above, integer(0x7FFFFF)))
+        rest = self.note(
+            self.builder.bitcast(make("add", rest, integer(root)), self.vector("float32"))
+        )
+        f = make("sub", rest, one)
+        s = make("div", f, make("add", f, make("add", one, one)))
+        square = make("mul", s, s)
+        series = self.constant(2 / 9, "float32")
+        for term in (2 / 7, 2 / 5, 2 / 3, 2.0):
+            series = make("add", make("mul", series, square), self.constant(term, "float32"))
+        whole = make(
+            "mul", self.convert(power, "int32", "float32"), self.constant(np.log(2), "float32")
+        )
+        found = make("add", whole, make("mul", s, series))
+        found = self.select(self.compare("lt", a, self.constant(np.inf, "float32")), found, a)
+        missing = self.select(self.compare("lt", a, zero), self.constant(np.nan, "float32"), found)
+        return self.select(self.compare("eq", a, zero), self.constant(-np.inf, "float32"), missing)
 
     def sign(self, a: Any, dtype: Any) -> Any:
         zero, one = self.constant(0, dtype), self.constant(1, dtype)

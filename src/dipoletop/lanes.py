@@ -143,7 +143,14 @@ def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) 
     f1 = equation(h0, y + h0[None] * f, None)
     d2 = _error_ratio(f1 - f, y, zero, scale) / h0
     slope = jnp.maximum(jnp.maximum(d1, d2), jnp.finfo(h0.dtype).tiny)
-    return jnp.minimum(100 * h0, jnp.exp(jnp.log(0.01 / slope) / order))
+    return jnp.minimum(100 * h0, _root(0.01 / slope, order))
+
+
+def _root(x: Real, order: int) -> Real:
+    """x^(1/order), the order rounded to a power of two: square roots are fast, logarithms slow."""
+    for _ in range(max(1, round(math.log2(order)))):
+        x = jnp.sqrt(x)
+    return x
 
 
 def _combine(weights: np.ndarray, slopes: list[State]) -> State:
@@ -214,11 +221,7 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
     ratio = _error_ratio(error, at.y, new, scale)
-    # ratio^(−1/order), the order rounded to a power of two: roots vectorise, logarithms do not.
-    root = jnp.maximum(ratio, 1e-30)
-    for _ in range(max(1, round(math.log2(solver.order(None))))):
-        root = jnp.sqrt(root)
-    factor = SAFETY / root
+    factor = SAFETY / _root(jnp.maximum(ratio, 1e-30), solver.order(None))
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)

@@ -192,10 +192,5 @@ def integrate(
     block = np.zeros((program.size, WIDTH))
     sweeps = _work(program.begin, program.advance, queue, shared, block, at.status.start)
     y, t, steps, status = (queue[rows, :size] for rows in (at.y, at.t, at.steps, at.status))
-    return lanes.Ends(
-        jnp.asarray(y),
-        jnp.asarray(t[0]),
-        jnp.asarray(steps[0], "int32"),
-        jnp.asarray(status[0], "int32"),
-        jnp.asarray([sweeps, 0]),
-    )
+    whole = (number[0].astype("int32") for number in (steps, status))
+    return lanes.Ends(*jax.device_put((y, t[0], *whole, np.array([sweeps, 0]))))

@@ -91,7 +91,8 @@ class TransverseReduced(eqx.Module):
         w1, w2, w3 = y
         turn = d * w3
         drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
-        axial = (1 + 2 * d) / (1 - d) * w1**2 + w2**2 + 1 / (1 - d) * w3**2
+        light = 1 / (1 - d)
+        axial = (1 + 2 * d) * light * w1**2 + w2**2 + light * w3**2
         return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
 
     lift = omega = unchanged
