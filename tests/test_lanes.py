@@ -172,6 +172,21 @@ def test_a_right_hand_side_that_depends_on_time(solver, engine):
     assert float(jnp.max(jnp.abs(ends.y - jnp.exp(rates * jnp.sin(2.0))[None]))) < 1e-4
 
 
+def test_time_adds_up_without_loss():
+    """A hundred thousand steps of 0.1, of which a plain sum loses the last four digits."""
+    count, start = 100_000, jnp.ones((2, 1))
+    equation, limit = Decay(jnp.zeros(1)), limits(start, t1=1e9, max_steps=2 * count)
+    at = lanes.begin(equation, start, limit, 3, "time")
+
+    def step(_, at):
+        at = eqx.tree_at(lambda at: at.h, at, jnp.full(1, 0.1))
+        return lanes.advance(at, limit.rtol, limit.max_steps, diffrax.Bosh3(), "time")
+
+    found = float(jax.jit(lambda at: jax.lax.fori_loop(0, count, step, at))(at).t[0])
+    assert found == count * 0.1
+    assert sum([0.1] * count) != found
+
+
 class Explosion(Decay):
     """y′ = +y³: runs away in a finite time and is never decided."""
 

@@ -66,6 +66,8 @@ class Lanes(eqx.Module):
     y: Float[Array, "n B"]
     f: Float[Array, "n B"]
     t: Float[Array, "B"]
+    rest: Float[Array, "B"]
+    """What t lacks: the rounding errors of its sum (Kahan), so that long runs keep their time."""
     h: Float[Array, "B"]
     steps: Int[Array, "B"]
     status: Int[Array, "B"]
@@ -209,14 +211,15 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
     status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
     zero = jnp.zeros_like(h)
-    return Lanes(y0, f, zero, h, zero.astype("int32"), status, equation, limits.atol, limits.t1)
+    none = zero.astype("int32")
+    return Lanes(y0, f, zero, zero, h, none, status, equation, limits.atol, limits.t1)
 
 
 def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) -> Lanes:
     """Try one step in every lane that is running."""
     scale = (rtol, at.atol)
     running = at.status == RUNNING
-    left = at.t1 - at.t
+    left = at.t1 - at.t - at.rest
     last = at.h >= left
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
@@ -232,14 +235,17 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     # A rejected step that would hardly have moved the state is the end of the line.
     eps = jnp.finfo(h.dtype).eps
     stuck = _largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * _largest(jnp.abs(at.y))
-    t = jnp.where(accept, at.t + h, at.t)
+    gain = h + at.rest
+    later = jnp.where(last, at.t1, at.t + gain)
+    t = jnp.where(accept, later, at.t)
+    rest = jnp.where(accept, gain - (later - at.t), at.rest)
     broken = ~sound(t, y, f) | (stuck & ~accept)
     done = accept & (last | _finished(at.equation, y, scale, until))
     status = jnp.where(steps < max_steps.astype(steps.dtype), RUNNING, EXHAUSTED)
     status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
     status = jnp.where(running, status, at.status).astype(at.status.dtype)
     h = jnp.where(running, h * factor, at.h)
-    return Lanes(y, f, t, h, steps, status, at.equation, at.atol, at.t1)
+    return Lanes(y, f, t, rest, h, steps, status, at.equation, at.atol, at.t1)
 
 
 def _in_front(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:

@@ -111,7 +111,8 @@ class _Program:
             return jnp.zeros((*leaf.shape[:-1], 1), leaf.dtype)
 
         y, size, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
-        rows = lanes.Lanes(y, y, size, size, count, count, jax.tree.map(one, arrays), size, size)
+        fields = jax.tree.map(one, arrays)
+        rows = lanes.Lanes(y, y, size, size, size, count, count, fields, size, size)
         shared = jnp.zeros(()), jnp.zeros((), int)
         self.begin, *alive = compiled(begin, rows, shared, WIDTH)
         self.advance, *more = compiled(advance, rows, shared, WIDTH)
