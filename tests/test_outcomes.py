@@ -156,7 +156,8 @@ def test_the_engine_agrees_with_diffrax(level):
     rng = np.random.default_rng(9)
     deltas, omegas = jnp.asarray(rng.uniform(-0.95, 0.95, 60)), jnp.asarray(starts(60, 10, 0.1, 1))
     many = dt.classify_many(level(deltas), omegas)
-    one = jax.vmap(lambda d, w: dt.classify(level(d), w))(deltas, omegas)
+    runs = [dt.classify(level(d), w) for d, w in zip(deltas, omegas, strict=True)]
+    one = jax.tree.map(lambda *x: np.stack(x), *runs)  # the program of figure 2
     assert np.array_equal(many.outcome, one.outcome)
     assert np.array_equal(many.stop, one.stop)
     assert np.array_equal(many.certified, one.certified)
@@ -279,3 +280,15 @@ def test_a_tolerance_that_float32_cannot_meet():
             dt.classify(dt.TransverseReduced(-0.2), jnp.array([0.1, 0.2, 0.3]))
         found = dt.classify(dt.TransverseReduced(-0.2), jnp.array([0.2, 0.0, 0.1]), rtol=1e-4)
         assert int(found.outcome) == RESIDUAL
+
+
+@pytest.mark.parametrize("engine", ["jax", "native"])
+def test_subnormal_components_are_not_taken_for_zero(engine):
+    """On a processor JAX compares them as 0, which would put these starts on invariant sets."""
+    omegas = np.array([[0.3, 0.3, 1e-312], [1e-310, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.1]])
+    found = dt.classify_many(dt.TransverseReduced(-0.3), omegas, engine=engine)
+    failed = dt.Outcome.FAILED
+    assert list(found.outcome) == [failed, failed, dt.Outcome.RESIDUAL, dt.Outcome.STOP]
+    message = r"`omega0` must have components that are 0 or at least 2\.2e-308 .*, but has 1e-312"
+    with pytest.raises(ValueError, match=message):
+        dt.classify(dt.TransverseReduced(-0.3), omegas[0])

@@ -73,10 +73,23 @@ def finite(
     return where_valid(name, array, jnp.isfinite(array), "be finite")
 
 
+def subnormal(array: Any) -> np.ndarray:
+    """Which numbers are too small for processors, where JAX takes them for 0; looked at in NumPy.
+
+    A verdict about a start that is *exactly* on an axis would be wrong for them.
+    """
+    values = np.asarray(array)
+    return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
+
+
 def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
     """The start: lifted from ω₀, or a whole state as it is."""
     whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
     start = finite("omega0", omega0, (-1,), batch=False)
+    if concrete(start) and np.any(lost := subnormal(start)):
+        least = np.finfo(start.dtype).tiny
+        must = f"have components that are 0 or at least {least:.1e} in size"
+        refuse("omega0", must, f"has {_some(np.asarray(start)[lost])}")
     if start.shape == (3,):
         return equation.lift(start)
     if start.shape != whole:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from . import lanes, manifold
-from ._checks import initial_state, real, refuse
+from ._checks import initial_state, real, refuse, subnormal
 from ._engine import engine_for
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, Outcome, State, Stop, Verdict
@@ -167,6 +167,8 @@ def classify_block(
     device: Any,
 ) -> Classification:
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
+    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
+        omegas = jnp.where(jnp.asarray(lost), jnp.nan, omegas)
     # What the user has put on another device is moved.
     arrays, rest = eqx.partition((equation, omegas, limits), eqx.is_array)
     equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
@@ -202,8 +204,8 @@ def classify_many(
     Args:
         equations: an equation with a `verdict`: one for all starts, or with a leading batch axis
             of N on every array field, as `TransverseReduced(delta=deltas)` has.
-        omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite is
-            FAILED, and harms no other.
+        omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite, or
+            has a subnormal component (which processors take for 0), is FAILED, and harms no other.
         rtol: relative tolerance; also that of ω∞.
         atol: absolute tolerance, a number or shape (N,); None means rtol·|ω₀| for each start.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.

@@ -85,7 +85,8 @@ def averaged() -> Iterator[Entry]:
         expected = jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1]
         residual = max(residual, gap(rate.T, expected))
     claim = "v = Cξ^{−q}|aξ+b|^p, τ = ((1−δ)/C)∫ξ^{q−1}|aξ+b|^{−p−1}dξ, and φ̄"
-    yield Entry("(4.16)–(4.18)", claim, residual, 1e-11, "(4.17) another exponent")
+    wrong = "(4.17) another exponent, and τ₀ for the initial time"
+    yield Entry("(4.16)–(4.18)", claim, residual, 1e-11, wrong)
     d = -0.2
     a, b, p = 1 + 2 * d, 1 + d**3, d * (1 - d) * (3 + 3 * d + d**2)
     xi = np.array([0.3, 2.0, 40.0])
