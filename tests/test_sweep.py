@@ -360,17 +360,3 @@ def test_memory_and_work_do_not_grow_with_padding():
     found = dt.sweep(reduced, dt.Grid(w3=[0.2], phi=[np.pi / 3]))
     assert found.shape == (1, 1)
     assert found.steps[0, 0] > 0
-
-
-def test_a_second_sweep_with_other_values_compiles_nothing():
-    from dipoletop import lanes
-
-    dt.sweep(reduced, GRID, engine="jax")
-    before = lanes._compiled("cpu")._cached._cache_size()
-
-    def other(w3, phi):
-        return dt.TransverseReduced(-0.31), dt.cylindrical(0.25, w3, phi)
-
-    grid = dt.Grid(w3=np.linspace(0.1, 0.4, 10), phi=np.linspace(0.1, 2.0, 26))
-    dt.sweep(other, grid, rtol=1e-7, max_steps=1000, engine="jax")
-    assert lanes._compiled("cpu")._cached._cache_size() == before

@@ -84,8 +84,7 @@ def test_a_wrong_torque_is_noticed(monkeypatch):
 
 
 def test_a_wrong_closed_form_is_noticed(monkeypatch):
-    pairs = (("swapped", TransverseSemi, Reduced), ("right", TransverseReduced, Reduced))
-    monkeypatch.setattr(validation, "CLOSED_FORMS", pairs)
+    monkeypatch.setattr(validation, "CLOSED_FORMS", (("swapped", TransverseSemi, Reduced),))
     assert _failed(validation.closed_forms) == ["closed form = general body, swapped"]
 
 
