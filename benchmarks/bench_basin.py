@@ -46,13 +46,14 @@ def run(
     omegas: Float[np.ndarray, "n 3"],
     rtol: float,
     engine: str = "native",
+    max_steps: int = problem.MAX_STEPS,
 ) -> dict[str, Any]:
     """dipoletop as one of the peers: labels of all starts by `classify_many`."""
     shapes, starts = jnp.asarray(deltas), jnp.asarray(omegas)
 
     def classified() -> dt.Classification:
         equations = dt.TransverseReduced(shapes)
-        settings = {"rtol": rtol, "max_steps": problem.MAX_STEPS, "engine": engine}
+        settings = {"rtol": rtol, "max_steps": max_steps, "engine": engine}
         return dt.classify_many(equations, starts, value=False, **settings)
 
     _, first = measure.timed(classified)
@@ -66,15 +67,20 @@ def run(
     }
 
 
+def block_widths(engine: Any, starts: int) -> list[int]:
+    """Lanes of an engine's wide and narrow blocks; 0 where there is none."""
+    if engine is native:
+        return [native.WIDTH, 0]
+    width = inspect.signature(lanes.integrate).parameters["width"].default
+    return [min(width, starts), max(width // lanes.NARROW, 1)]
+
+
 def lane_efficiency(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float, engine: Any
 ) -> dict[str, Any]:
     """Which part of the lane steps was made for a running start, one core's share at a time."""
     parts = np.array_split(np.arange(len(deltas)), measure.cores())
-    widths = [native.WIDTH, 0]
-    if engine is lanes:
-        width = inspect.signature(lanes.integrate).parameters["width"].default
-        widths = [min(width, len(parts[-1])), max(width // lanes.NARROW, 1)]
+    widths = block_widths(engine, len(parts[-1]))
     made, swept = 0, np.zeros(2, int)
     for part in parts:
         y0 = jnp.asarray(omegas[part].T)

@@ -1,11 +1,13 @@
 """The default map in a process of its own, so that its memory is its own: time, memory, compiles.
 
-python benchmarks/bench_map.py order-1 512 native prints one line of JSON.
+python benchmarks/bench_map.py order-1 512 native prints one line of JSON; … memory 512 native 0
+prints the memory of one sweep only (1: its result goes to the disk).
 """
 
 import json
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,9 +24,9 @@ REPEATS = 3
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
-def measured(level: str, points: int, engine: str) -> dict[str, Any]:
-    """`report` of a fresh process."""
-    command = [sys.executable, __file__, level, str(points), engine]
+def measured(*arguments: Any) -> dict[str, Any]:
+    """`report`, or after "memory" `memory`, of a fresh process."""
+    command = [sys.executable, __file__, *map(str, arguments)]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -32,10 +34,10 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
     """The first and later sweeps over points × points starts, and what other values compile."""
     before = peak_memory()
     grid = dt.symmetry_cell(points, points)
-    basin, first = measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8, engine))
+    basin, first = measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))
 
     def again() -> measure.Record:
-        return measure.timed(lambda: _sweep(level, grid, -0.2, 1e-8, engine))[1]
+        return measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))[1]
 
     later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
     peak = peak_memory()
@@ -54,15 +56,30 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
     }
 
 
+def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
+    """Memory of the first sweep with value, order 1, its result in memory or on the disk."""
+    before = peak_memory()
+    grid = dt.symmetry_cell(points, points)
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "basin" if stored else None
+        _, clocks = measure.timed(lambda: sweep("order-1", grid, -0.2, 1e-8, engine, store))
+    about = {"points": points, "engine": engine, "stored": stored}
+    return about | clocks | {"import_bytes": before, "peak_bytes": peak_memory()}
+
+
 def _equation(level: str, delta: Any) -> Any:
     return dt.TransverseSemi(delta) if level == "semi" else dt.TransverseReduced(delta)
 
 
-def _sweep(level: str, grid: dt.Grid, delta: float, rtol: float, engine: str) -> dt.Basin:
+def sweep(
+    level: str, grid: dt.Grid, delta: float, rtol: float, engine: str, store: Any = None
+) -> dt.Basin:
+    """A map over a grid of φ and ω₃, ω⊥ = 0.2."""
+
     def tops(w3: Any, phi: Any) -> Any:
         return _equation(level, delta), dt.cylindrical(0.2, w3, phi)
 
-    return dt.sweep(tops, grid, rtol=rtol, progress=False, engine=engine)
+    return dt.sweep(tops, grid, rtol=rtol, progress=False, engine=engine, store=store)
 
 
 def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
@@ -72,7 +89,7 @@ def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
     times = jnp.linspace(0.0, 100.0, 11)
 
     calls: dict[str, Callable[[float, float], Any]] = {
-        "sweep": lambda scale, rtol: _sweep(level, grid, -0.2 * scale, rtol, engine),
+        "sweep": lambda scale, rtol: sweep(level, grid, -0.2 * scale, rtol, engine),
         "classify_many": lambda scale, rtol: dt.classify_many(
             _equation(level, scale * deltas), scale * omegas, rtol=rtol, engine=engine
         ),
@@ -125,4 +142,8 @@ def peak_memory() -> int | None:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    print(json.dumps(report(sys.argv[1], int(sys.argv[2]), sys.argv[3])))
+    scene, points, *rest = sys.argv[1:]
+    if scene == "memory":
+        print(json.dumps(memory(int(points), rest[0], rest[1] == "1")))
+    else:
+        print(json.dumps(report(scene, int(points), *rest)))

@@ -1,9 +1,14 @@
 """Work and precision: end states at a fixed time, cost against true error.
 
-4096 isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The error is the
-largest component of the difference from a reference, over |ω₀|.
+Isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The error is the largest
+component of the difference from a reference, over |ω₀|.
+
+A method is `prepare(omegas, rtol) -> task`: what depends on the problem and the tolerance is made
+once, and the task, which gives the end states, is what is timed.
 """
 
+import functools
+import importlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,6 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 from scipy.integrate import solve_ivp
 
@@ -30,60 +36,77 @@ DELTA, AMPLITUDE, TIME = -0.2, 0.2, 1000.0
 TOLERANCES = tuple(10.0**-k for k in range(6, 13))
 MAX_STEPS = 4096
 CHUNK = 512  # starts in one vmap of diffrax: the fastest of 32, 128, 512 and 4096
+SCIPY = "scipy DOP853"  # so slow that a few starts, once, must do
+FEW = 64
 
 Starts = Float[np.ndarray, "n 3"]
-Advance = Callable[[Starts, float], Starts]
+Task = Callable[[], Starts]
+Method = Callable[[Starts, float], Task]
 
 
 def starts(n: int) -> Starts:
     """Isotropic starts; the i-th does not depend on how many there are."""
-    _, omegas = problem.mixed_basin(n)
-    return AMPLITUDE * omegas / np.linalg.norm(omegas, axis=1)[:, None]
+    return problem.isotropic(n, AMPLITUDE)
 
 
-def by_lanes(omegas: Starts, rtol: float, engine: Any = native) -> Starts:
-    """dipoletop, an engine in one thread."""
-    size = len(omegas)
-    atol = jnp.full(size, rtol * AMPLITUDE)
-    limits = lanes.Limits(jnp.asarray(rtol), atol, jnp.full(size, TIME), jnp.asarray(MAX_STEPS))
-    equation = dt.TransverseReduced(jnp.full(size, DELTA))
-    return np.asarray(engine.integrate(equation, jnp.asarray(omegas.T), limits, until="time").y.T)
+def by_lanes(omegas: Starts, rtol: float, engine: Any = native, threads: int = 1) -> Task:
+    """dipoletop, an engine in so many threads."""
+
+    def prepared(part: Starts) -> Any:
+        size = len(part)
+        atol, ends = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
+        limits = lanes.Limits(jnp.asarray(rtol), atol, ends, jnp.asarray(MAX_STEPS))
+        return dt.TransverseReduced(jnp.full(size, DELTA)), part, limits
+
+    def advance(prepared: Any) -> Starts:
+        equation, part, limits = prepared
+        ends = engine.integrate(equation, jnp.asarray(part.T), limits, until="time")
+        return np.asarray(ends.y.T)
+
+    parts = [prepared(part) for part in np.array_split(omegas, threads)]
+
+    def everywhere() -> Starts:
+        with ThreadPoolExecutor(threads) as pool:
+            return np.concatenate(list(pool.map(advance, parts)))
+
+    return everywhere if threads > 1 else partial(advance, parts[0])
 
 
-def by_lanes_everywhere(omegas: Starts, rtol: float) -> Starts:
-    """dipoletop, one thread for each core."""
-    parts = np.array_split(omegas, measure.cores())
-    with ThreadPoolExecutor(len(parts)) as threads:
-        return np.concatenate(list(threads.map(partial(by_lanes, rtol=rtol), parts)))
+@functools.cache
+def _solver(as_tuple: bool) -> Callable[..., Any]:
+    def field(t: Any, y: Any, delta: Any) -> Any:
+        rate = problem.rate(delta, y)
+        return rate if as_tuple else jnp.stack(rate)
+
+    def solve(omega: Any, delta: Any, rtol: Any) -> Any:
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(field),
+            diffrax.Dopri8(),
+            0.0,
+            TIME,
+            None,
+            tuple(omega) if as_tuple else omega,
+            args=delta,
+            saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * AMPLITUDE),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
+        end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+        return jnp.stack(end) if as_tuple else end
+
+    return jax.jit(jax.vmap(solve, in_axes=(0, None, None)))
 
 
-@jax.jit
-@partial(jax.vmap, in_axes=(0, None, None))
-def _solve(omega: Any, delta: Any, rtol: Any) -> Any:
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: problem.rate(args, y)),
-        diffrax.Dopri8(),
-        0.0,
-        TIME,
-        None,
-        tuple(omega),
-        args=delta,
-        saveat=diffrax.SaveAt(t1=True),
-        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * AMPLITUDE),
-        adjoint=diffrax.ForwardMode(),
-        max_steps=MAX_STEPS,
-        throw=False,
-    )
-    return jnp.stack(solution.ys)[:, 0]  # pyright: ignore[reportArgumentType]
-
-
-def by_diffrax(omegas: Starts, rtol: float) -> Starts:
-    """diffrax, Dopri8 under vmap, the state a tuple of scalars."""
+def by_diffrax(omegas: Starts, rtol: float, as_tuple: bool) -> Task:
+    """diffrax, Dopri8 under vmap, the state a tuple of scalars or a vector (3,)."""
     chunks = range(0, len(omegas), CHUNK)
-    return np.concatenate([_solve(omegas[k : k + CHUNK], DELTA, rtol) for k in chunks])
+    solve = _solver(as_tuple)
+    return lambda: np.concatenate([solve(omegas[k : k + CHUNK], DELTA, rtol) for k in chunks])
 
 
-def heyoka_batch(rtol: float) -> Callable[[Starts], Starts]:
+def heyoka_batch(omegas: Starts, rtol: float) -> Task:
     """heyoka in batch mode; scaled by |ω₀|, because its tolerance is absolute below 1.
 
     All coefficients are numbers known to its compiler (the others are told δ at run time). Twice
@@ -100,7 +123,7 @@ def heyoka_batch(rtol: float) -> Callable[[Starts], Starts]:
         fast_math=True,
     )
 
-    def advance(omegas: Starts) -> Starts:
+    def advance() -> Starts:
         batches = -(-len(omegas) // width)
         padded = np.minimum(np.arange(batches * width), len(omegas) - 1)
         scaled = (omegas[padded] / AMPLITUDE).reshape(batches, width, 3)
@@ -116,15 +139,42 @@ def heyoka_batch(rtol: float) -> Callable[[Starts], Starts]:
     return advance
 
 
-def _by_scipy(omegas: Starts) -> Starts:
+def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
+    """heyoka, one start after another, scaled as in batch mode."""
+    assert heyoka is not None
+    y = heyoka.make_vars("y1", "y2", "y3")
+    integrator = heyoka.taylor_adaptive(
+        list(zip(y, problem.rate(DELTA, y, AMPLITUDE), strict=True)),
+        np.zeros(3),
+        tol=rtol,
+        compact_mode=False,
+        fast_math=True,
+    )
+
+    def advance() -> Starts:
+        ends = omegas / AMPLITUDE
+        state = integrator.state  # a view
+        for end in ends:
+            state[:] = end
+            integrator.time = 0.0
+            integrator.propagate_until(AMPLITUDE * TIME)
+            end[:] = state
+        return AMPLITUDE * ends
+
+    return advance
+
+
+def by_scipy(omegas: Starts, rtol: float) -> Task:
+    """scipy's DOP853, one start after another, the first few of them."""
+
     def end(omega: Any) -> Any:
         def rate(t: float, y: Any) -> Any:
             return problem.rate(DELTA, y)
 
-        scale = {"rtol": 1e-13, "atol": 1e-14 * AMPLITUDE}
-        return solve_ivp(rate, (0.0, TIME), omega, method="DOP853", **scale).y[:, -1]
+        span, scale = (0.0, TIME), rtol * AMPLITUDE
+        return solve_ivp(rate, span, omega, method="DOP853", rtol=rtol, atol=scale).y[:, -1]
 
-    return np.array([end(omega) for omega in omegas])
+    return lambda: np.array([end(omega) for omega in omegas[:FEW]])
 
 
 def _in_long_double(omegas: Starts) -> Starts:
@@ -147,56 +197,82 @@ def _in_long_double(omegas: Starts) -> Starts:
 
 
 def reference(omegas: Starts) -> tuple[Starts, str]:
-    """The end states to compare with, and where they come from."""
+    """The end states to compare with, and where they come from; of a few without heyoka."""
+    few = by_scipy(omegas, 1e-13)()
     extended = np.finfo(np.longdouble).eps < 1e-18
     if heyoka is None or not extended:
-        return _by_scipy(omegas), "scipy DOP853, rtol 1e-13: errors below 1e-12 mean little"
+        return few, f"scipy DOP853, rtol 1e-13, {len(few)} starts: errors below 1e-12 mean little"
     ends = _in_long_double(omegas)
-    few = omegas[:64]
-    apart = np.max(np.abs(_by_scipy(few) - ends[: len(few)])) / AMPLITUDE
+    apart = np.max(np.abs(few - ends[: len(few)])) / AMPLITUDE
     about = f"heyoka in 80-bit arithmetic, tolerance 1e-19 (scipy DOP853 at 1e-13: {apart:.0e} off)"
     return ends, about
+
+
+def methods() -> tuple[dict[str, Method], list[str]]:
+    """Everybody who can take part here by name, and a line for each who cannot."""
+    cores = measure.cores()
+    found: dict[str, Method] = {
+        "dipoletop, native engine": by_lanes,
+        f"the same, {cores} threads": partial(by_lanes, threads=cores),
+        "dipoletop, JAX engine": partial(by_lanes, engine=lanes),
+        "diffrax vmap, tuple": partial(by_diffrax, as_tuple=True),
+        "diffrax vmap, (3,)": partial(by_diffrax, as_tuple=False),
+    }
+    missing = []
+    if heyoka is None:
+        missing.append("heyoka: left out (not installed)")
+    else:
+        heyoka.llvm_state.set_diskcache_enabled(False)  # everybody compiles
+        found |= {"heyoka batch": heyoka_batch, "heyoka scalar": heyoka_scalar}
+    try:
+        peer: Any = importlib.import_module("peer_numbalsoda")
+    except ImportError as error:
+        missing.append(f"numbalsoda: left out ({error})")
+    else:
+        given = {"delta": DELTA, "amplitude": AMPLITUDE, "time": TIME}
+        for name in peer.SOLVERS:
+            found[f"numbalsoda {name}"] = partial(peer.prepare, solver=name, **given)
+    return found | {SCIPY: by_scipy}, missing
 
 
 def compare(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
     """Cost and true error of all methods at all tolerances."""
     omegas = starts(n)
     truth, about = reference(omegas)
-    methods: dict[str, Callable[[float], Callable[[Starts], Starts]]] = {
-        "dipoletop, native engine": lambda rtol: partial(by_lanes, rtol=rtol),
-        f"the same, {measure.cores()} threads": (
-            lambda rtol: partial(by_lanes_everywhere, rtol=rtol)
-        ),
-        "dipoletop, JAX engine": lambda rtol: partial(by_lanes, rtol=rtol, engine=lanes),
-        "diffrax vmap, tuple": lambda rtol: partial(by_diffrax, rtol=rtol),
-    }
-    if heyoka is not None:
-        heyoka.llvm_state.set_diskcache_enabled(False)  # everybody compiles
-        methods["heyoka batch"] = heyoka_batch
+    everybody, missing = methods()
     cases, first = {}, {}
-    for name, prepare in methods.items():
+    for name, prepare in everybody.items():
         for rtol in tolerances:
-            ready, clocks = measure.timed(lambda p=prepare, rtol=rtol: _warm(p(rtol), omegas))
+            ready, clocks = measure.timed(lambda p=prepare, rtol=rtol: _warm(p(omegas, rtol)))
             first.setdefault(name, clocks["seconds"])
-            cases[name, rtol] = partial(_case, ready, omegas)
-    records = measure.interleaved(cases, repeats)
+            cases[name, rtol] = partial(_case, ready)
+    slow = tuple(case for case in cases if case[0] == SCIPY)
+    records = measure.interleaved(cases, repeats, once=slow)
     rows = [
         measure.summary(found) | {"name": name, "rtol": rtol} | _errors(found[0]["ends"], truth)
         for (name, rtol), found in records.items()
     ]
-    return {"starts": n, "reference": about, "first_seconds": first, "rows": rows}
+    about = {"starts": n, "repeats": repeats, "reference": about, "missing": missing}
+    return about | {"scipy": scipy.__version__, "first_seconds": first, "rows": rows}
 
 
-def _warm(advance: Callable[[Starts], Starts], omegas: Starts) -> Callable[[Starts], Starts]:
-    advance(omegas)
-    return advance
+def _warm(task: Task) -> Task:
+    task()
+    return task
 
 
-def _case(advance: Callable[[Starts], Starts], omegas: Starts) -> dict[str, Any]:
-    ends, clocks = measure.timed(lambda: advance(omegas))
+def _case(task: Task) -> dict[str, Any]:
+    ends, clocks = measure.timed(task)
     return clocks | {"ends": ends}
 
 
 def _errors(ends: Starts, truth: Starts) -> dict[str, float]:
+    """Over the starts that both have."""
+    both = min(len(ends), len(truth))
+    return {"starts": len(ends)} | errors(ends[:both], truth[:both])
+
+
+def errors(ends: Starts, truth: Starts) -> dict[str, float]:
+    """The largest and the median error of all starts."""
     error = np.max(np.abs(ends - truth), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}

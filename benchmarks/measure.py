@@ -10,6 +10,8 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
+import diffrax
+
 Record = dict[str, Any]
 """One run: `seconds`, `processor_seconds` (all cores together) and whatever else came out."""
 
@@ -42,6 +44,16 @@ def interleaved(
             if round_ == 0 or name not in once:
                 records[name].append(case())
     return records
+
+
+def evaluations(steps: float, starts: float, solver: Any = None) -> float:
+    """Right-hand sides that so many steps take: two to choose the first step of each start.
+
+    All methods here reuse the last slope of a step, accepted or not.
+    """
+    tableau = (diffrax.Dopri8() if solver is None else solver).tableau
+    assert tableau.fsal
+    return steps * len(tableau.c) + 2 * starts
 
 
 def summary(records: list[Record]) -> Record:

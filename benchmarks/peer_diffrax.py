@@ -6,6 +6,7 @@ starts sorted by |ω| (those that take long together), one vmap for each chunk. 
 steps at a time, finished starts dropped in between, narrower batches for the long tail.
 """
 
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,7 @@ from jaxtyping import Float, Int
 import problem
 
 
+@functools.cache
 def _solver(as_tuple: bool, max_steps: int) -> Callable:
     """A jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
 
@@ -54,12 +56,12 @@ def _solver(as_tuple: bool, max_steps: int) -> Callable:
     return jax.jit(jax.vmap(solve, in_axes=(0, 0, None, 0)))
 
 
-def _plan(way: str, lanes: int) -> list[tuple[int, int]]:
+def _plan(way: str, lanes: int, most: int) -> list[tuple[int, int]]:
     """Widths and steps, widest first: a round takes the widest that its lanes fill."""
     return {
-        "whole": [(lanes, problem.MAX_STEPS)],
-        "chunked": [(32, problem.MAX_STEPS)],
-        "repacked": [(512, 16), (128, 64), (32, 256), (8, problem.MAX_STEPS)],
+        "whole": [(lanes, most)],
+        "chunked": [(32, most)],
+        "repacked": [(512, 16), (128, 64), (32, 256), (8, most)],
     }[way]
 
 
@@ -76,7 +78,7 @@ def _classify(
     amplitude = np.linalg.norm(omegas, axis=1)
     live = live[np.argsort(amplitude[live])]
     states = omegas.copy()
-    budget, made = problem.MAX_STEPS, 0
+    budget, made = plan[-1][1], 0
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         while live.size and budget > 0:
             width, steps = next((p for p in plan if p[0] <= live.size), plan[-1])
@@ -106,10 +108,11 @@ def run(
     *,
     as_tuple: bool = True,
     way: str = "repacked",
+    max_steps: int = problem.MAX_STEPS,
 ) -> dict[str, Any]:
     """Labels of all starts by diffrax; the state a tuple of scalars or a vector (3,)."""
     undecided = problem.certificate(deltas, omegas.T) == problem.UNDECIDED
-    plan = _plan(way, int(undecided.sum()))
+    plan = _plan(way, int(undecided.sum()), max_steps)
     begin = perf_counter()
     solvers = {steps: _solver(as_tuple, steps) for _, steps in plan}
     for width, steps in plan:  # a start that stops at once, so that only compilation is timed

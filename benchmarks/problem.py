@@ -31,6 +31,12 @@ def mixed_basin(
     return DELTA_MAX * (2 * shape - 1), speed[:, None] * direction
 
 
+def isotropic(n: int, amplitude: float) -> Float[np.ndarray, "{n} 3"]:
+    """The directions of the mixed basin, all with |ω| = amplitude."""
+    _, omegas = mixed_basin(n)
+    return amplitude * omegas / np.linalg.norm(omegas, axis=1)[:, None]
+
+
 def rate(delta: Any, w: Any, strength: Any = 1.0) -> tuple[Any, Any, Any]:
     """dω/dτ of (4.2)–(4.4) as a tuple, for numbers, arrays or symbols.
 

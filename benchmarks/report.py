@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import report_scaling
 from bench_basin import OURS
 from bench_import import BASE
+from tables import Table, layout, megabytes, number, per_start
 
 HERE = Path(__file__).parent
-Table = list[list[str]]
+COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#000000", "#F0E442")
 
 
 def keep(name: str, text: str, numbers: dict[str, Any]) -> None:
@@ -27,25 +29,10 @@ def keep(name: str, text: str, numbers: dict[str, Any]) -> None:
 def markdown(results: dict[str, Any]) -> str:
     """All tables, in Markdown that is also legible as it stands."""
     parts = [_machine(results), _basin(results["basin"])]
-    parts += [_precision(results["precision"]), _maps(results["maps"])]
+    parts += [_precision(results["precision"]), report_scaling.scaling(results["scaling"])]
+    parts += [report_scaling.savings(results["savings"]), _maps(results["maps"])]
     parts += [_compilations(results["maps"]), _import(results["import"])]
     return "\n\n".join(parts)
-
-
-def layout(table: Table, *, text: int = 1) -> str:
-    """A Markdown table; the first `text` columns to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    head, *body = (
-        [f"{cell:<{w}}" if k < text else f"{cell:>{w}}" for k, (cell, w) in enumerate(cells)]
-        for cells in (list(zip(row, widths, strict=True)) for row in table)
-    )
-    rule = ["-" * w if k < text else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, rule, *body))
-
-
-def _number(value: float) -> str:
-    """Three digits."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}"
 
 
 def _machine(results: dict[str, Any]) -> str:
@@ -59,11 +46,6 @@ def _machine(results: dict[str, Any]) -> str:
     )
 
 
-def _per_start(row: dict[str, Any], clock: str, which: str = "median") -> float:
-    """Microseconds for each start."""
-    return 1e6 * row[clock][which] / row["starts"]
-
-
 def _basin(found: dict[str, Any]) -> str:
     parts = [f"### Mixed basin, rtol {found['rtol']:.0e}, all cores"]
     for size, scene in found["tables"].items():
@@ -71,7 +53,7 @@ def _basin(found: dict[str, Any]) -> str:
         parts += [_efficiency(lanes) for lanes in scene["lanes"]]
     truth = found["truth"]
     parts.append(
-        f"{truth['note']}: {_number(truth['microseconds'])} µs and {truth['steps']:.1f} steps for "
+        f"{truth['note']}: {number(truth['microseconds'])} µs and {truth['steps']:.1f} steps for "
         f"each of {truth['starts']} starts, at rtol 1e-12."
     )
     return "\n\n".join(parts + [line + "." for line in found["missing"]])
@@ -93,17 +75,17 @@ def _basin_table(rows: list[dict[str, Any]]) -> Table:
     head += ["steps/start", "undecided", "differ from the first", "differ from scipy"]
     table = [head]
     for row in rows:
-        wall, spent = _per_start(row, "seconds"), _per_start(row, "processor_seconds")
-        ratio = wall / _per_start(ours, "seconds"), spent / _per_start(ours, "processor_seconds")
+        wall, spent = per_start(row, "seconds"), per_start(row, "processor_seconds")
+        ratio = wall / per_start(ours, "seconds"), spent / per_start(ours, "processor_seconds")
         table.append(
             [
                 row["name"],
                 f"{row['starts']} × {row['repeats']}",
-                " / ".join(_number(row["seconds"][w]) for w in ("min", "median")),
-                " / ".join(_number(row["processor_seconds"][w]) for w in ("min", "median")),
-                f"{_number(wall)} / {_number(spent)}",
-                f"{_number(ratio[0])} / {_number(ratio[1])}",
-                _number(row["first_seconds"]),
+                " / ".join(number(row["seconds"][w]) for w in ("min", "median")),
+                " / ".join(number(row["processor_seconds"][w]) for w in ("min", "median")),
+                f"{number(wall)} / {number(spent)}",
+                f"{number(ratio[0])} / {number(ratio[1])}",
+                number(row["first_seconds"]),
                 f"{row['steps']:.1f}",
                 str(row["undecided"]),
                 str(row["differ_from_ours"]),
@@ -114,19 +96,21 @@ def _basin_table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _precision(found: dict[str, Any]) -> str:
-    rows = [row | {"starts": found["starts"]} for row in found["rows"]]
     table = [["", "rtol", "largest error", "median error", "µs/start, wall", "µs/start, processor"]]
-    for row in rows:
-        clocks = [_number(_per_start(row, clock)) for clock in ("seconds", "processor_seconds")]
+    few = {row["name"]: row["starts"] for row in found["rows"] if row["starts"] < found["starts"]}
+    for row in found["rows"]:
+        clocks = [number(per_start(row, clock)) for clock in ("seconds", "processor_seconds")]
         errors = [f"{row[name]:.1e}" for name in ("largest_error", "median_error")]
         table.append([row["name"], f"{row['rtol']:.0e}", *errors, *clocks])
-    first = ", ".join(f"{name} {_number(s)}" for name, s in found["first_seconds"].items())
+    first = ", ".join(f"{name} {number(s)}" for name, s in found["first_seconds"].items())
     return "\n\n".join(
         [
             f"### Work and precision: end states of {found['starts']} starts at τ = 1000",
-            f"Reference: {found['reference']}. Medians of {rows[0]['repeats']} repeats. "
-            f"The first tolerance with compilation and a first run, s: {first}.",
+            f"Reference: {found['reference']}. Medians of {found['repeats']} repeats"
+            + "".join(f"; {name} {n} starts, once" for name, n in few.items())
+            + f". The first tolerance with compilation and a first run, s: {first}.",
             layout(table),
+            *(line + "." for line in found["missing"]),
         ]
     )
 
@@ -149,12 +133,12 @@ def _maps(found: list[dict[str, Any]]) -> str:
                 row["level"],
                 row["engine"],
                 f"{row['points']} × {row['points']}",
-                _number(row["first"]["seconds"]),
-                " / ".join(_number(later["seconds"][w]) for w in ("min", "median")),
-                _number(later["processor_seconds"]["median"]),
+                number(row["first"]["seconds"]),
+                " / ".join(number(later["seconds"][w]) for w in ("min", "median")),
+                number(later["processor_seconds"]["median"]),
                 f"{row['starts_per_second']:.0f}",
                 f"{row['steps']:.1f}",
-                *("unknown" if m is None else f"{m / 1e6:.0f}" for m in memory),
+                *map(megabytes, memory),
             ]
         )
     return f"### The default map, with residual values, rtol 1e-8, all cores\n\n{layout(table)}"
@@ -172,7 +156,7 @@ def _import(found: dict[str, Any]) -> str:
     table = [["", "wall s, min / median", "processor s, min / median"]]
     for name in (name for name in found if name != "ratio"):
         clocks = (found[name][clock] for clock in ("seconds", "processor_seconds"))
-        table.append([f"`{name}`", *(" / ".join(map(_number, clock.values())) for clock in clocks)])
+        table.append([f"`{name}`", *(" / ".join(map(number, clock.values())) for clock in clocks)])
     ratio = found["ratio"]
     return "\n\n".join(
         [
@@ -194,10 +178,12 @@ def figure(found: dict[str, Any]) -> None:
 
     drawing, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     # One core each; the threads' processor seconds are those of one core over again.
-    names = [name for name in found["first_seconds"] if "threads" not in name]
-    for colour, name in zip(("#0072B2", "#56B4E9", "#E69F00", "#009E73"), names, strict=False):
+    # scipy, which takes a thousand times as long, would press the others together.
+    left_out = ("threads", "scipy")
+    names = [n for n in found["first_seconds"] if not any(word in n for word in left_out)]
+    for colour, name in zip(COLOURS, names, strict=False):
         rows = [row for row in found["rows"] if row["name"] == name]
-        cost = [1e6 * row["processor_seconds"]["median"] / found["starts"] for row in rows]
+        cost = [1e6 * row["processor_seconds"]["median"] / row["starts"] for row in rows]
         for error, style in (("largest_error", "o-"), ("median_error", "o:")):
             label = name if style == "o-" else None
             ax.loglog([row[error] for row in rows], cost, style, color=colour, label=label, ms=4)

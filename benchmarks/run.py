@@ -1,7 +1,7 @@
 """All benchmarks in one run: dipoletop beside its peers. What they mean is in README.md here.
 
-python benchmarks/run.py --small     a minute, to see that everything works
-python benchmarks/run.py             the whole thing, printed
+python benchmarks/run.py --small     a minute or two, to see that everything works
+python benchmarks/run.py             everything, printed
 python benchmarks/run.py --write     and kept: README.md, results/, the figure
 """
 
@@ -18,27 +18,38 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     import bench_import
     import bench_map
     import bench_precision
+    import bench_savings
+    import bench_scaling
     import measure
 
     sizes = bench_basin.Sizes((4096, 32768), slow=1024, truth=1024, repeats=5)
     points = [512, 1024] if large else [512]
-    precision: dict[str, Any] = {"n": 4096, "repeats": 7}
+    precision: dict[str, Any] = {"n": 16384, "repeats": 7}
+    savings, scaling = bench_savings.Sizes(), bench_scaling.Sizes()
+    if large:
+        scaling = scaling._replace(
+            batches=(*scaling.batches, 1_000_000), maps=(*scaling.maps, (2048, "native", False))
+        )
     if small:
         few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
         sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1, rivals=few)
         points = [16]
         precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
+        savings, scaling = bench_savings.FEW, bench_scaling.FEW
     before = measure.load()
     # Fresh processes first, while this one is small.
     importing = bench_import.compare(1 if small else 15)
     scenes = itertools.product(points, bench_map.LEVELS, bench_map.ENGINES)
     maps = [bench_map.measured(level, n, engine) for n, level, engine in scenes]
+    fresh = bench_scaling.in_fresh_processes(scaling)
     return {
         "machine": measure.machine(),
         "import": importing,
         "maps": maps,
         "precision": bench_precision.compare(**precision),
         "basin": bench_basin.compare(sizes),
+        "scaling": fresh | bench_scaling.compare(scaling),
+        "savings": bench_savings.compare(savings),
         "load": [before, measure.load()],
     }
 
@@ -47,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--small", action="store_true", help="small sizes: does everything work?")
-    size.add_argument("--large", action="store_true", help="the map with 1024 × 1024 starts too")
+    size.add_argument("--large", action="store_true", help="larger maps and batches too")
     parser.add_argument("--write", action="store_true", help="keep the results")
     args = parser.parse_args()
     if args.small and args.write:

@@ -1,0 +1,259 @@
+"""How the cost grows: with amplitude, shape, batch, cores, grid, and with derivatives.
+
+Cores and memory are measured in fresh processes: `python benchmarks/bench_scaling.py 32768 3
+native jax` prints one line of JSON. Which cores a process may use is settled before it starts
+(`os.sched_setaffinity`, which a child inherits), because JAX counts them once.
+"""
+
+import contextlib
+import importlib
+import itertools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import bench_map
+import dipoletop as dt
+import measure
+import problem
+from bench_basin import IN_JAX, OURS, RTOL, run
+
+NAMES = {"native": OURS, "jax": IN_JAX}
+DIFFRAX = "diffrax vmap repacked, tuple"
+BUDGET = 100_000  # steps of a run; at small amplitudes they are many
+SHAPES = (-0.2, 0.3)  # of the tops whose amplitude is varied
+AMPLITUDE = 0.1  # where δ is varied
+SMALL = 0.01  # amplitude below which a few of the starts must do
+SMALLEST = 1e-3  # … and below which diffrax, ten times as slow, is left out
+TIME = 1000.0  # of the end states that are differentiated
+
+
+class Sizes(NamedTuple):
+    """How much is measured."""
+
+    amplitudes: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-3, 1e-4)
+    deltas: tuple[float, ...] = (-0.9, -0.7, -0.51, -0.45, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9)
+    starts: int = 16384
+    batches: tuple[int, ...] = (1, 10, 100, 1_000, 10_000, 100_000)
+    cores: tuple[int, ...] = (1, measure.cores())
+    shared: int = 65536
+    """Starts that the cores share."""
+    maps: tuple[tuple[int, str, bool], ...] = (
+        *((n, engine, False) for n in (64, 256, 512, 1024) for engine in bench_map.ENGINES),
+        (1024, "native", True),
+    )
+    """Points on an axis, engine, whether the result goes to the disk."""
+    together: int = 256
+    """Starts that are differentiated under one vmap; 0 for none."""
+    repeats: int = 3
+    engines: tuple[str, ...] = bench_map.ENGINES
+    diffrax: bool = True
+    backwards: bool = True
+    """Whether gradients are taken backwards too, which takes long to compile."""
+
+
+FEW = Sizes(
+    amplitudes=(0.1,),
+    deltas=(-0.7, 0.3),
+    starts=64,
+    batches=(1, 100),
+    cores=(1,),
+    shared=64,
+    maps=((16, "native", False),),
+    together=0,
+    repeats=1,
+    engines=("native",),
+    diffrax=False,
+    backwards=False,
+)
+
+
+def _peers(sizes: Sizes) -> dict[str, Callable[..., dict[str, Any]]]:
+    everybody: dict[str, Any] = {
+        NAMES[engine]: partial(run, engine=engine) for engine in sizes.engines
+    }
+    if sizes.diffrax:
+        everybody[DIFFRAX] = importlib.import_module("peer_diffrax").run
+    return everybody
+
+
+def _labelled(samples: dict[Any, Any], sizes: Sizes, budget: int) -> list[dict[str, Any]]:
+    """A row for each sample (δ, ω) and peer: both clocks, steps, right-hand sides, labels."""
+    rows = []
+    for key, (deltas, omegas) in samples.items():
+        cases: dict[Any, Any] = {
+            name: partial(peer, deltas, omegas, RTOL, max_steps=budget)
+            for name, peer in _peers(sizes).items()
+        }
+        records = measure.interleaved(cases, sizes.repeats)
+        ours = records[OURS][0]["labels"]
+        for name, found in records.items():
+            starts, steps, labels = len(omegas), found[0]["steps"], found[0]["labels"]
+            rows.append(
+                measure.summary(found)
+                | {"name": name, "at": key, "starts": starts, "steps": steps / starts}
+                | {"evaluations": measure.evaluations(steps, starts) / starts}
+                | {"undecided": int(np.sum(labels <= problem.UNDECIDED))}
+                | {"differ_from_ours": int(np.sum(labels != ours))}
+            )
+    return rows
+
+
+def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
+    """Isotropic starts with one |ω|, for two shapes."""
+    rows = []
+    for delta, size in itertools.product(SHAPES, sizes.amplitudes):
+        n = sizes.starts if size >= SMALL else sizes.starts // 32
+        sample = np.full(n, delta), problem.isotropic(n, size)
+        who = sizes if size >= SMALLEST else sizes._replace(diffrax=False)
+        rows += _labelled({f"δ = {delta:g}, amplitude {size:g}": sample}, who, BUDGET)
+    return rows
+
+
+def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
+    """Isotropic starts of tops with one δ. The peers' regions hold for −1/2 < δ < 1 only."""
+    omegas = problem.isotropic(sizes.starts, AMPLITUDE)
+    parts = {True: sizes, False: sizes._replace(diffrax=False)}
+    rows = []
+    for delta in sizes.deltas:
+        sample = {f"δ = {delta:g}": (np.full(sizes.starts, delta), omegas)}
+        rows += _labelled(sample, parts[delta > -0.5], BUDGET)
+    return rows
+
+
+def by_batch(sizes: Sizes) -> list[dict[str, Any]]:
+    """The mixed basin in batches of all sizes."""
+    samples = {f"N = {n}": problem.mixed_basin(n) for n in sizes.batches}
+    return _labelled(samples, sizes, problem.MAX_STEPS)
+
+
+def _fresh(*arguments: Any) -> Any:
+    """What this file prints in a process of its own."""
+    command = [sys.executable, __file__, *map(str, arguments)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+@contextlib.contextmanager
+def _confined(cores: int) -> Iterator[None]:
+    """This thread, and the processes that it starts, on so many cores."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(before)[:cores])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def by_cores(sizes: Sizes) -> list[dict[str, Any]]:
+    """The mixed basin on some of the cores, each number of them in a process of its own."""
+    if not hasattr(os, "sched_setaffinity"):  # not Linux
+        return []
+    rows = []
+    for cores in dict.fromkeys(sizes.cores):
+        with _confined(cores):
+            rows += _fresh(sizes.shared, sizes.repeats, *sizes.engines)
+    return rows
+
+
+def _on_these_cores(starts: int, repeats: int, engines: list[str]) -> list[dict[str, Any]]:
+    samples = {f"cores: {measure.cores()}": problem.mixed_basin(starts)}
+    sizes = Sizes(repeats=repeats, engines=tuple(engines), diffrax=False)
+    return _labelled(samples, sizes, problem.MAX_STEPS)
+
+
+def by_memory(sizes: Sizes) -> list[dict[str, Any]]:
+    """One sweep of the default map, each in a process of its own."""
+    return [bench_map.measured("memory", n, engine, int(disk)) for n, engine, disk in sizes.maps]
+
+
+def _end(delta: Any, omega: Any, adjoint: Any) -> Any:
+    """ω₁ at the end of a run of `simulate`."""
+    ts = jnp.array([0.0, TIME])
+    equation = dt.TransverseReduced(delta)
+    return dt.simulate(equation, omega, ts, adjoint=adjoint, throw=False).omega[-1, 0]
+
+
+PLAIN = "end state"
+
+
+def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
+    """The end state alone; with one derivative (by δ); with all four (by δ and ω₀)."""
+    reverse, forward = diffrax.RecursiveCheckpointAdjoint(), diffrax.ForwardMode()
+
+    def tangent(delta: Any, omega: Any) -> Any:
+        ones = (jnp.ones_like(delta),)
+        return jax.jvp(lambda d: _end(d, omega, forward), (delta,), ones)
+
+    found: dict[str, Callable[..., Any]] = {
+        PLAIN: lambda delta, omega: (_end(delta, omega, forward),),
+        "and its derivative by δ, forwards": tangent,
+    }
+    if backwards:
+        gradient = jax.value_and_grad(partial(_end, adjoint=reverse), (0, 1))
+        found["and all four, backwards"] = gradient
+    return found
+
+
+def by_gradient(sizes: Sizes) -> list[dict[str, Any]]:
+    """`simulate` with and without derivatives, compilation apart, at rtol 1e-10."""
+    delta, omega = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
+    rows = _gradients((delta, omega), lambda function: function, sizes)
+    if sizes.together:
+        n = sizes.together
+        many = jnp.full(n, delta), jnp.asarray(problem.isotropic(n, 0.2))
+        rows += _gradients(many, jax.vmap, sizes)
+    return rows
+
+
+def _gradients(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[dict[str, Any]]:
+    """A row for each of `_derivatives`, and how far those by δ are apart."""
+    cases, first = {}, {}
+    for name, function in _derivatives(sizes.backwards).items():
+        program = jax.jit(batched(function))
+
+        def call(program: Any = program) -> dict[str, Any]:
+            found, clocks = measure.timed(lambda: jax.block_until_ready(program(*point)))
+            return clocks | {"found": jax.tree.leaves(found)}
+
+        first[name], cases[name] = call()["seconds"], call
+    records = measure.interleaved(cases, 3 * sizes.repeats)
+    plain = measure.summary(records[PLAIN])["seconds"]["median"]
+    by_delta = [found[0]["found"][1] for name, found in records.items() if name != PLAIN]
+    rows = []
+    for name, found in records.items():
+        row = measure.summary(found) | {"name": name, "starts": np.size(point[0])}
+        times = {"first_seconds": first[name], "over_plain": row["seconds"]["median"] / plain}
+        rows.append(row | times)
+    apart = jnp.max(jnp.abs(by_delta[0] - by_delta[-1])) / jnp.max(jnp.abs(by_delta[0]))
+    return [row | {"apart": float(apart)} for row in rows]
+
+
+def in_fresh_processes(sizes: Sizes) -> dict[str, Any]:
+    """Cores and memory, best while the process that asks is small."""
+    return {"cores": by_cores(sizes), "memory": by_memory(sizes)}
+
+
+def compare(sizes: Sizes) -> dict[str, Any]:
+    """The others."""
+    return {
+        "rtol": RTOL,
+        "budget": BUDGET,
+        "amplitude": by_amplitude(sizes),
+        "shape": by_shape(sizes),
+        "batch": by_batch(sizes),
+        "gradient": by_gradient(sizes),
+    }
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(_on_these_cores(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])))

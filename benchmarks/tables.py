@@ -1,0 +1,31 @@
+"""Tables in Markdown, and numbers in them."""
+
+from typing import Any
+
+Table = list[list[str]]
+
+
+def layout(table: Table, *, text: int = 1) -> str:
+    """A Markdown table; the first `text` columns to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    head, *body = (
+        [f"{cell:<{w}}" if k < text else f"{cell:>{w}}" for k, (cell, w) in enumerate(cells)]
+        for cells in (list(zip(row, widths, strict=True)) for row in table)
+    )
+    rule = ["-" * w if k < text else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, rule, *body))
+
+
+def number(value: float) -> str:
+    """Three digits."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}"
+
+
+def per_start(row: dict[str, Any], clock: str, which: str = "median") -> float:
+    """Microseconds for each start."""
+    return 1e6 * row[clock][which] / row["starts"]
+
+
+def megabytes(size: int | None) -> str:
+    """Memory, where the system tells."""
+    return "unknown" if size is None else f"{size / 1e6:.0f}"
