@@ -4,13 +4,17 @@ Isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The 
 component of the difference from a reference, over |ω₀|.
 
 A method is `prepare(omegas, rtol) -> task`: what depends on the problem and the tolerance is made
-once, and the task, which gives the end states, is what is timed.
+once, and the task, which gives the end states, is what is timed. Everybody has one core, in a
+process that was given no other, for XLA counts them once: `python benchmarks/bench_precision.py
+16384 7 1e-6 1e-9` prints one line of JSON.
 """
 
 import functools
 import importlib
+import json
+import subprocess
+import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -49,27 +53,18 @@ def starts(n: int) -> Starts:
     return problem.isotropic(n, AMPLITUDE)
 
 
-def by_lanes(omegas: Starts, rtol: float, engine: Any = native, threads: int = 1) -> Task:
-    """dipoletop, an engine in so many threads."""
+def by_lanes(omegas: Starts, rtol: float, engine: Any = native) -> Task:
+    """dipoletop, all starts in the queue of an engine."""
+    size = len(omegas)
+    atol, ends = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
+    limits = lanes.Limits(jnp.asarray(rtol), atol, ends, jnp.asarray(MAX_STEPS))
+    equation = dt.TransverseReduced(jnp.full(size, DELTA))
 
-    def prepared(part: Starts) -> Any:
-        size = len(part)
-        atol, ends = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
-        limits = lanes.Limits(jnp.asarray(rtol), atol, ends, jnp.asarray(MAX_STEPS))
-        return dt.TransverseReduced(jnp.full(size, DELTA)), part, limits
-
-    def advance(prepared: Any) -> Starts:
-        equation, part, limits = prepared
-        ends = engine.integrate(equation, jnp.asarray(part.T), limits, until="time")
+    def advance() -> Starts:
+        ends = engine.integrate(equation, jnp.asarray(omegas.T), limits, until="time")
         return np.asarray(ends.y.T)
 
-    parts = [prepared(part) for part in np.array_split(omegas, threads)]
-
-    def everywhere() -> Starts:
-        with ThreadPoolExecutor(threads) as pool:
-            return np.concatenate(list(pool.map(advance, parts)))
-
-    return everywhere if threads > 1 else partial(advance, parts[0])
+    return advance
 
 
 @functools.cache
@@ -210,10 +205,8 @@ def reference(omegas: Starts) -> tuple[Starts, str]:
 
 def methods() -> tuple[dict[str, Method], list[str]]:
     """Everybody who can take part here by name, and a line for each who cannot."""
-    cores = measure.cores()
     found: dict[str, Method] = {
         "dipoletop, native engine": by_lanes,
-        f"the same, {cores} threads": partial(by_lanes, threads=cores),
         "dipoletop, JAX engine": partial(by_lanes, engine=lanes),
         "diffrax vmap, tuple": partial(by_diffrax, as_tuple=True),
         "diffrax vmap, (3,)": partial(by_diffrax, as_tuple=False),
@@ -235,7 +228,15 @@ def methods() -> tuple[dict[str, Method], list[str]]:
     return found | {SCIPY: by_scipy}, missing
 
 
-def compare(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
+def alone(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
+    """`compare` in a process with one core."""
+    command = [sys.executable, __file__, *map(str, (n, repeats, *tolerances))]
+    with measure.confined(1):
+        run = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(run.stdout)
+
+
+def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, Any]:
     """Cost and true error of all methods at all tolerances."""
     omegas = starts(n)
     truth, about = reference(omegas)
@@ -276,3 +277,8 @@ def errors(ends: Starts, truth: Starts) -> dict[str, float]:
     """The largest and the median error of all starts."""
     error = np.max(np.abs(ends - truth), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(compare(int(sys.argv[1]), int(sys.argv[2]), tuple(map(float, sys.argv[3:])))))

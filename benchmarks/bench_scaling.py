@@ -5,14 +5,13 @@ native jax` prints one line of JSON. Which cores a process may use is settled be
 (`os.sched_setaffinity`, which a child inherits), because JAX counts them once.
 """
 
-import contextlib
 import importlib
 import itertools
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -142,24 +141,13 @@ def _fresh(*arguments: Any) -> Any:
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-@contextlib.contextmanager
-def _confined(cores: int) -> Iterator[None]:
-    """This thread, and the processes that it starts, on so many cores."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, sorted(before)[:cores])
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
 def by_cores(sizes: Sizes) -> list[dict[str, Any]]:
     """The mixed basin on some of the cores, each number of them in a process of its own."""
     if not hasattr(os, "sched_setaffinity"):  # not Linux
         return []
     rows = []
     for cores in dict.fromkeys(sizes.cores):
-        with _confined(cores):
+        with measure.confined(cores):
             rows += _fresh(sizes.shared, sizes.repeats, *sizes.engines)
     return rows
 

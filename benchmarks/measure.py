@@ -1,9 +1,10 @@
 """Clocks, interleaved repeats, and what is said of the machine."""
 
+import contextlib
 import os
 import platform
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -54,6 +55,20 @@ def evaluations(steps: float, starts: float, solver: Any = None) -> float:
     tableau = (diffrax.Dopri8() if solver is None else solver).tableau
     assert tableau.fsal
     return steps * len(tableau.c) + 2 * starts
+
+
+@contextlib.contextmanager
+def confined(count: int) -> Iterator[None]:
+    """This thread, and the processes that it starts, on so many cores, where that can be had."""
+    if not hasattr(os, "sched_setaffinity"):  # not Linux
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(before)[:count])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def summary(records: list[Record]) -> Record:

@@ -177,10 +177,8 @@ def figure(found: dict[str, Any]) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     drawing, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-    # One core each; the threads' processor seconds are those of one core over again.
     # scipy, which takes a thousand times as long, would press the others together.
-    left_out = ("threads", "scipy")
-    names = [n for n in found["first_seconds"] if not any(word in n for word in left_out)]
+    names = [name for name in found["first_seconds"] if "scipy" not in name]
     for colour, name in zip(COLOURS, names, strict=False):
         rows = [row for row in found["rows"] if row["name"] == name]
         cost = [1e6 * row["processor_seconds"]["median"] / row["starts"] for row in rows]

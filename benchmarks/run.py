@@ -46,7 +46,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         "machine": measure.machine(),
         "import": importing,
         "maps": maps,
-        "precision": bench_precision.compare(**precision),
+        "precision": bench_precision.alone(**precision),
         "basin": bench_basin.compare(sizes),
         "scaling": fresh | bench_scaling.compare(scaling),
         "savings": bench_savings.compare(savings),
