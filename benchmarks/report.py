@@ -193,6 +193,6 @@ def figure(found: dict[str, Any]) -> None:
     ax.set_ylabel("processor time per start, µs")
     ax.set_title(f"{found['starts']} starts, δ = −1/5, |ω₀| = 0.2, τ = 1000", fontsize="medium")
     ax.grid(alpha=0.3)
-    ax.legend(fontsize="small")
+    drawing.legend(loc="outside lower center", ncols=3, fontsize="small")
     drawing.savefig(HERE / "results" / "work_precision.png", dpi=150, metadata={"Software": None})
     plt.close(drawing)
