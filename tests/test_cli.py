@@ -14,7 +14,7 @@ import zarr
 from click.testing import CliRunner
 
 import dipoletop as dt
-from dipoletop import _mapping, validation
+from dipoletop import _levels, _mapping, validation
 from dipoletop.cli import NAMES, Number, main
 
 SIZE = 24  # on both axes, everywhere, so that the engine compiles once for each level
@@ -407,9 +407,9 @@ def test_multiples_of_pi_are_shown_as_such(value, text):
 
 def test_levels_are_the_equations_they_are_called():
     for order in (1, 2, 3, 4):
-        assert _mapping.equation(f"order-{order}", 0.1).order == order
-    assert isinstance(_mapping.equation("semi", 0.1), dt.TransverseSemi)
-    assert isinstance(_mapping.equation("full", 0.1), dt.TransverseFull)
+        assert _levels.equation(f"order-{order}", 0.1).order == order
+    assert isinstance(_levels.equation("semi", 0.1), dt.TransverseSemi)
+    assert isinstance(_levels.equation("full", 0.1), dt.TransverseFull)
 
 
 def test_spectrum_prints_the_eigenvalues():

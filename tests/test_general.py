@@ -12,7 +12,7 @@ from scipy import special
 from dipoletop import radiation
 from dipoletop._types import Outcome, Stop
 from dipoletop.bodies import Body
-from dipoletop.equations import _general
+from dipoletop.equations import _general, _line
 from dipoletop.equations.rigid import Reduced, SemiReduced, free_rotation
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
@@ -120,7 +120,7 @@ def test_line_is_the_jacobian_of_the_equation(level):
 
     second, third = jax.vmap(column)(jnp.array([1, 2]))
     a, b = (jnp.asarray(j[:, i] / j[:, 0]) for i in (1, 2))
-    l11, l12, l21, l22 = _general.line(a, b, jnp.asarray(mu), LEVELS[level])
+    l11, l12, l21, l22 = _line.line(a, b, jnp.asarray(mu), LEVELS[level])
     np.testing.assert_allclose(second, [0 * l11, l11, sign * l21], atol=1e-13)
     np.testing.assert_allclose(third, [0 * l11, sign * l12, l22], atol=1e-13)
 

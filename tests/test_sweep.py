@@ -336,7 +336,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
         (lambda: dt.Sample(n=5, amplitude=(1.0, 0.1)), "`amplitude` must be positive, or a pair"),
         (
             lambda: dt.sweep(reduced, dt.Grid(w3=[0.1], theta=[0.2])),
-            r"`over` must have the arguments of `problem` .* but has w3, theta",
+            r"`over` must name the arguments of `problem` .* but has w3, theta",
         ),
         (lambda: dt.sweep(lambda w: w, dt.Sample(n=5)), "`problem` must return .equation, omega0."),
         (

@@ -27,15 +27,25 @@ from .equations.transverse import (
     TransverseSemi,
     cylindrical,
 )
-from .grids import Grid, Sample, isotropic, symmetry_cell, uniform_box
+from .grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
 from .manifold import slow_manifold
 from .outcomes import Classification, classify, classify_many
+from .sensitivity import decay_time, residual_rotation
 from .simulate import Trajectory, simulate
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
 from .sweep import sweep
 
 if TYPE_CHECKING:
-    from . import particles, plots
+    from . import (
+        adaptive,
+        boundary,
+        complexity,
+        continuation,
+        fitting,
+        particles,
+        plots,
+        uncertainty,
+    )
     from .particles import Particle
 
 __all__ = [
@@ -50,6 +60,7 @@ __all__ = [
     "LongitudinalSemi",
     "Outcome",
     "Particle",
+    "Points",
     "Reduced",
     "RotatorBranch",
     "RotatorFull",
@@ -66,21 +77,28 @@ __all__ = [
     "TransverseReduced",
     "TransverseSemi",
     "Verdict",
+    "adaptive",
     "axisymmetric",
+    "boundary",
     "box",
     "classify",
     "classify_many",
     "closed_manifold",
+    "complexity",
+    "continuation",
     "critical_manifold",
     "cylindrical",
+    "decay_time",
     "equilibria",
     "exact",
+    "fitting",
     "from_charges",
     "isotropic",
     "particles",
     "planar",
     "plots",
     "radiation",
+    "residual_rotation",
     "rod",
     "separatrix",
     "simulate",
@@ -90,13 +108,15 @@ __all__ = [
     "sweep",
     "symmetry_cell",
     "threshold",
+    "uncertainty",
     "uniform_box",
 ]
 __version__ = version("dipoletop")
 
 
-# Imported when they are used, not before: with matplotlib, and with the constants of physics.
-_LAZY = {"plots": "plots", "particles": "particles", "Particle": "particles"}
+# Imported when they are used, not before: with matplotlib, SciPy, or the constants of physics.
+_MODULES = ("adaptive", "boundary", "complexity", "continuation", "fitting", "particles", "plots")
+_LAZY = {name: name for name in (*_MODULES, "uncertainty")} | {"Particle": "particles"}
 
 
 def __getattr__(name: str) -> Any:

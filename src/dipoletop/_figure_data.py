@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from . import planar
 from ._maps import CLASSES
-from .basin import Basin
+from .basin import Basin, wilson
 from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 from .grids import Grid
 from .simulate import Trajectory, simulate
@@ -61,15 +61,11 @@ class Share(NamedTuple):
 
 def shares(basin: Basin) -> list[Share]:
     """The ends that occur in `ends`, in the order of `CLASSES`; intervals as of random starts."""
-    from scipy.stats import binomtest
-
     n, found = basin.shape[1], []
     for (outcome, stop), (label, colour) in CLASSES.items():
-        counts = np.sum((basin.outcome == outcome) & (basin.stop == stop), axis=1).tolist()
-        if any(counts):
-            bounds = [binomtest(k, n).proportion_ci(method="wilson") for k in counts]
-            low, high = np.array([(b.low, b.high) for b in bounds]).T
-            found.append(Share(label, colour, np.array(counts) / n, low, high))
+        counts = np.sum((basin.outcome == outcome) & (basin.stop == stop), axis=1)
+        if np.any(counts):
+            found.append(Share(label, colour, counts / n, *wilson(counts, n)))
     return found
 
 

@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._levels import equation
 from ._monitoring import COMPILING
 from ._types import Outcome
 from .basin import Basin, Share
-from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from .equations.transverse import TransverseReduced, cylindrical
 from .grids import Grid
 from .sweep import sweep
 from .symmetry import unfold
@@ -52,13 +53,6 @@ class Run(NamedTuple):
     """Starts that the store held already."""
     compiling: float
     """Seconds in which something was compiled."""
-
-
-def equation(level: str, delta: Any) -> TransverseReduced | TransverseSemi | TransverseFull:
-    """The equation of a level: order-1 … order-4, semi, or full."""
-    if level in ("semi", "full"):
-        return TransverseSemi(delta) if level == "semi" else TransverseFull(delta)
-    return TransverseReduced(delta, int(level.removeprefix("order-")))
 
 
 def start(at: dict[str, Any]) -> Any:

@@ -56,6 +56,8 @@ class Verdict(NamedTuple):
     """A member of `Stop`."""
     error: Real | float = 0.0
     """Estimated error of `omega_inf`, relative to it."""
+    slope: Real | float = 0.0
+    """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
 
 
 @runtime_checkable

@@ -203,11 +203,13 @@ def evaluate(window: Window, values: Float[Array, "E K n"], at: Float[Array, "T"
     sigma = jnp.log1p(at / window.span * jnp.expm1(window.bend)) / window.bend * ELEMENTS
     element = jnp.clip(jnp.floor(sigma), 0, ELEMENTS - 1)
     x = jnp.clip(2 * (sigma - element) - 1, -1.0, 1.0)
-    basis = jnp.cos(jnp.arange(NODES, dtype=x.dtype)[None] * jnp.arccos(x)[:, None])
+    basis = [jnp.ones_like(x), x]  # by their recurrence: arccos has no derivative at the ends
+    while len(basis) < NODES:
+        basis.append(2 * x * basis[-1] - basis[-2])
     transform = jnp.asarray(rule(NODES)[2], x.dtype)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, values, precision="highest")
     here = coefficients[element.astype(int)]
-    return jnp.einsum("tk,tkn->tn", basis, here, precision="highest")
+    return jnp.einsum("kt,tkn->tn", jnp.stack(basis), here, precision="highest")
 
 
 def _slowed(lower: Any, omega: Array) -> Array:

@@ -33,7 +33,22 @@ AXES: dict[str, tuple[str, str]] = {
 }
 """Axes with a customary name: unit, meaning. Of others only their user knows."""
 
-CHANGED = {"changed": ("bool", "1", "whether the outcome differs at the second tolerance")}
+EXTRA = {
+    "changed": ("bool", "1", "whether the outcome differs at the second tolerance"),
+    "computed": ("bool", "1", "whether the start was integrated, not filled in"),
+}
+"""Columns that only some basins have."""
+
+SLOPE = "d_omega_inf_d_"
+"""What the name of a column of derivatives begins with; the name of the axis follows."""
+
+
+def kind_of(column: str) -> tuple[str, str, str]:
+    """Type, unit and meaning of a column."""
+    if column.startswith(SLOPE):
+        axis = column.removeprefix(SLOPE)
+        return "float64", f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
+    return (FIELDS | EXTRA)[column]
 
 
 class Share(NamedTuple):
@@ -43,6 +58,17 @@ class Share(NamedTuple):
     low: float
     high: float
     count: int
+
+
+def wilson(counts: Int[np.ndarray, "*any"], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """95 % intervals of shares counts/n: all p with (p − k/n)² ≤ z²p(1 − p)/n (Wilson)."""
+    z2 = 1.959963984540054**2  # the 97.5 % point of the normal distribution, squared
+    p = counts / n
+    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
+    half = np.sqrt(z2 * p * (1 - p) / n + (z2 / (2 * n)) ** 2) / (1 + z2 / n)
+    # The ends at 0 and 1, which rounding would miss.
+    low = np.where(p == 0, 0.0, middle - half)
+    return low, np.where(p == 1, 1.0, middle + half)
 
 
 @dataclass(frozen=True)
@@ -104,6 +130,13 @@ class Basin:
         """Whether the outcome differs at the second tolerance (sweeps with `confirm`)."""
         return self.column("changed")
 
+    def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
+        """∂ω∞/∂axis (sweeps with `derivatives`): 0 where the top stops as its neighbours do.
+
+        NaN where ω∞ is not known or not differentiable.
+        """
+        return self.column(SLOPE + axis)
+
     @property
     def level(self) -> str:
         """Which level of the equation of motion the outcomes came from."""
@@ -115,14 +148,12 @@ class Basin:
         The interval is that of independent random starts; on a regular grid it overstates the
         error.
         """
-        from scipy.stats import binomtest
-
         values, counts = np.unique(self.outcome, return_counts=True)
         size = int(np.prod(self.shape))
         shares = {}
-        for value, count in zip(values.tolist(), counts.tolist(), strict=True):
-            interval = binomtest(count, size).proportion_ci(0.95, method="wilson")
-            share = Share(count / size, float(interval.low), float(interval.high), count)
+        low, high = wilson(counts, size)
+        for k, (value, count) in enumerate(zip(values.tolist(), counts.tolist(), strict=True)):
+            share = Share(count / size, float(low[k]), float(high[k]), count)
             shares[Outcome(value).name] = share
         return shares
 
@@ -130,13 +161,11 @@ class Basin:
         """The same as an `xarray.Dataset`, with units, versions and settings as attributes."""
         import xarray
 
-        table = FIELDS | CHANGED
-
         def said(unit: str, meaning: str) -> dict[str, str]:
             return {"units": unit, "long_name": meaning}
 
         columns = {
-            name: (self.dims, self.column(name), said(*table[name][1:])) for name in self.columns
+            name: (self.dims, self.column(name), said(*kind_of(name)[1:])) for name in self.columns
         }
         coords = {
             name: (
@@ -176,6 +205,9 @@ class Basin:
         return store.load(path)
 
 
-def columns_of(found: Classification) -> dict[str, np.ndarray]:
-    """The columns of a basin from classifications."""
-    return {name: np.asarray(getattr(found, name), kind[0]) for name, kind in FIELDS.items()}
+def columns_of(found: Classification, derivatives: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """The columns of a basin from classifications, which have slopes along the `derivatives`."""
+    columns = {name: np.asarray(getattr(found, name), kind[0]) for name, kind in FIELDS.items()}
+    for k, name in enumerate(derivatives):
+        columns[SLOPE + name] = np.asarray(found.slopes)[:, k]
+    return columns

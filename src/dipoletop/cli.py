@@ -9,10 +9,11 @@ from typing import Any
 
 import click
 
+from . import _levels
 from ._parameters import Number, Size
 
-LEVELS = click.Choice(["order-1", "order-2", "order-3", "order-4", "semi"])
-FULL_TOO = click.Choice([*LEVELS.choices, "full"])
+FULL_TOO = click.Choice(_levels.LEVELS)
+LEVELS = click.Choice([level for level in _levels.LEVELS if level != "full"])
 NAMES = click.Choice(["delta", "w-perp", "w3", "phi", "amplitude", "theta"])
 FORMATS = click.Choice(["png", "pdf", "svg"])
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
@@ -239,7 +240,7 @@ def simulate(**options: Any) -> None:
     if options["tau_max"] <= 0:
         raise ValueError(f"--tau-max must be positive, but is {options['tau_max']:g}.")
     at = _mapping.quantities(_given(options))
-    equation, start = _mapping.equation(options["level"], at["delta"]), _mapping.start(at)
+    equation, start = _levels.equation(options["level"], at["delta"]), _mapping.start(at)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, options["tau_max"], options["points"])
     trajectory = simulate(equation, start, times, throw=False, **settings)
@@ -349,9 +350,9 @@ def spectrum(delta: float, w: float, level: tuple[str, ...]) -> None:
 
     The slow ones belong to physical motions, those of runaways to the full equation only.
     """
-    from . import _mapping, _reports
+    from . import _reports
 
-    for line in _reports.spectra([_mapping.equation(name, delta) for name in level], w):
+    for line in _reports.spectra([_levels.equation(name, delta) for name in level], w):
         click.echo(line)
 
 

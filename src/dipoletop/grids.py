@@ -1,4 +1,4 @@
-"""Which starts and shapes a sweep visits: a grid of named axes, or a random sample."""
+"""Which starts and shapes a sweep visits: a grid of named axes, listed points, a random sample."""
 
 from collections.abc import Callable
 from typing import Any
@@ -62,11 +62,56 @@ class Grid:
         }
 
 
+class Points:
+    """Single points, listed one by one.
+
+    Args:
+        columns: name = values, all of the same length; the names are those of the arguments of
+            the sweep's `problem`. Shape (n,) for numbers, or (n, …) for vectors such as starts.
+
+    Raises:
+        ValueError: no column, or one that is not finite, or columns of different lengths.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Points(w3=[0.1, 0.2, 0.3], phi=[0.0, 1.0, 2.0]).shape
+        (3,)
+    """
+
+    dims = ("point",)
+
+    def __init__(self, **columns: Any) -> None:
+        if not columns:
+            refuse("columns", "name at least one column", "names none")
+        self.columns = {name: _axis(name, values) for name, values in columns.items()}
+        lengths = {name: len(values) for name, values in self.columns.items()}
+        if len(set(lengths.values())) > 1:
+            shown = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            refuse("columns", "all have the same length", f"have lengths {shown}")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of points."""
+        return (len(next(iter(self.columns.values()))),)
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Points have no axis but their number; `columns` holds their values."""
+        return {}
+
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+        """The arguments of the problem at these numbers."""
+        return {name: jnp.asarray(values[index]) for name, values in self.columns.items()}
+
+
 def _axis(name: str, values: Any) -> np.ndarray:
     array = np.atleast_1d(np.asarray(real(name, values, (-1,) * np.ndim(values))))
     if array.size == 0:
         refuse(name, "hold at least one value", "holds none")
-    return np.asarray(finite(name, array, (-1,) * array.ndim))
+    # In NumPy: JAX would compile a look at every new number of points.
+    if not np.isfinite(array).all():
+        finite(name, array, (-1,) * array.ndim)
+    return array
 
 
 def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:

@@ -22,8 +22,9 @@ from jaxtyping import Array, Bool, Float, Int
 from ._types import Equation, Outcome, Real, State, Verdict
 
 NAME = "jax"  # of the engine
-Until = Literal["outcome", "value", "time"]
-"""When a lane is finished: its outcome is certain; also ω∞ to the tolerance; or at time t1."""
+Until = Literal["outcome", "value", "slope", "time"]
+"""When a lane is finished: its outcome is certain; also ω∞ to the tolerance; also the derivatives
+of ω∞; or at time t1."""
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished
@@ -103,12 +104,20 @@ def settled(verdict: Verdict, rtol: Real, atol: Real, margin: float) -> Bool[Arr
     return within | (verdict.outcome != Outcome.RESIDUAL)
 
 
+def smooth(verdict: Verdict, rtol: Real, margin: float) -> Bool[Array, "*lanes"]:
+    """Whether the derivatives of ω∞ are known to that part of the tolerance."""
+    return verdict.slope <= margin * rtol
+
+
 def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Array, "*lanes"]:
     """Whether a verdict ends a run; ω∞ need not be better than the integration is."""
     certain = verdict.outcome != Outcome.UNDECIDED
     if until == "outcome":
         return certain
-    return certain & settled(verdict, rtol, atol, VALUE_MARGIN)
+    certain = certain & settled(verdict, rtol, atol, VALUE_MARGIN)
+    if until == "value":
+        return certain
+    return certain & (smooth(verdict, rtol, VALUE_MARGIN) | (verdict.outcome == Outcome.STOP))
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:

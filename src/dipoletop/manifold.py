@@ -18,6 +18,7 @@ from ._checks import finite, refuse
 from ._settings import tolerance
 from ._types import Verdict
 from ._windows import Window
+from .equations.tangent import Tangent
 
 NAME = "branch"  # of the engine
 EFOLDS = 36.0  # runaway times that a first window looks ahead
@@ -242,7 +243,8 @@ def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: lanes.Unti
     def one(lane: Any) -> Any:
         parameters, start, atol, t1 = lane
         alone = eqx.combine(parameters, static)
-        return until_decided(alone, start, (limits.rtol, atol, t1, limits.max_steps), until)
+        bounds = limits.rtol, atol, t1, limits.max_steps
+        return until_decided(alone, start, bounds, until)
 
     lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
     # One after another: side by side all would wait for the slowest, and nothing is gained.
@@ -255,6 +257,8 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
 
     `limits` are rtol, atol, t1 (0: not to be run) and the budget of windows.
     """
+    if isinstance(equation, Tangent):
+        return _varied(equation, start, limits, until)
     rtol, atol, t1, max_windows = limits
 
     def ends(y: Array) -> Bool[Array, ""]:
@@ -282,3 +286,23 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
     begun = at, start, at.time, status.astype("int32")
     at, y, time, status = jax.lax.while_loop(going, on, begun)
     return y, time, at.windows, status
+
+
+def _varied(equation: Tangent, start: Array, limits: Any, until: lanes.Until) -> Any:
+    """`until_decided` for one motion and its variations."""
+    base, n = equation.equation, start.shape[0] // (1 + equation.m)
+    arrays, rest = eqx.partition(base, eqx.is_inexact_array)
+
+    def end(arrays: Any, omega: Array) -> Any:
+        alone = eqx.combine(arrays, rest)
+        y, *others = until_decided(alone, alone.lift(omega), limits, until)
+        return y, others
+
+    def along(parameters: Any, variation: Array) -> Any:
+        return jax.jvp(end, (arrays, omega), (parameters, variation), has_aux=True)
+
+    omega = base.omega(start[:n])
+    y, variations, others = jax.vmap(along, out_axes=(None, 0, None))(
+        equation.parameters, equation.starts
+    )
+    return jnp.concatenate([y, variations.ravel()]), *others

@@ -16,6 +16,7 @@ from ._engine import engine_for
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, Outcome, State, Stop, Verdict
 from ._workers import in_parallel, workers
+from .equations.tangent import Tangent
 
 TILE = 16384  # starts handed to the engine at once, at most
 
@@ -40,6 +41,9 @@ class Classification(eqx.Module):
     """Whether the state that ended the run lies in a region proven to decide."""
     stop: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     """A member of `Stop`: in which way a top stops."""
+    slopes: Float[Array, "*n m"] | Float[np.ndarray, "*n m"] | None = None
+    """The variations of ω∞ along those of a `Tangent` equation: 0 where the top stops as its
+    neighbours do; NaN where ω∞ is not known, or has no derivatives. Else None."""
 
 
 def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
@@ -49,14 +53,27 @@ def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any])
     broken = status == lanes.BROKEN
     known = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     missing = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
+    settled = known & lanes.settled(verdict, *scale, 1.0)
+    slopes = None
+    if isinstance(equation, Tangent):
+        sure = settled & lanes.smooth(verdict, scale[0], 1.0)
+        slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan).T
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
-        jnp.where(known & lanes.settled(verdict, *scale, 1.0), verdict.omega_inf, jnp.nan),
+        jnp.where(settled, verdict.omega_inf, jnp.nan),
         t,
         jnp.asarray(steps, int),
         known & verdict.certified,
         jnp.where(known, verdict.stop, Stop.NONE).astype(int),
+        slopes,
     )
+
+
+def goal(equation: Any, value: bool) -> lanes.Until:
+    """What must be certain before a run ends."""
+    if not value:
+        return "outcome"
+    return "slope" if isinstance(equation, Tangent) else "value"
 
 
 def check_verdict(equation: Any) -> None:
@@ -110,7 +127,7 @@ def classify(
     y0 = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, equation.omega(y0))
-    until: lanes.Until = "value" if value else "outcome"
+    until = goal(equation, value)
     steps = budget("max_steps", max_steps)
     if manifold.is_full(equation):
         if np.shape(omega0) == (3,):
@@ -147,6 +164,7 @@ def _classify(equation, y0, rtol, atol, max_steps: int, until: lanes.Until) -> C
         saveat=diffrax.SaveAt(t1=True),
         event=diffrax.Event(ended),
         max_steps=max_steps,
+        adjoint=diffrax.ForwardMode(),
         throw=False,
     )
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
@@ -236,7 +254,7 @@ def classify_many(
     single = _is_single(equations)
     if not single:
         _check_batch(equations, size)
-    until: lanes.Until = "value" if value else "outcome"
+    until = goal(equations, value)
     crew = workers()
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 

@@ -11,10 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
 from ._checks import finite, initial_state, refuse, where_valid
+from ._forward import differentiable
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, State, Vector
 
@@ -125,7 +127,8 @@ def simulate(
 ) -> Trajectory:
     """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.
 
-    May be jitted, vmapped and differentiated.
+    May be jitted, vmapped and differentiated: in reverse as it is; forwards with
+    `adjoint=diffrax.ForwardMode()`; along a physical branch in both ways.
 
     Args:
         equation: any equation of motion.
@@ -188,14 +191,36 @@ def _follow(equation, state, times, rtol, max_windows: int, options) -> Trajecto
                 "physical branch diffrax cannot follow (give a whole state for the vector field)",
                 f"one is `{name}`",
             )
-    motion = manifold.follow(equation, equation.omega(state), times, rtol, max_windows)
-    states = motion.states
+    motion = _motion(equation, equation.omega(state), times, rtol, max_windows)
+    # The rates, for derivatives with respect to the times.
+    later = times - times[0]
+    later = later - jax.lax.stop_gradient(later)
+    states = motion.states + jax.vmap(equation)(times, motion.states) * later[:, None]
     if options.get("throw", True):
         lost = ~(motion.reached >= times[-1])
         states = eqx.error_if(states, lost, LOST)
     emitted = motion.emitted if options.get("balance", False) else None
     found = Followed({"num_steps": motion.windows}, motion.reached)
     return Trajectory(equation, times, states, emitted, found)
+
+
+def _motion(equation, omega, times, rtol, max_windows: int) -> manifold.Motion:
+    """`manifold.follow`, differentiable in reverse, too, with respect to equation and start."""
+    arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
+    x, back = ravel_pytree((arrays, omega))
+
+    def follow(x: Array, settings: Any) -> manifold.Motion:
+        arrays, omega = back(x)
+        times, rtol = settings
+        body = eqx.combine(arrays, rest)
+        motion = manifold.follow(body, omega, times, rtol, max_windows)
+        return motion._replace(windows=motion.windows.astype(x.dtype))
+
+    settings = times, rtol
+    kinds = jax.eval_shape(follow, x, settings)
+    _, apart = ravel_pytree(jax.tree.map(lambda kind: jnp.zeros(kind.shape, kind.dtype), kinds))
+    motion = apart(differentiable(lambda x, s: ravel_pytree(follow(x, s))[0])(x, settings))
+    return motion._replace(windows=motion.windows.astype(int))
 
 
 @eqx.filter_jit

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ._checks import refuse
-from .basin import CHANGED, FIELDS, Basin
+from .basin import Basin, kind_of
 
 Group = Any  # of zarr, whose item types are too wide to be of use
 FORMAT = "dipoletop basin, version 1"
@@ -68,13 +68,12 @@ def _lay_out(place: Path, header: dict[str, Any], coords: dict[str, np.ndarray])
 
     group = zarr.open_group(place, mode="w")
     size = int(np.prod(header["shape"]))
-    table = FIELDS | CHANGED
     for name in header["columns"]:
         group.create_array(
             name,
             shape=(size,),
             chunks=(header["tile"],),
-            dtype=table[name][0],
+            dtype=kind_of(name)[0],
         )
     for name, values in coords.items():
         group.create_array(f"axis_{name}", data=values, chunks=values.shape)

@@ -1,59 +1,55 @@
-"""Basin maps: a problem over a grid or a sample, tile by tile, on all cores or devices."""
+"""Basin maps: a problem over a grid, points or a sample, tile by tile, on all cores or devices."""
 
 import functools
-import hashlib
-import inspect
 import sys
-import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from . import lanes
 from . import store as disk
 from ._checks import refuse
 from ._engine import engine_for
+from ._problems import Problem, builder, fingerprint
 from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
-from ._types import Equation
 from ._workers import in_parallel, workers
-from .basin import CHANGED, FIELDS, Basin, columns_of
-from .grids import Grid, Sample
-from .outcomes import TILE, check_verdict, classify_block, lifted, power_of_two
-
-Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
-"""From the named values of one point to the equation and the start ω₀."""
+from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
+from .grids import Grid, Points, Sample
+from .outcomes import TILE, check_verdict, classify_block, goal, lifted, power_of_two
 
 
 def sweep(
     problem: Problem,
-    over: Grid | Sample,
+    over: Grid | Points | Sample,
     *,
     rtol: Any = 1e-8,
     atol: Any = None,
     max_steps: Any = MAX_STEPS,
     value: bool = True,
+    derivatives: Sequence[str] = (),
     confirm: float | None = None,
     store: Any = None,
     progress: bool | str | None = None,
     devices: Sequence[Any] | None = None,
     engine: str = "auto",
 ) -> Basin:
-    """Outcomes of a problem on every point of a grid or a sample.
+    """Outcomes of a problem on every point of a grid, a list or a sample.
 
     Args:
         problem: a function of the grid's axes (by name) or of the sample's start that gives the
             equation and the start; pure JAX, since it is vectorised.
-        over: a `Grid` or a `Sample`.
+        over: a `Grid`, `Points` or a `Sample`.
         rtol: relative tolerance; also that of ω∞.
         atol: absolute tolerance; None means rtol·|ω₀| for each start.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
         value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+        derivatives: arguments of the problem, numbers all; `basin.derivative(name)` is then
+            ∂ω∞/∂name, to `rtol`, from the equation's first variations.
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
         store: a folder for the result. Run the same sweep again and it goes on where it was
             stopped; a grid of any size then needs little memory.
@@ -79,7 +75,8 @@ def sweep(
         ((2, 3), "reduced, order 1 (the paper's)")
     """
     began = time.perf_counter()
-    build = _builder(problem, over)
+    along = _names(derivatives, value)
+    build = builder(problem, over, along)
     if atol is not None:
         check_atol(atol)
     size = int(np.prod(over.shape))
@@ -88,9 +85,9 @@ def sweep(
         rtols.append(tolerance("confirm", confirm))
     crew = workers(devices)
     tile = min(TILE, power_of_two(-(-size // 8)))  # whatever the machine: a store may move
-    until: lanes.Until = "value" if value else "outcome"
     equation, start = build(np.zeros(1, int))
     check_verdict(equation)
+    until = goal(equation, value)
     with jax.default_device(crew[0]):
         chosen = engine_for(engine, equation, lifted(equation, start), until)
     run = functools.partial(
@@ -101,6 +98,7 @@ def sweep(
         rtols=rtols,
         atol=atol,
         max_steps=budget("max_steps", max_steps),
+        derivatives=along,
         until=until,
         engine=engine,
     )
@@ -112,13 +110,15 @@ def sweep(
         "max_steps": int(max_steps),
         "value": bool(value),
         "engine": chosen.NAME,
+        **({"derivatives": list(along)} if along else {}),
         **({} if confirm is None else {"confirm": float(confirm)}),
-        **{f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")},
+        **_versions(),
     }
-    names = [*FIELDS, *(CHANGED if confirm is not None else ())]
+    names = [*FIELDS, *(SLOPE + name for name in along)]
+    names += [] if confirm is None else ["changed"]
     shared = (over.dims, over.shape, over.coords)
     if store is None:
-        columns = {name: np.empty(size, (FIELDS | CHANGED)[name][0]) for name in names}
+        columns = {name: np.empty(size, kind_of(name)[0]) for name in names}
 
         def keep(job: int, found: dict[str, np.ndarray]) -> None:
             for name, values in found.items():
@@ -133,7 +133,7 @@ def sweep(
         "tile": tile,
         "columns": names,
         "attrs": attrs,
-        "fingerprint": _fingerprint(build, size),
+        "fingerprint": fingerprint(build, size),
     }
     group = disk.create(store, header, over.coords)
     write = functools.partial(disk.write_tile, group)
@@ -164,17 +164,18 @@ def _work(run, jobs, keep, crew, extent) -> None:
 
 
 def _run_tile(
-    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, until, engine
+    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, derivatives, until, engine
 ) -> dict[str, Any]:
     """Classify the starts of one tile; the last tile is filled up with starts that take no step."""
     at = np.arange(job * tile, (job + 1) * tile)
     real = at < size
     equation, omegas = build(np.minimum(at, size - 1))
-    ends = jnp.where(jnp.asarray(real), jnp.inf, 0.0)
+    stops = jnp.where(jnp.asarray(real), jnp.inf, 0.0)
 
     def classified(rtol) -> dict[str, np.ndarray]:
-        limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), ends, jnp.asarray(max_steps))
-        found = columns_of(classify_block(equation, omegas, limits, until, engine, device))
+        limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), stops, jnp.asarray(max_steps))
+        ends = classify_block(equation, omegas, limits, until, engine, device)
+        found = columns_of(ends, derivatives)
         return {name: values[real] for name, values in found.items()}
 
     columns, *again = [classified(rtol) for rtol in rtols]
@@ -183,52 +184,16 @@ def _run_tile(
     return columns
 
 
-def _builder(problem: Problem, over: Grid | Sample) -> Callable[[np.ndarray], Any]:
-    """From flat indices to (equation, ω₀), both with a trailing lane axis."""
-    if not isinstance(over, Grid | Sample):
-        refuse("over", "be a Grid or a Sample", f"is {type(over).__name__}")
-    if isinstance(over, Grid):
-        _check_names(problem, over.dims)
-    one_at_a_time = threading.Lock()  # tracing a user's function from two threads is his risk
-
-    def build(index: np.ndarray) -> tuple[Any, Float[Array, "3 N"]]:
-        points = over.points(index)
-
-        def at(point: Any) -> Any:
-            made = problem(**point) if isinstance(point, dict) else problem(point)
-            if not (isinstance(made, tuple) and len(made) == 2):
-                refuse("problem", "return (equation, omega0)", f"returns {type(made).__name__}")
-            if jnp.shape(made[1]) != (3,):
-                shape = jnp.shape(made[1])
-                refuse("problem", "return a start of shape (3,)", f"its start has shape {shape}")
-            return made
-
-        with one_at_a_time:
-            return jax.vmap(at, out_axes=-1)(points)
-
-    return build
+@functools.cache  # it reads files
+def _versions() -> dict[str, str]:
+    return {f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}
 
 
-def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
-    try:
-        signature = inspect.signature(problem)
-    except ValueError:  # some callables have none to look at
-        return
-    try:
-        signature.bind(**dict.fromkeys(names))
-    except TypeError as error:
-        refuse(
-            "over",
-            f"have the arguments of `problem` {signature} as its axes",
-            f"has {', '.join(names)} ({error})",
-        )
-
-
-def _fingerprint(build, size: int) -> str:
-    """A hash of what the problem is at a few of its points, to recognise a foreign store."""
-    probe = np.unique(np.linspace(0, size - 1, 17).astype(int))
-    leaves, structure = jax.tree.flatten(build(probe))
-    digest = hashlib.sha256(str(structure).encode())
-    for leaf in leaves:
-        digest.update(np.asarray(leaf).tobytes())
-    return digest.hexdigest()
+def _names(derivatives: Any, value: bool) -> tuple[str, ...]:
+    """The arguments along which ω∞ is differentiated."""
+    names = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
+    if len(set(names)) < len(names):
+        refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
+    if names and not value:
+        refuse("value", "be True if there are derivatives of ω∞ to be found", "is False")
+    return names

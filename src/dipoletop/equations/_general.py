@@ -23,12 +23,9 @@ from .._linalg import cross, dot, inverse, matvec, scale
 from .._types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body
 from . import _regions
+from ._line import Form, Two, balancing, extremes, guarded, line, lyapunov, quadratic, root, scaled
 
 Flag = Bool[Array, "*#lanes"]
-Two = tuple[Real, Real, Real, Real]
-"""A 2×2 matrix, by rows."""
-Form = tuple[Real, Real, Real]
-"""A symmetric 2×2 matrix: its elements 11, 12 and 22."""
 Nodes = Float[Array, "#nodes *#lanes"]
 
 REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law well enough
@@ -38,7 +35,6 @@ ODD = 3.0
 DRIFT = 0.1  # largest relative change of w that a residual region may allow
 NODES = 16  # on which the slow flow is searched for a barrier
 WAVER = 4.0  # the slow flow is exact up to this times |d|²|Ω|/J, measured in x and in f
-EXACT = 30  # orders after which ℓ(μ) no longer changes, for μ ≤ REACH
 SAME = 4096  # moments or directions that differ by so many roundings are the same
 
 
@@ -92,7 +88,7 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
 
 def _general(frame: Frame, order: int | None, near: Flag, round_about_n: Flag) -> Verdict:
     """The verdict but for an axisymmetric body with its dipole across the axis."""
-    caught, value, error = _residual(frame, order)
+    caught, value, error, slope = _residual(frame, order)
     spin = _on_other_axis(frame, round_about_n)
     keeps = round_about_n & (frame.w != 0)  # then w is constant
     if order is not None and order > 1:  # at large amplitude these levels run away
@@ -106,10 +102,11 @@ def _general(frame: Frame, order: int | None, near: Flag, round_about_n: Flag) -
     stop, residual = stop & sound, residual & sound
     return Verdict(
         jnp.where(stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)),
-        jnp.where(stop, 0.0, jnp.where(residual, jnp.where(keeps, frame.w, value), jnp.nan)),
+        jnp.where(stop, 0.0, jnp.where(residual, jnp.where(caught, value, frame.w), jnp.nan)),
         jnp.zeros_like(stop),
         jnp.where(stop, jnp.where(axis, Stop.AXIS, Stop.TUMBLING), Stop.NONE),
         jnp.where(stop | keeps, 0.0, error),
+        jnp.where(stop, jnp.where(spin, jnp.inf, 0.0), jnp.where(caught, slope, jnp.inf)),
     )
 
 
@@ -137,7 +134,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
     rounding = _rounding(jd) * (inertia[0, 0] + inertia[1, 1] + inertia[2, 2])
     return Frame(
         strength,
-        _root(dot(omega, omega)),
+        root(dot(omega, omega)),
         dot(n, omega),
         dot(first, omega),
         dot(second, omega),
@@ -152,131 +149,50 @@ def _rounding(like: Real) -> float:
     return SAME * float(jnp.finfo(like.dtype).eps)
 
 
-def _guarded(denominator: Real) -> Real:
-    """1 in place of 0, so that no unused branch divides by it."""
-    return jnp.where(denominator == 0, 1.0, denominator)
-
-
-def _root(square: Real) -> Real:
-    """Square root with derivative 0 at 0."""
-    positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
 def _reach(body: Body, frame: Frame) -> Real:
     """|d|²|Ω|/J with 1/J = √tr(I⁻²), at least one over the smallest moment."""
     back = inverse(body.inertia)
     return frame.strength * frame.size * jnp.sqrt(sum(dot(back[i], back[i]) for i in range(3)))
 
 
-# --- the line Ω = w n -----------------------------------------------------------------------
-
-
-def line(a: Real, b: Real, mu: Real, order: int | None) -> Two:
-    """ℓ(μ), the linear part of the equation across its residual line; `None`: semi-reduced.
-
-    Across the line I⊥ℓ₀ is the gyroscopic part, Ω̇ = ℓ₋x and Ω̈ = ℓ₋²x with ℓ₋ the order before,
-    and the torque of radiation is μ(−1 + ℓ₋² + 2n×ℓ₋)x.
-    """
-    free = ((b - 1) / a, -(a - 1) / b)
-    both = free[0] * free[1]
-    if order is None:
-        # (I⊥ − 2μ n×) ℓ = I⊥ℓ₀ + μ(−1 + ℓ₀²)
-        drag, det = mu * (both - 1), a * b + 4 * mu**2
-        up, down = b - 1, 1 - a
-        return (
-            (b * drag - 2 * mu * down) / det,
-            (b * up - 2 * mu * drag) / det,
-            (a * down + 2 * mu * drag) / det,
-            (a * drag + 2 * mu * up) / det,
-        )
-    l11, l12, l21, l22 = jnp.zeros_like(both), free[0], free[1], jnp.zeros_like(both)
-    for _ in range(order):
-        cross_term, trace = l12 * l21, l11 + l22
-        l11, l12, l21, l22 = (
-            mu / a * (l11**2 + cross_term - 1 - 2 * l21),
-            free[0] + mu / a * (l12 * trace - 2 * l22),
-            free[1] + mu / b * (l21 * trace + 2 * l11),
-            mu / b * (l22**2 + cross_term - 1 + 2 * l12),
-        )
-    return l11, l12, l21, l22
-
-
-def _lyapunov(m: Two, q: Form) -> Form:
-    """P of MᵀP + PM = −Q: [det Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
-    m11, m12, m21, m22 = m
-    q11, q12, q22 = q
-    det = m11 * m22 - m12 * m21
-    below = _guarded(-2 * (m11 + m22) * det)
-    return (
-        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) / below,
-        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) / below,
-        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) / below,
-    )
-
-
-def _extremes(p: Form) -> tuple[Real, Real]:
-    """Smallest and largest eigenvalue of a symmetric matrix."""
-    mean, spread = (p[0] + p[2]) / 2, _root((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
-    return mean - spread, mean + spread
-
-
-def _value(p: Form, y: tuple[Real, Real]) -> Real:
-    """yᵀPy."""
-    return p[0] * y[0] ** 2 + 2 * p[1] * y[0] * y[1] + p[2] * y[1] ** 2
-
-
-def _balancing(m: Two) -> Real:
-    """Scale s such that y_b/s makes ℓ balanced: a slow precession has y_b ~ μ y_a."""
-    down, up, rate = jnp.abs(m[2]), jnp.abs(m[1]), _guarded(jnp.abs(m[0] + m[3]))
-    square = (down + rate * jnp.minimum(1.0, rate / _guarded(up))) / (
-        up + rate * jnp.minimum(1.0, rate / _guarded(down))
-    )
-    return jnp.sqrt(square)
-
-
-def _scaled(m: Two, s: Real) -> Two:
-    """The matrix for (y_a, y_b/s)."""
-    return m[0], m[1] * s, m[2] / s, m[3]
-
-
-def _residual(frame: Frame, order: int | None) -> tuple[Flag, Real, Real]:
-    """Whether the line attracts the state; ω∞ and its relative error.
+def _residual(frame: Frame, order: int | None) -> tuple[Flag, Real, Real, Real]:
+    """Whether the line attracts the state; ω∞, its relative error, and that of its derivatives.
 
     With V = yᵀPy, ℓᵀP + Pℓ = −1 at the present w, let V₀ be its present value. As long as
     V ≤ V₀ and w has changed by no more than a part η: V′ ≤ −½|y|². Then ∫|y|² ≤ 2V₀, which
     keeps the change of w below η = |g| s V₀: the two conditions hold each other up for ever.
     """
-    one = _guarded(jnp.abs(frame.w))
+    one = guarded(jnp.abs(frame.w))
     a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength * one / frame.jd
     matrix = line(a, b, mu, order)
-    s = _balancing(matrix)
+    s = balancing(matrix)
     y = frame.xa / one, jnp.sign(frame.w) * frame.xb / (one * s)
-    now = _scaled(matrix, s)
+    now = scaled(matrix, s)
     stable = (now[0] + now[3] < 0) & (now[0] * now[3] > now[1] * now[2])
     unit, none = jnp.ones_like(s), jnp.zeros_like(s)
-    p = _lyapunov(now, (unit, none, unit))
-    low, high = _extremes(p)
-    v = _value(p, y)
+    p = lyapunov(now, (unit, none, unit))
+    low, high = extremes(p)
+    v = quadratic(p, y)
     g = a - b
     eta = jnp.abs(g) * s * v
     square = jnp.maximum(1.0, s**2) * v / jnp.where(low > 0, low, 1.0)  # bounds |y|²
     odd = ODD * mu / jnp.minimum(a, b) * square
     held = stable & (low > 0) & (eta <= DRIFT) & (8 * high * odd <= 1)
     for part in (1 - eta, 1 + eta):
-        held = held & (_decay(_scaled(line(a, b, mu * part, order), s), p) * part >= 0.75)
-    # w + xᵀSx is constant up to the fourth power of x
-    form = _lyapunov(now, (none, g * s / 2, none))
-    least, most = _extremes(form)
-    size = jnp.maximum(jnp.abs(least), jnp.abs(most))
-    error = eta**2 / 2 + v * size * odd
-    return held & (frame.w != 0), frame.w * (1 + _value(form, y)), error
+        held = held & (_decay(scaled(line(a, b, mu * part, order), s), p) * part >= 0.75)
+    form = lyapunov(now, (none, s / 2, none))  # gS
+    size = jnp.maximum(*map(jnp.abs, extremes(form)))
+    # What the fourth power of y adds, and its derivatives with respect to y and to g.
+    quartic = v * (eta * s / 2 + size * odd)
+    slope = (4 * jnp.abs(g) / jnp.sqrt(guarded(square)) + 1) * quartic
+    value = frame.w * (1 + g * quadratic(form, y))
+    return held & (frame.w != 0), value, jnp.abs(g) * quartic, slope
 
 
 def _decay(m: Two, p: Form) -> Real:
     """Smallest eigenvalue of −(MᵀP + PM)."""
     m11, m12, m21, m22 = m
-    return _extremes(
+    return extremes(
         (
             -2 * (p[0] * m11 + p[1] * m21),
             -(p[0] * m12 + p[1] * (m11 + m22) + p[2] * m21),
@@ -304,7 +220,7 @@ def _no_stable_line(frame: Frame, order: int | None) -> Flag:
     """
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     energy = frame.w**2 + a * frame.xa**2 + b * frame.xb**2
-    mu = frame.strength * _root(energy) / frame.jd
+    mu = frame.strength * root(energy) / frame.jd
     m11, m12, m21, m22 = line(a, b, mu, order)
     return (4 * mu**2 <= (a - 1) * (1 - b)) & (m11 * m22 < m12 * m21)
 
@@ -325,7 +241,7 @@ def _behind_barrier(frame: Frame) -> Flag:
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
     momentum = frame.w**2 + (a * frame.xa) ** 2 + (b * frame.xb) ** 2
-    h = (frame.w**2 + a * frame.xa**2 + b * frame.xb**2) / _guarded(momentum)
+    h = (frame.w**2 + a * frame.xa**2 + b * frame.xb**2) / guarded(momentum)
     fine = float(jnp.finfo(h.dtype).eps) ** 0.5
     usable = (1 - p2 > fine) & (p2 - p3 > fine)
     p2, p3 = jnp.where(usable, p2, 0.8), jnp.where(usable, p3, 0.6)
@@ -374,12 +290,12 @@ def _transverse(frame: Frame, order: int | None) -> Verdict:
     omega = jnp.stack(
         [frame.w, jnp.where(first, frame.xa, frame.xb), jnp.where(first, frame.xb, -frame.xa)]
     )
-    regions = {None: _regions.semi_reduced, 1: _regions.first_order}
-    found = regions.get(order, _regions.higher_order)(delta, scale(unit, omega))
+    found = _regions.of_level(delta, scale(unit, omega), order)
     return Verdict(
         found.outcome,
         found.omega_inf / unit,
         jnp.zeros_like(found.certified),
         jnp.broadcast_to(found.stop, found.outcome.shape),
         jnp.broadcast_to(found.error, found.outcome.shape),
+        jnp.broadcast_to(found.slope, found.outcome.shape),
     )

@@ -9,7 +9,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from .._types import Outcome, Real, Stop, Vector, Verdict
-from ._residual import residual_first_order, residual_higher_order, residual_semi_reduced
+from ._line import EXACT
+from ._residual import (
+    Series,
+    residual_first_order,
+    residual_full,
+    residual_higher_order,
+    residual_semi_reduced,
+)
 
 Flag = Bool[Array, "*#lanes"]
 
@@ -37,14 +44,43 @@ def _swing(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
 
 
 def _verdict(residual: Flag, stop: Flag, kind: Array, certified: Flag, value: tuple) -> Verdict:
-    """Put a verdict together; a stop wins over a residual, which the exact sets rely on."""
-    omega_inf, error = value
+    """Put a verdict together; a stop wins over a residual, which the exact sets rely on.
+
+    Where a top stops, so do its neighbours, and derivatives are 0: but perhaps not on an axis.
+    """
+    inside = stop & (kind != Stop.AXIS)
     outcome = jnp.where(
         stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)
     )
-    omega_inf = jnp.where(stop, 0.0, jnp.where(residual, omega_inf, jnp.nan))
+    omega_inf, error, slope = (jnp.where(inside, 0.0, x) for x in value)
+    omega_inf = jnp.where(stop | residual, omega_inf, jnp.nan)
     kind = jnp.where(stop, kind, Stop.NONE)
-    return Verdict(outcome.astype(int), omega_inf, certified, kind.astype(int), error)
+    return Verdict(outcome.astype(int), omega_inf, certified, kind.astype(int), error, slope)
+
+
+def _kept(exact: Flag, w1: Real, series: Series) -> Series:
+    """The series, or ω₁ where that is constant; derivatives are those of the series even there."""
+    omega_inf, error, slope = series
+    far = exact & ~(slope < 1)  # where the series is of no use, and may overflow
+    kept = jnp.where(far, w1, omega_inf), jnp.where(exact, 0.0, error)
+    return *kept, jnp.where(far, jnp.inf, slope)
+
+
+def _on_axis(axis: Flag, d: Real, w: Vector, value: Series) -> Series:
+    """ω∞ = 0 on an axis of decaying spin; but neighbours may keep rotating.
+
+    Its derivatives are those of ω₁ where that is constant (δ = 0), and 0 on axis 3. On other axes
+    there are none.
+    """
+    w1, w2, w3 = w
+    regular = (w2 == 0) & (w3 != 0) | (d == 0) & ((w2 == 0) | (w3 == 0))
+    omega_inf, error, slope = value
+    at_rest = jnp.where(d == 0, w1, 0.0)
+    return (
+        jnp.where(axis, at_rest, omega_inf),
+        jnp.where(axis, 0.0, error),
+        jnp.where(axis, jnp.where(regular, 0.0, jnp.inf), slope),
+    )
 
 
 def first_order(delta: Real, w: Vector) -> Verdict:
@@ -69,8 +105,9 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     spins = (q > swing) & (q > 0) & (level > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
     turning = (d < 0) & ~keeps & (spins | (d <= -0.5))
 
-    omega_inf, error = residual_first_order(d, w)
-    value = jnp.where(keeps, w1, omega_inf), jnp.where(keeps, 0.0, error)
+    value = _kept(keeps, w1, residual_first_order(d, w))
+    value = _on_axis(axis, d, w, value)
+    value = *value[:2], jnp.where((d <= -0.5) & (w3 == 0), jnp.inf, value[2])  # others stop
     stop, residual = (axis | turning) & finite, (residual | keeps) & finite
     return _verdict(
         residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, value
@@ -102,9 +139,8 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
     residual = (residual | keeps | line) & finite
     kind = jnp.where(axis, Stop.AXIS, jnp.where(d < 0, Stop.ROTATING, Stop.WOBBLING))
     certified = (stop & axis) | (residual & ~stop & (proven | keeps | line))
-    omega_inf, error = residual_semi_reduced(d, w)
-    exact = keeps | line
-    value = jnp.where(exact, w1, omega_inf), jnp.where(exact, 0.0, error)
+    value = _kept(keeps | line, w1, residual_semi_reduced(d, w))
+    value = _on_axis(axis, d, w, value)
     return _verdict(residual, stop, kind, certified, value)
 
 
@@ -152,34 +188,44 @@ def full(delta: Real, w: Vector) -> Verdict:
     There T = ω₂/ω₁ and Z = ω₃/(ω₁ min(|ω₁|, 1)) decay, for the line is stable at every ω₁ ≠ 0
     and δ: of its characteristic polynomial the constant term, ω₁⁴, is positive. Tested only.
     """
-    found = higher_order(delta, w)
+    d = delta
+    found = higher_order(d, w, EXACT)
     one = _guarded(w[0])
     off = (w[1] / one) ** 2 + (w[2] / (one * jnp.minimum(jnp.abs(one), 1.0))) ** 2
     beside = (found.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (off <= BESIDE)
-    return found._replace(
-        outcome=jnp.where(beside, Outcome.RESIDUAL, found.outcome),
-        omega_inf=jnp.where(beside, w[0], found.omega_inf),
-        error=jnp.where(beside, 10 * off, found.error),
-    )
+    outcome = jnp.where(beside, Outcome.RESIDUAL, found.outcome)
+    given = found.omega_inf, found.error, found.slope
+    series = (jnp.where(beside, *each) for each in zip(residual_full(d, w), given, strict=True))
+    omega_inf, error, slope = series
+    return Verdict(outcome, omega_inf, found.certified, found.stop, error, slope)
 
 
-def higher_order(delta: Real, w: Vector) -> Verdict:
-    """Orders 2–4: the regions of the semi-reduced level at small amplitude, tested only.
+def higher_order(delta: Real, w: Vector, order: int) -> Verdict:
+    """Orders 2–4, or `EXACT`: the semi-reduced regions at small amplitude, tested only.
 
     The levels agree there up to O(ω²), which the error of ω∞ includes.
     """
     d = delta
     size = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
     small = size <= 0.1 * jnp.where(d <= 0.3, 1.0, jnp.minimum(1.0, (1 - d) ** 2))
-    outcome, omega_inf, _, stop, error = semi_reduced(d, w)
-    exact = error == 0
-    value, gap = residual_higher_order(d, w)
-    residual = small & (outcome == Outcome.RESIDUAL)
-    omega_inf = jnp.where(residual & ~exact, value, jnp.where(small, omega_inf, jnp.nan))
+    found = semi_reduced(d, w)
+    value, error, slope = _kept(
+        jnp.asarray(found.error == 0), w[0], residual_higher_order(d, w, order)
+    )
+    residual = small & (found.outcome == Outcome.RESIDUAL)
+    omega_inf = jnp.where(residual, value, jnp.where(small, found.omega_inf, jnp.nan))
     return Verdict(
-        jnp.where(small, outcome, Outcome.UNDECIDED),
+        jnp.where(small, found.outcome, Outcome.UNDECIDED),
         omega_inf,
         jnp.zeros_like(small),
-        jnp.where(small, stop, Stop.NONE),
-        jnp.where(exact, 0.0, gap),
+        jnp.where(small, found.stop, Stop.NONE),
+        jnp.where(residual, error, found.error),
+        jnp.where(residual, slope, found.slope),
     )
+
+
+def of_level(delta: Real, w: Vector, order: int | None) -> Verdict:
+    """The verdict of a level: an order, `None` for semi-reduced, `EXACT` for the full equation."""
+    if order is None:
+        return semi_reduced(delta, w)
+    return first_order(delta, w) if order == 1 else higher_order(delta, w, order)

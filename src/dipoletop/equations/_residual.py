@@ -9,8 +9,13 @@ order 1, where they fall short by less than a factor 2.
 import jax.numpy as jnp
 
 from .._types import Real, Vector
+from ._line import EXACT, line, lyapunov, quadratic, scaled
 
-LEVEL_GAP = 10.0
+LEVEL_GAP = 20.0
+SLOPE = 30.0  # of the derivatives' errors
+
+Series = tuple[Real, Real, Real]
+"""ω∞, its relative error, and that of its derivatives, with respect to δ, T and Z."""
 
 
 def _scaled(w: Vector) -> tuple[Real, Real, Real]:
@@ -20,7 +25,7 @@ def _scaled(w: Vector) -> tuple[Real, Real, Real]:
     return w2 / one, w3 / one**2, w1**2
 
 
-def residual_first_order(d: Real, w: Vector) -> tuple[Real, Real]:
+def residual_first_order(d: Real, w: Vector) -> Series:
     """ω∞ and its relative error at order 1, −1/2 < δ < 1; β = (1+2δ)/(1−δ)."""
     t, z, v = _scaled(w)
     d = jnp.where(d > -0.5, d, 0.0)
@@ -36,10 +41,10 @@ def residual_first_order(d: Real, w: Vector) -> tuple[Real, Real]:
     linear = jnp.abs(b * t * z) + jnp.abs(c) * z**2
     size = t**2 / (2 + beta) + d**2 * z**2 / (beta * (1 + beta / 8))
     size = size + v * z**2 / (1.5 * (1 + 2 * d))
-    return value, 35 * linear * size**2
+    return value, 35 * linear * size**2, _slope(size, z)
 
 
-def residual_semi_reduced(d: Real, w: Vector) -> tuple[Real, Real]:
+def residual_semi_reduced(d: Real, w: Vector) -> Series:
     """ω∞ and its relative error at the semi-reduced level, −1 < δ < 1."""
     t, z, v = _scaled(w)
     b, big = 2 * v - d * (1 - d), 1 - d + 4 * v
@@ -56,14 +61,38 @@ def residual_semi_reduced(d: Real, w: Vector) -> tuple[Real, Real]:
     quartic = t**4 * q[0] + z * (t**3 * q[1] + z * (t**2 * q[2] + z * (t * q[3] + z * q[4])))
     value = w[0] * (1 + k * q2 + quartic)
     size = (t**2 + (v + d**2) * z**2) * (1 + 2 * jnp.abs(d) * v)
-    return value, 2.5 * _second_order(d, t, z, v) * size**2
+    return value, 2.5 * _second_order(d, t, z, v) * size**2, _slope(size, z)
 
 
-def residual_higher_order(d: Real, w: Vector) -> tuple[Real, Real]:
-    """ω∞ and its relative error at orders 2–4: the semi-reduced series, right up to O(v)."""
+def residual_higher_order(d: Real, w: Vector, order: int) -> Series:
+    """ω∞ and its errors at an order, or `EXACT`: Q₂ is its own, Q₄ semi-reduced, up to O(v)."""
     t, z, v = _scaled(w)
-    value, error = residual_semi_reduced(d, w)
-    return value, error + LEVEL_GAP * v * _second_order(d, t, z, v)
+    value, error, slope = residual_semi_reduced(d, w)
+    value = value + w[0] * (_quadratic(d, t, z, v, order) - _quadratic(d, t, z, v, None))
+    size = t**2 + (v + d**2) * z**2
+    gap = LEVEL_GAP * v / (1 - d) ** 2 * size
+    slope = slope + SLOPE * gap * jnp.sqrt(size) * (1 + jnp.abs(z))
+    return value, error + gap * _second_order(d, t, z, v), slope
+
+
+def residual_full(d: Real, w: Vector) -> Series:
+    """ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
+    t, z, v = _scaled(w)
+    size = t**2 + v * z**2 + z**2
+    value = w[0] * (1 + _quadratic(d, t, z, v, EXACT))
+    return value, LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
+
+
+def _quadratic(d: Real, t: Real, z: Real, v: Real, order: int | None) -> Real:
+    """Q₂ of a level, from how motions beside the line decay."""
+    mu, none = jnp.sqrt(v), jnp.zeros_like(d * v)
+    across = scaled(line(1 + none, 1 - d, mu, order), mu)
+    return quadratic(lyapunov(across, (none, d * mu / 2, none)), (t, z))
+
+
+def _slope(size: Real, z: Real) -> Real:
+    """What the sixth power of (T, Z) adds to a derivative."""
+    return SLOPE * size**2 * jnp.sqrt(size) * (1 + jnp.abs(z))
 
 
 def _second_order(d: Real, t: Real, z: Real, v: Real) -> Real:

@@ -17,6 +17,7 @@ from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from . import _general
 from ._base import check_order, one_order_up, order_label, unchanged
+from ._line import EXACT
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
@@ -144,7 +145,7 @@ class Full(eqx.Module):
 
     def verdict(self, y: Float[Array, "6 *lanes"]) -> Verdict:
         """That of a state on the physical branch, by the same tests; not certified."""
-        return _general.verdict(self.body, self.omega(y), _general.EXACT)
+        return _general.verdict(self.body, self.omega(y), EXACT)
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that is state, and runs away: a = PΩ̇."""

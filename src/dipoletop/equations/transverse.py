@@ -99,9 +99,7 @@ class TransverseReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
-        if self.order == 1:
-            return _regions.first_order(self.delta, y)
-        return _regions.higher_order(self.delta, y)
+        return _regions.of_level(self.delta, y, self.order)
 
     body = property(top)
 

@@ -1,0 +1,279 @@
+"""How intricate basins are: entropy, dimension of the boundary, uncertainty of the outcome.
+
+The numbers describe what is resolved: a smooth boundary has dimension 1 in a plane, a fractal one
+more. Every estimate comes with a standard error, which knows nothing of the scales left out.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Integer
+
+from ._checks import finite, refuse
+from .adaptive import check_settings
+from .basin import Basin
+from .boundary import fate
+from .grids import Grid, Points
+from .sweep import Problem, sweep
+
+AROUND = (-1, 0, 1)  # a point and its two companions, in units of ε
+
+
+class BasinEntropy(NamedTuple):
+    """Basin entropies with their standard errors, in nats."""
+
+    entropy: float
+    """S_b, the mean over all boxes."""
+    error: float
+    boundary_entropy: float
+    """S_bb, the mean over the boxes with more than one label; NaN if there is none."""
+    boundary_error: float
+    boxes: int
+    boundary_boxes: int
+
+
+class BoundaryDimension(NamedTuple):
+    """A box-counting dimension D with its standard error, and what the line was fitted to."""
+
+    dimension: float
+    error: float
+    scales: Int[np.ndarray, "k"]
+    """Sides s of the boxes, in points of the grid."""
+    counts: Int[np.ndarray, "k"]
+    """N(s), boxes that the boundary enters."""
+
+
+class Uncertainty(NamedTuple):
+    """An uncertainty exponent α with its standard error, and what the line was fitted to."""
+
+    exponent: float
+    error: float
+    dimension: float
+    """D − α, that of the boundary in the D-dimensional region; `error` is its error too."""
+    epsilons: Float[np.ndarray, "k"]
+    fractions: Float[np.ndarray, "k"]
+    """f(ε), the share of ε-uncertain points."""
+    fraction_errors: Float[np.ndarray, "k"]
+
+
+def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
+    """S_b = (1/N) Σᵢ Sᵢ and S_bb = (1/N_b) Σᵢ Sᵢ over N boxes, with Sᵢ = −Σⱼ p_ij ln p_ij.
+
+    p_ij is the share of label j in box i and N_b the number of boxes with more than one label.
+    Two labels make at most ln 2, so S_bb > ln 2 needs many boxes with three or more: a sufficient
+    sign of a fractal boundary, not a necessary one. As boxes of a given number of points shrink,
+    S_b falls as side^α, with the uncertainty exponent α.
+
+    Args:
+        labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, which
+            stands for its fates; UNDECIDED and FAILED are labels like any other.
+        box: side of a box in points; what is left at the last rows and columns is not used.
+
+    Returns:
+        `BasinEntropy`. The errors are those of the mean of independent boxes; on a regular grid
+        they are too large for a smooth boundary.
+
+    Raises:
+        ValueError: labels that are not a plane of whole numbers, or a box that does not fit.
+
+    Source: A. Daza, A. Wagemakers, B. Georgeot, D. Guéry-Odelin and M. A. F. Sanjuán, Basin
+    entropy: a new tool to analyze uncertainty in dynamical systems, Sci. Rep. 6, 31416 (2016).
+
+    Example:
+        >>> import numpy as np
+        >>> found = basin_entropy(np.arange(16)[:, None] < np.full(16, 6), box=4)
+        >>> found.boxes, found.boundary_boxes, bool(np.isclose(found.boundary_entropy, np.log(2)))
+        (16, 4, True)
+    """
+    plane = _plane(labels)
+    side = _whole("box", box, 2)
+    if side > min(plane.shape):
+        refuse("box", f"fit into labels of shape {plane.shape}", f"is {side}")
+    rows, columns = (n // side for n in plane.shape)
+    cut = plane[: rows * side, : columns * side]
+    boxes = cut.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
+    entropies = np.zeros(len(boxes))
+    for label in np.unique(boxes):
+        share = np.mean(boxes == label, axis=1)
+        entropies -= share * np.log(np.where(share > 0, share, 1.0))
+    mixed = entropies[np.any(boxes != boxes[:, :1], axis=1)]
+    return BasinEntropy(*_mean(entropies), *_mean(mixed), len(boxes), len(mixed))
+
+
+def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
+    """D in N(s) ~ s^−D, where N(s) boxes of side s contain a part of the boundary.
+
+    The boundary goes through every square of 2 × 2 neighbours that have not the same label.
+
+    Args:
+        labels: as in `basin_entropy`.
+        scales: sides of the boxes in points, whole numbers; None means 1, 2, 4, … up to a
+            sixteenth of the shorter side.
+
+    Returns:
+        `BoundaryDimension`, by least squares of ln N against −ln s; the standard error is that of
+        the slope, from the scatter about the line.
+
+    Raises:
+        ValueError: bad labels, labels without a boundary, or fewer than three scales.
+
+    Source: box counting, as in S. W. McDonald, C. Grebogi, E. Ott and J. A. Yorke, Fractal basin
+    boundaries, Physica D 17, 125 (1985).
+
+    Example:
+        >>> import numpy as np
+        >>> round(boundary_dimension(np.arange(65)[:, None] < np.full(65, 20)).dimension, 12)
+        1.0
+    """
+    plane = _plane(labels)
+    if scales is None:
+        scales = [1 << k for k in range((min(plane.shape) // 16).bit_length())]
+    sides = np.unique([_whole("scales", side, 1) for side in scales])
+    if len(sides) < 3 or sides[-1] >= min(plane.shape):
+        must = f"hold three different sides or more, all below {min(plane.shape)}"
+        refuse("scales", must, f"holds {sides.tolist()}")
+    mixed = _mixed(plane)
+    if not mixed.any():
+        refuse("labels", "have a boundary", "have the same value everywhere")
+    counts = np.array([_count(mixed, int(side)) for side in sides])
+    slope, _, scatter = _line(-np.log(sides), np.log(counts), np.ones(len(sides)))
+    return BoundaryDimension(slope, scatter, sides, counts)
+
+
+def uncertainty_exponent(
+    problem: Problem,
+    region: Grid,
+    *,
+    epsilons: Sequence[float] | Float[np.ndarray, "k"],
+    n: Any = 4096,
+    along: str | None = None,
+    seed: Any = 0,
+    **settings: Any,
+) -> Uncertainty:
+    """α in f(ε) ~ ε^α: the share f of points whose fate changes if one coordinate moves by ±ε.
+
+    The boundary then has dimension D − α in a region of D dimensions: α = 1 if it is smooth; with
+    a smaller α a better knowledge of the start helps less to foresee its fate.
+
+    Args:
+        problem: as in `sweep`.
+        region: the box that its axes span, from the least to the largest value on each; an axis
+            of length 1 is fixed.
+        epsilons: the displacements, in units of the axis `along`; points near its ends leave the
+            region by as much.
+        n: random points for each ε; those of different ε are independent.
+        along: the coordinate that is moved; None means the last axis that is not fixed.
+        seed: of the random points.
+        settings: rtol, atol, max_steps, devices and engine, as in `sweep`.
+
+    Returns:
+        `Uncertainty`, by least squares of ln f against ln ε with the binomial weights
+        n f/(1 − f), from which the standard errors follow.
+
+    Raises:
+        ValueError: bad arguments; or an ε at which none or all of the points are uncertain, which
+            tells nothing of the exponent.
+
+    Source: C. Grebogi, S. W. McDonald, E. Ott and J. A. Yorke, Final state sensitivity: an
+    obstruction to predictability, Phys. Lett. A 99, 415 (1983).
+
+    Example:
+        >>> import numpy as np, dipoletop as dt
+        >>> def problem(w3, phi):
+        ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
+        >>> region = dt.Grid(w3=[0.1, 0.4], phi=[0.2, 1.4])
+        >>> found = uncertainty_exponent(problem, region, epsilons=[0.01, 0.03, 0.1], n=1000)
+        >>> bool(abs(found.exponent - 1) < 3 * found.error)
+        True
+    """
+    check_settings(settings)
+    steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
+    if len(np.unique(steps)) < 2 or np.any(steps <= 0):
+        refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
+    count, start = _whole("n", n, 1), _whole("seed", seed, 0)
+    low, high, along = _box(region, along)
+    drawn = np.random.default_rng(start).random((len(low), len(steps), count, 1))
+    points = {}
+    for name, unit in zip(low, drawn, strict=True):
+        moved = steps[:, None, None] * np.array(AROUND) * (name == along)
+        points[name] = (low[name] + (high[name] - low[name]) * unit + moved).ravel()
+    found = fate(sweep(problem, Points(**points), progress=False, **settings))
+    fates = found.reshape(len(steps), count, len(AROUND))
+    uncertain = np.sum(np.any(fates != fates[:, :, :1], axis=2), axis=1)
+    for step, many in zip(steps.tolist(), uncertain.tolist(), strict=True):
+        if many in (0, count):
+            was = f"{many} of {count} are at {step:g}"
+            refuse("epsilons", "leave some points uncertain and others not", was)
+    share = uncertain / count
+    weights = count * share / (1 - share)
+    slope, error, _ = _line(np.log(steps), np.log(share), weights)
+    free = sum(bool(low[name] < high[name]) for name in low)
+    return Uncertainty(slope, error, free - slope, steps, share, share / np.sqrt(weights))
+
+
+def _box(region: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any], str]:
+    """The least and the largest value on every axis, and the axis to move along."""
+    if not isinstance(region, Grid):
+        refuse("region", "be a Grid", f"is {type(region).__name__}")
+    for name, values in region.axes.items():
+        if values.ndim > 1:
+            refuse("region", "have axes of numbers", f"its axis {name} is made of vectors")
+    low = {name: np.min(values) for name, values in region.axes.items()}
+    high = {name: np.max(values) for name, values in region.axes.items()}
+    free = [name for name in low if low[name] < high[name]]
+    if not free:
+        refuse("region", "have an axis that is not fixed", "has none")
+    if along is not None and along not in free:
+        refuse("along", f"be one of {', '.join(free)}", f"is {along!r}")
+    return low, high, along or free[-1]
+
+
+def _plane(labels: Any) -> Integer[np.ndarray, "n m"]:
+    """The labels, or the fates of a basin over two axes."""
+    array = fate(labels).squeeze() if isinstance(labels, Basin) else np.asarray(labels)
+    if array.dtype == bool:
+        array = array.view(np.uint8)
+    if array.ndim != 2 or array.dtype.kind not in "iu":
+        was = f"have shape {array.shape} and dtype {array.dtype}"
+        refuse("labels", "be whole numbers over two axes", was)
+    return array
+
+
+def _whole(name: str, value: Any, least: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        refuse(name, f"be a whole number from {least} on", f"is {value!r}")
+    return int(value)
+
+
+def _mean(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Mean and its standard error; NaN where there are too few values."""
+    size = len(values)
+    mean = float(np.mean(values)) if size else np.nan
+    return mean, float(np.std(values, ddof=1) / np.sqrt(size)) if size > 1 else np.nan
+
+
+def _mixed(plane: Integer[np.ndarray, "n m"]) -> Bool[np.ndarray, "n-1 m-1"]:
+    """Whether the four corners of each square have different labels."""
+    first, squares = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
+    return np.any([first != other for other in squares], axis=0)
+
+
+def _count(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
+    """Boxes of this side with anything in them; those at the last rows and columns are cut."""
+    some = mixed
+    for axis, length in enumerate(mixed.shape):
+        some = np.logical_or.reduceat(some, np.arange(0, length, side), axis=axis)
+    return int(np.sum(some))
+
+
+def _line(
+    x: Float[np.ndarray, "k"], y: Float[np.ndarray, "k"], weights: Float[np.ndarray, "k"]
+) -> tuple[float, float, float]:
+    """Slope of y over x; its error if `weights` are inverse variances; that from the scatter."""
+    total = np.sum(weights)
+    dx, dy = x - np.sum(weights * x) / total, y - np.sum(weights * y) / total
+    spread = np.sum(weights * dx**2)
+    slope = np.sum(weights * dx * dy) / spread
+    scatter = np.sum(weights * (dy - slope * dx) ** 2) / max(len(x) - 2, 1)
+    return float(slope), float(1 / np.sqrt(spread)), float(np.sqrt(scatter / spread))

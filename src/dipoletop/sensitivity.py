@@ -1,0 +1,230 @@
+"""How the residual rotation, and the time to reach it, move with the body and with the start."""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from . import manifold, radiation
+from ._checks import real, refuse, where_valid
+from ._forward import differentiable
+from ._linalg import dot, scale
+from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._types import Equation
+from .equations.tangent import Tangent
+from .outcomes import classify
+
+
+def residual_rotation(
+    equation: Equation,
+    omega0: Any,
+    *,
+    rtol: Any = 1e-10,
+    atol: Any = None,
+    max_steps: Any = MAX_STEPS,
+) -> Float[Array, ""]:
+    """ω∞ = lim n·ω(τ), the residual rotation of dω/dτ = equation(ω) from ω(0) = ω₀.
+
+    May be jitted, vmapped, and differentiated with respect to the arrays of the equation and to
+    ω₀: forwards, backwards and again, at a memory that does not grow with the run. ω∞ is constant
+    along a trajectory, so its derivative is that of the local formula ω∞(p, y) at the end of the
+    run, carried there by the first variations; the run goes on until this formula's derivatives
+    are certain, so that they are those of the limit, not of the moment of stopping.
+
+    Args:
+        equation: an equation with a `verdict`.
+        omega0: start ω₀, shape (3,), dimensionless, body axes.
+        rtol: relative tolerance of ω∞ and of its derivatives; of second ones rtol^(4/5) or so.
+        atol: absolute tolerance; None means rtol·|ω₀|.
+        max_steps: budget.
+
+    Returns:
+        ω∞ in units of 1/τ₀, signed, along the dipole: 0 for a stop; NaN if the run failed or is
+        undecided. Derivatives are 0 where the top stops as all its neighbours do, and NaN where
+        there are none: of what is undecided or failed, and on an axis of decaying spin (a
+        boundary) but for axis 3. A derivative with respect to one element of an inertia tensor
+        breaks its symmetry; only those along symmetric changes have a meaning.
+
+    Raises:
+        ValueError: bad arguments.
+
+    Example:
+        >>> import jax, dipoletop as dt
+        >>> omega0 = dt.cylindrical(0.2, 0.2, jax.numpy.pi / 30)
+        >>> slope = jax.grad(lambda d: dt.residual_rotation(dt.TransverseReduced(d), omega0))(-0.2)
+        >>> f"{slope:.8f}"
+        '2.01941471'
+    """
+    equation = manifold.physical(equation)
+    start = real("omega0", omega0, (3,), batch=False)
+    arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
+    leaves, structure = jax.tree.flatten((arrays, start))
+    rtol = tolerance("rtol", rtol)
+    limits = rtol, absolute(atol, rtol, start)
+
+    def ends(equation: Any, start: Any, limits: Any) -> Any:
+        rtol, atol = limits
+        return classify(equation, start, rtol=rtol, atol=atol, max_steps=max_steps)
+
+    def value(leaves: Any, limits: Any) -> Float[Array, ""]:
+        arrays, start = jax.tree.unflatten(structure, leaves)
+        return ends(eqx.combine(arrays, rest), start, limits).omega_inf
+
+    def gradient(x: Float[Array, "n"], settings: Any) -> Float[Array, "n"]:
+        back, limits = settings
+        arrays, start = jax.tree.unflatten(structure, back(x))
+        _, push = jax.linearize(back, x)
+        units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
+        return ends(Tangent(eqx.combine(arrays, rest), *units), start, limits).slopes
+
+    return _with_gradient(value, gradient)(leaves, limits)
+
+
+def _with_gradient(value: Callable[..., Array], gradient: Callable[..., Array]) -> Any:
+    """`value(leaves, settings)` with the derivatives `gradient(x, (back, settings))`.
+
+    There x holds the leaves that vary, and back(x) is all leaves.
+    """
+
+    @jax.custom_jvp
+    def wrapped(leaves: Any, settings: Any) -> Array:
+        return value(leaves, settings)
+
+    def rule(primals: Any, tangents: Any) -> Any:
+        (leaves, settings), (changes, _) = primals, tangents
+        moving = [k for k, change in enumerate(changes) if not isinstance(change, SymbolicZero)]
+        x, unravel = ravel_pytree([leaves[k] for k in moving])
+        change, _ = ravel_pytree([changes[k] for k in moving])
+        back = _Back(
+            tuple(moving), unravel, [None if k in moving else leaf for k, leaf in enumerate(leaves)]
+        )
+        slopes = differentiable(gradient)(x, (back, settings))
+        return wrapped(leaves, settings), slopes @ change
+
+    wrapped.defjvp(rule, symbolic_zeros=True)
+    return wrapped
+
+
+class _Back(eqx.Module):
+    """From the vector of what varies to all leaves."""
+
+    moving: tuple[int, ...] = eqx.field(static=True)
+    unravel: Callable[..., Any] = eqx.field(static=True)
+    fixed: list[Any]
+
+    def __call__(self, x: Float[Array, "n"]) -> list[Array]:
+        leaves = list(self.fixed)
+        for k, leaf in zip(self.moving, self.unravel(x), strict=True):
+            leaves[k] = leaf
+        return leaves
+
+
+def decay_time(
+    equation: Equation,
+    omega0: Any,
+    share: Any = 0.5,
+    *,
+    rtol: Any = 1e-10,
+    atol: Any = None,
+    max_steps: Any = MAX_STEPS,
+) -> Float[Array, ""]:
+    """τ at which a top has lost a share of the energy that it will ever lose.
+
+    E(τ) = E₀ − share (E₀ − E∞), E = ½ ω·Iω, E∞ = ½ (n·In) ω∞², for the first time. May be jitted,
+    vmapped, and differentiated as `residual_rotation` (up to second order).
+
+    Args:
+        equation: an equation with a `verdict` and a `body`, of a level without runaways.
+        omega0: start ω₀, shape (3,), dimensionless, body axes.
+        share: between 0 and 1, both excluded.
+        rtol: relative tolerance.
+        atol: absolute tolerance; None means rtol·|ω₀|.
+        max_steps: budget.
+
+    Returns:
+        τ in units of τ₀; NaN where ω∞ is not known, and if the top has nothing to lose.
+
+    Raises:
+        ValueError: bad arguments, among them a full equation.
+
+    Example:
+        Spin about axis 2 obeys (2.4): E falls to one half when 1 + 2ω₀²τ = 2.
+
+        >>> import dipoletop as dt
+        >>> f"{dt.decay_time(dt.TransverseReduced(0.3), [0.0, 0.5, 0.0]):.8f}"
+        '2.00000000'
+    """
+    if manifold.is_full(manifold.physical(equation)):
+        refuse("equation", "be of a level without runaways", f"is {type(equation).__name__}")
+    equation = manifold.physical(equation)
+    start = real("omega0", omega0, (3,), batch=False)
+    part = real("share", share)
+    part = where_valid("share", part, (part > 0) & (part < 1), "lie between 0 and 1")
+    rtol = tolerance("rtol", rtol)
+    limits = rtol, absolute(atol, rtol, start)
+    steps = budget("max_steps", max_steps)
+    inf = residual_rotation(equation, start, rtol=rtol, atol=limits[1], max_steps=steps)
+    arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
+    x, back = ravel_pytree((arrays, start, inf, part))
+
+    def time(x: Float[Array, "n"], limits: Any) -> Float[Array, ""]:
+        arrays, start, inf, part = back(x)
+        return _time_of_energy(eqx.combine(arrays, rest), start, (inf, part), (*limits, steps))
+
+    return differentiable(time)(x, limits)
+
+
+@eqx.filter_jit
+def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Float[Array, ""]:
+    """τ at which the energy has fallen far enough, wanted = (ω∞, share)."""
+    inf, share = wanted
+    dipole = equation.body.dipole
+    along = scale(inf / jnp.sqrt(dot(dipole, dipole)), dipole)
+
+    def energy(y: Array) -> Array:
+        return radiation.kinetic_energy(equation.body, equation.omega(y))
+
+    y0 = equation.lift(start)
+    first, last = energy(y0), radiation.kinetic_energy(equation.body, along)
+    level = first - share * (first - last)
+    falls = (first > last) & jnp.isfinite(inf)
+    below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
+    until = jnp.where(falls, jnp.inf, 0.0)
+    step = _solve(equation, until, y0, limits, event=below)
+
+    # Back from the end of that step to the level, with the energy as the independent variable.
+    def field(s: Any, y: Array, args: Any) -> Array:
+        rate = equation(0.0, y[:-1], None)
+        power = jax.jvp(energy, (y[:-1],), (rate,))[1]
+        # The last component is the time in units of the first guess, whose error is relative.
+        return jnp.append(rate, 1 / late) * (level - energy(end)) / power
+
+    end, late = step.ys[-1], step.ts[-1]
+    found = _solve(field, 1.0, jnp.append(end, 1.0), limits)
+    good = falls & diffrax.is_successful(found.result)
+    return jnp.where(good, late * found.ys[-1, -1], jnp.nan)
+
+
+def _solve(field: Any, t1: Any, y0: Array, limits: Any, event: Any = None) -> Any:
+    """An integration from 0 to t1 that can be differentiated forwards."""
+    rtol, atol, max_steps = limits
+    controller = diffrax.PIDController(rtol, atol, norm=lambda x: jnp.max(jnp.abs(x)))
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        diffrax.Dopri8(),
+        0.0,
+        t1,
+        None,
+        y0,
+        stepsize_controller=controller,
+        event=event,
+        max_steps=max_steps,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )

@@ -1,0 +1,225 @@
+"""Fits against series from an independent integrator; designs against closed forms."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import dipoletop as dt
+from dipoletop.fitting import design, fit
+
+TIMES = np.linspace(0.0, 60.0, 25)
+TRUTH = {"delta": -0.2, "w3": 0.25, "phi": 0.7}
+GUESS = {"delta": 0.1, "w3": 0.2, "phi": 0.5}
+
+
+def top(delta, w3, phi):
+    return dt.TransverseSemi(delta), dt.cylindrical(w3 * 1.2, w3, phi)
+
+
+def measured(delta, w3, phi):
+    """ω at the times by scipy, from the semi-reduced equation as physics has it."""
+
+    def rate(_, w):
+        w1, w2, w3 = w
+        square = w @ w
+        left = [[1, 2 * w1], [-2 * w1, 1 - delta]]
+        right = [
+            -delta * w1 * w3 - square * w2 - delta * (1 + delta) * w2 * w3**2,
+            -square * w3 + delta * w2**2 * w3,
+        ]
+        return [delta * w2 * w3, *np.linalg.solve(left, right)]
+
+    start = [1.2 * w3 * np.cos(phi), 1.2 * w3 * np.sin(phi), w3]
+    run = solve_ivp(rate, TIMES[[0, -1]], start, "DOP853", TIMES, rtol=1e-12, atol=1e-14)
+    return run.y.T
+
+
+CLEAN = measured(**TRUTH)
+
+
+@pytest.fixture(scope="module")
+def slope():
+    """∂ω/∂p of the independent route, by central differences of order 4."""
+
+    def along(name, h=1e-3):
+        a, b, c, d = (measured(**TRUTH | {name: TRUTH[name] + k * h}) for k in (-2, -1, 1, 2))
+        return (a - 8 * b + 8 * c - d) / (12 * h)
+
+    return np.stack([along(name) for name in TRUTH], axis=-1)
+
+
+def noisy(seed, sigma):
+    return CLEAN + sigma * np.random.default_rng(seed).normal(size=CLEAN.shape)
+
+
+def test_a_clean_series_gives_its_parameters_back():
+    found = fit(top, TIMES, CLEAN, GUESS)
+    assert found.success
+    for name, value in TRUTH.items():
+        assert abs(found.parameters[name] - value) < 1e-8
+    assert found.chi2 < 1e-18
+    assert found.dof == 72
+    assert found.steps < 40
+
+
+def test_the_covariance_is_the_inverse_of_fishers_matrix(slope):
+    sigma = np.where(TIMES < 30, 1e-3, 4e-3)[:, None]  # one for every time
+    found = fit(top, TIMES, noisy(1, sigma), GUESS, sigma=sigma)
+    assert found.success
+    rows = (slope / sigma[..., None]).reshape(-1, 3)
+    fisher = np.linalg.inv(rows.T @ rows)
+    units = np.sqrt(np.diag(fisher))
+    np.testing.assert_allclose(
+        found.covariance / np.outer(units, units), fisher / np.outer(units, units), atol=0.02
+    )
+    np.testing.assert_allclose(list(found.errors.values()), units, rtol=0.02)
+    assert abs(found.chi2 - found.dof) < 4 * np.sqrt(2 * found.dof)
+
+
+def test_refits_scatter_as_the_covariance_says():
+    """χ² of 3 parameters, summed over 16 noisy series: mean 48, standard deviation √96."""
+    distance, inside = 0.0, 0.0
+    for seed in range(16):
+        found = fit(top, TIMES, noisy(seed, 1e-3), TRUTH)
+        assert found.success
+        error = np.array([found.parameters[name] - TRUTH[name] for name in TRUTH])
+        distance += error @ np.linalg.solve(found.covariance, error)
+        inside += found.chi2 / found.dof
+    assert abs(distance - 48) < 4 * np.sqrt(96)
+    assert abs(inside / 16 - 1e-6) < 4e-6 * np.sqrt(2 / (72 * 16))
+
+
+def test_without_sigma_the_residuals_give_it():
+    series = noisy(3, 1e-3)
+    unscaled = fit(top, TIMES, series, TRUTH, sigma=1.0)
+    scaled = fit(top, TIMES, series, TRUTH)
+    assert scaled.parameters == unscaled.parameters
+    factor = unscaled.chi2 / unscaled.dof
+    np.testing.assert_allclose(scaled.covariance, unscaled.covariance * factor, rtol=1e-12)
+
+
+def test_an_end_that_is_no_minimum_is_said_to_be_none():
+    short = fit(top, TIMES, CLEAN, GUESS, max_steps=3)
+    assert not short.success
+    assert short.message == "No minimum within 3 trajectories."
+    assert short.steps == 3
+    beyond = fit(top, TIMES, measured(-1.2, 0.25, 0.7), GUESS | {"delta": -0.9})
+    assert not beyond.success
+    assert "refuses" in beyond.message
+    assert -1 <= beyond.parameters["delta"] < -0.99
+
+
+def test_a_series_that_says_nothing_has_no_covariance():
+    rest = fit(top, TIMES, 0 * CLEAN, {"delta": 0.0, "w3": 0.0, "phi": 0.0})
+    assert not rest.success
+    assert "does not determine" in rest.message
+    assert np.isnan(rest.covariance).all()
+    assert np.isnan(list(rest.errors.values())).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"series": CLEAN[:, 0]}, r"`series` must have shape \(25, 3\), but has shape \(25,\)"),
+        ({"series": CLEAN * np.nan}, r"`series` must be finite"),
+        (
+            {"ts": [0.0, 1.0], "series": CLEAN[:1, :2], "observe": lambda run: run.omega[:1, :2]},
+            r"`series` must hold more than 3 values, one for each parameter, but holds 2",
+        ),
+        ({"ts": TIMES[::-1]}, r"`ts` must increase"),
+        ({"sigma": 0.0}, r"`sigma` must be positive, but has 0"),
+        ({"sigma": np.ones(25)}, r"`sigma` must broadcast to the series, shape \(25, 3\)"),
+        ({"sigma": np.nan}, r"`sigma` must be finite"),
+        ({"guess": GUESS | {"delta": 1.0}}, r"`delta` must lie in \[-1, 1\), but is 1"),
+        ({"guess": {"delta": 0.0}}, r"`guess` must name the arguments of `problem`"),
+        ({"guess": GUESS | {"w3": np.inf}}, r"`guess\['w3'\]` must be finite"),
+        ({"rtol": 2.0}, r"`rtol` must lie between"),
+        ({"max_steps": 0}, r"`max_steps` must be a positive whole number"),
+    ],
+)
+def test_fit_refuses(change, match):
+    given = {"ts": TIMES, "series": CLEAN, "guess": GUESS} | change
+    with pytest.raises(ValueError, match=match):
+        fit(top, **given)
+
+
+class Decay(eqx.Module):
+    """ω₁′ = −a ω₁ω₂², ω₂′ = −ω₂: ω₁ → ω₁ exp(−aω₂²/2); where ω₃ ≤ 0 it is called a stop."""
+
+    a: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return jnp.stack([-self.a * y[0] * y[1] ** 2, -y[1], 0 * y[2]])
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        outcome = jnp.where(y[2] <= 0, 2, jnp.where(jnp.abs(y[1]) < 0.1, 1, 0))
+        value = jnp.where(y[2] <= 0, 0.0, y[0] * jnp.exp(-self.a * y[1] ** 2 / 2))
+        return outcome, value, outcome > 0
+
+
+def decay(x, s):
+    """ω∞ = x exp(−xs²/2) where x + s < 3.6."""
+    return Decay(x), jnp.stack([x, s, 3.6 - x - s])
+
+
+BOX = {"x": (0.5, 4.0), "s": (1.0, 2.0)}
+
+
+def test_a_design_ends_at_the_maximum():
+    found = design(decay, BOX, n=128, starts=2)
+    assert found.success
+    assert found.parameters["s"] == 1.0  # a bound
+    assert abs(found.parameters["x"] - 2) < 1e-6
+    assert abs(found.value - 2 / np.e) < 1e-9
+    assert found.omega_inf == found.value
+    assert found.defect < 1e-6
+    assert 128 < found.runs < 128 + 2 * 30
+    x, s = np.meshgrid(np.linspace(*BOX["x"], 701), np.linspace(*BOX["s"], 201))
+    grid = np.where(x + s < 3.6, x * np.exp(-x * s**2 / 2), 0.0)
+    assert abs(found.value - grid.max()) < 1e-9
+
+
+def test_a_design_of_ones_own():
+    """ω∞ − x²/10, whose slope at s = 1 is (1 − x/2) exp(−x/2) − x/5."""
+    found = design(decay, BOX, n=128, starts=1, objective=lambda w, at: w - at["x"] ** 2 / 10)
+    best = brentq(lambda x: (1 - x / 2) * np.exp(-x / 2) - x / 5, 0.5, 2)
+    assert found.success
+    assert abs(found.parameters["x"] - best) < 1e-6
+    assert abs(found.value - (best * np.exp(-best / 2) - best**2 / 10)) < 1e-9
+    assert abs(found.omega_inf - best * np.exp(-best / 2)) < 1e-8
+
+
+def test_an_edge_of_a_basin_is_no_maximum():
+    def cut(x, s):
+        return Decay(x), jnp.stack([x, s, 2.5 - x - s])  # best where x = 1.5, s = 1
+
+    found = design(cut, BOX, n=128, starts=1)
+    assert not found.success
+    assert "edge of a basin" in found.message
+    assert found.defect > 1e-3
+    assert found.parameters["x"] < 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"bounds": {}}, r"`bounds` must be a dict of pairs"),
+        ({"bounds": BOX | {"s": (2.0, 1.0)}}, r"`bounds\['s'\]` must be a pair low < high"),
+        ({"n": 0}, r"`n` must be a positive whole number"),
+        ({"starts": 0}, r"`starts` must be a positive whole number"),
+        ({"n": 8, "max_steps": 1}, r"`bounds` must hold parameters whose fate is known"),
+    ],
+)
+def test_design_refuses(change, match):
+    given = {"bounds": {"x": (0.5, 1.0), "s": (1.0, 2.0)}} | change
+    with pytest.raises(ValueError, match=match):
+        design(decay, given.pop("bounds"), **given)

@@ -1,0 +1,204 @@
+"""Derivatives of ω∞ against complex steps, and where there are none."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from dipoletop.equations.tangent import Tangent
+from dipoletop.sensitivity import decay_time
+
+AXES = ("delta", "w3", "phi")
+
+
+def first_order(delta, w_perp, w3, phi):
+    return dt.TransverseReduced(delta), dt.cylindrical(w_perp, w3, phi)
+
+
+def complex_step(delta, w_perp, w3, phi, along):
+    """∂ω∞ by a complex step in NumPy, each case in a time of its own, ds = ω²dτ."""
+    values = {"delta": delta, "w3": w3, "phi": phi}
+    values[along] = values[along] + 1e-30j
+    d, angle = values["delta"], values["phi"]
+    start = [w_perp * np.cos(angle), w_perp * np.sin(angle), values["w3"] + 0 * angle]
+
+    def rate(s, y):
+        w1, w2, w3 = y.reshape(3, -1)
+        square = w1**2 + w2**2 + w3**2
+        return np.concatenate(
+            [
+                d * w2 * w3 / square,
+                (-d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2) / square,
+                -(square + d * (2 * w1**2 - w2**2)) * w3 / (1 - d) / square,
+            ]
+        )
+
+    y0 = np.concatenate(start).astype(complex)
+    found = solve_ivp(rate, (0, 150), y0, method="DOP853", rtol=3e-14, atol=1e-60, t_eval=[150])
+    return found.y[: len(delta), -1].imag / 1e-30
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """Fifty residual starts at random, and the fifty nearest to the boundary."""
+    rng = np.random.default_rng(5)
+    n = 2000
+    delta, w_perp = rng.uniform(-0.35, 0.5, n), rng.uniform(0.3, 0.8, n)
+    points = {
+        "delta": delta,
+        "w_perp": w_perp,
+        "w3": rng.uniform(-0.6, 0.6, n),
+        "phi": rng.uniform(0, np.pi, n),
+    }
+    size = np.abs(dt.sweep(first_order, dt.Points(**points), rtol=1e-10).omega_inf) / w_perp
+    residual = np.flatnonzero(size > 0)
+    chosen = np.append(residual[np.argsort(size[residual])[:50]], residual[:50])
+    return {name: values[chosen] for name, values in points.items()}
+
+
+@pytest.mark.parametrize("along", AXES)
+def test_slopes_are_those_of_a_complex_step(cases, along):
+    basin = dt.sweep(first_order, dt.Points(**cases), rtol=1e-12, derivatives=AXES)
+    exact = complex_step(**cases, along=along)
+    found = basin.derivative(along)
+    # Near the boundary ω∞ itself hangs on the start a hundred times more.
+    assert np.max(np.abs(found - exact) / np.maximum(np.abs(exact), 1e-2)) < 1e-8
+    assert np.min(np.abs(basin.omega_inf)) < 0.05 * np.max(np.abs(basin.omega_inf))
+
+
+def test_the_default_tolerance_holds_for_slopes(cases):
+    precise = dt.sweep(first_order, dt.Points(**cases), rtol=1e-12, derivatives=AXES)
+    basin = dt.sweep(first_order, dt.Points(**cases), derivatives=AXES)
+    for along in AXES:
+        found, exact = basin.derivative(along), precise.derivative(along)
+        assert np.median(np.abs(found - exact) / np.abs(exact)) < 1e-8
+    assert np.all(basin.outcome == dt.sweep(first_order, dt.Points(**cases)).outcome)
+
+
+def test_single_starts_differentiate_in_every_way(cases):
+    one = {name: values[60:61] for name, values in cases.items()}
+    point = {name: float(values[0]) for name, values in one.items()}
+
+    def value(delta, w3, phi):
+        equation, omega0 = first_order(delta, point["w_perp"], w3, phi)
+        return dt.residual_rotation(equation, omega0, rtol=1e-12)
+
+    @jax.jit
+    def derivatives(*at):
+        backwards = jax.grad(value, (0, 1, 2))
+        return (
+            backwards(*at),
+            jax.jvp(value, at, (0.0, 1.0, 0.0))[1],
+            jax.grad(jax.grad(value))(*at),
+        )
+
+    gradient, forwards, second = derivatives(*(point[name] for name in AXES))
+    exact = [complex_step(**one, along=name)[0] for name in AXES]
+    np.testing.assert_allclose(gradient, exact, rtol=1e-8)
+    np.testing.assert_allclose(forwards, exact[1], rtol=1e-8)
+
+    # The second derivative by differences of complex steps.
+    h = 1e-3
+    steps = h * np.array([-3, -2, -1, 1, 2, 3])
+    around = {name: np.repeat(values, 6) for name, values in one.items()}
+    around["delta"] = around["delta"] + steps
+    slopes = complex_step(**around, along="delta")
+    assert float(second) == pytest.approx(
+        np.array([-1, 9, -45, 45, -9, 1]) @ slopes / (60 * h), rel=1e-7
+    )
+
+
+def test_semi_reduced_level_against_high_order_differences():
+    def problem(delta, phi):
+        return dt.TransverseSemi(delta), dt.cylindrical(0.2, 0.15, phi)
+
+    phi = np.linspace(-0.6, 0.3, 8)
+    delta, h = np.linspace(-0.5, 0.4, 8), 2e-3
+    points = dt.Points(delta=delta, phi=phi)
+    found = dt.sweep(problem, points, rtol=1e-11, derivatives=["delta"]).derivative("delta")
+    shifted = np.concatenate([delta + k * h for k in (-3, -2, -1, 1, 2, 3)])
+    around = dt.sweep(problem, dt.Points(delta=shifted, phi=np.tile(phi, 6)), rtol=1e-13)
+    weights = np.array([-1, 9, -45, 45, -9, 1]) / (60 * h)
+    np.testing.assert_allclose(
+        found, weights @ around.omega_inf.reshape(6, 8), rtol=1e-8, atol=1e-8
+    )
+
+
+def test_variations_of_a_general_body_are_those_of_the_closed_form():
+    def tangent(equation_of, delta):
+        equation, change = jax.jvp(equation_of, (delta,), (1.0,))
+        parameters = jax.tree.map(lambda x: x[None], change)
+        return Tangent(equation, parameters, jnp.array([[0.1, 0.2, -0.3]]))
+
+    one = tangent(lambda d: dt.Reduced(dt.axisymmetric(d)), -0.3)
+    two = tangent(dt.TransverseReduced, -0.3)
+    y = two.lift(jnp.array([0.2, 0.003, 0.004]))
+    np.testing.assert_allclose(one.lift(y[:3]), y, rtol=1e-15)
+    np.testing.assert_allclose(one(0.0, y), two(0.0, y), rtol=1e-13)
+    np.testing.assert_allclose(one.slopes(y), two.slopes(y), rtol=1e-12)
+
+
+def test_slopes_where_the_value_is_known_at_once():
+    # ω₃ = 0 keeps ω₁, yet ω∞ moves with ω₃: dω₁ = δ∫ω₂ dω₃ dτ, ω₂′ = −ω²ω₂,
+    # dω₃′ = −(ω² + δ(2ω₁² − ω₂²))/(1−δ) dω₃; at δ = 0 dω₁/dδ = ∫ω₂ω₃dτ.
+    w1, w2, d = 0.3, 0.4, -0.2
+
+    def rate(t, y):
+        s, axial, _ = y
+        square = w1**2 + s**2
+        third = -(square + d * (2 * w1**2 - s**2)) / (1 - d) * axial
+        return [-square * s, third, d * s * axial]
+
+    found = solve_ivp(rate, (0, 400), [w2, 1.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-15)
+
+    def problem(delta, w3):
+        return dt.TransverseReduced(delta), jnp.stack([w1 + 0 * w3, w2 + 0 * w3, w3])
+
+    points = dt.Points(delta=[d, 0.0], w3=[0.0, 0.5])
+    basin = dt.sweep(problem, points, rtol=1e-11, derivatives=("delta", "w3"))
+    assert basin.derivative("w3")[0] == pytest.approx(found.y[2, -1], rel=1e-8)
+    # sphere: ω₂ = ρ cos a, ω₃ = ρ sin a with ρρ′ = −ω²ρ², so ∫ρ² dτ = −½ ln(1 − ρ₀²/ω₀²)·…
+    square = w2**2 + 0.5**2
+    integral = w2 * 0.5 / square * np.log1p(square / w1**2) / 2
+    assert basin.derivative("delta")[1] == pytest.approx(integral, rel=1e-8)
+
+
+def test_no_derivative_no_number():
+    def problem(delta, omega):
+        return dt.TransverseReduced(delta), omega
+
+    def slope(delta, omega, **settings):
+        points = dt.Points(delta=[delta], omega=[omega])
+        return dt.sweep(problem, points, derivatives="delta", **settings).derivative("delta")[0]
+
+    assert slope(-0.2, [0.1, 0.1, 0.9]) == 0.0  # turns to its stop
+    assert slope(0.2, [0.0, 0.0, 0.5]) == 0.0  # axis 3: neighbours stop, or nearly
+    assert np.isnan(slope(0.2, [0.0, 0.5, 0.0]))  # axis 2: a boundary
+    assert np.isnan(slope(-0.6, [0.3, 0.4, 0.0]))  # neighbours with ω₃ ≠ 0 stop
+    assert np.isnan(slope(0.2, [0.01, 0.3, 0.3], max_steps=3))  # undecided
+    assert np.isnan(slope(0.2, [1e200, 0.3, 0.3]))  # failed
+
+
+def test_bad_names_are_refused():
+    points = dt.Points(delta=[0.1], w_perp=[0.1], w3=[0.2], phi=[0.3])
+    with pytest.raises(ValueError, match="`derivatives` must name arguments that are numbers"):
+        dt.sweep(first_order, points, derivatives=["mass"])
+    with pytest.raises(ValueError, match="`derivatives` must name each argument once"):
+        dt.sweep(first_order, points, derivatives=["phi", "phi"])
+    with pytest.raises(ValueError, match="`value` must be True"):
+        dt.sweep(first_order, points, derivatives=["phi"], value=False)
+
+
+def test_decay_time_and_its_slope():
+    # Spin about axis 2 obeys (2.4): E falls to (1 − share) when 2ω₀²τ = share/(1 − share).
+    def time(size, share):
+        start = jnp.stack([0 * size, size, 0 * size])
+        return decay_time(dt.TransverseReduced(0.3), start, share)
+
+    value, slope = jax.jit(jax.value_and_grad(time, 1))(0.5, 0.75)
+    assert float(value) == pytest.approx(6.0, rel=1e-9)
+    assert float(slope) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
+    with pytest.raises(ValueError, match="without runaways"):
+        decay_time(dt.TransverseFull(0.3), [0.1, 0.1, 0.1])

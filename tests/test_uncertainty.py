@@ -1,0 +1,218 @@
+"""Covariances and ranges carried to a fate, against closed forms and brute force."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from dipoletop.uncertainty import propagate, sobol
+
+START = jnp.array([1.0, 0.0, 0.0])
+
+
+class Told(eqx.Module):
+    """An equation whose fate is known at the start: ω∞ is a number, 0 a stop, NaN not known."""
+
+    value: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -y
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        outcome = jnp.where(jnp.isnan(self.value), 0, jnp.where(self.value == 0, 2, 1))
+        return outcome, self.value, outcome > 0
+
+
+def plane(a, b):
+    return Told(0.5 + 2 * a - b), START
+
+
+def half_plane(a, b):
+    value = 0.5 + 2 * a - b
+    return Told(jnp.where(value > 0, value, 0.0)), START
+
+
+COVARIANCE = np.array([[0.004, 0.001], [0.001, 0.009]])
+LINEAR_STD = np.sqrt(4 * 0.004 - 4 * 0.001 + 0.009)  # of 2a − b
+
+
+def near(estimate, truth):
+    return abs(estimate.value - truth) < 4 * estimate.error
+
+
+def test_a_linear_fate_has_the_variance_of_the_law():
+    mean = {"a": 0.5, "b": 0.5}  # ω∞ = 1, nearly seven standard deviations from 0
+    found = propagate(plane, mean, COVARIANCE, n=4000, seed=3)
+    assert found.omega_inf == 1
+    assert found.gradient == {"a": 2.0, "b": -1.0}
+    np.testing.assert_allclose(found.linear_std, LINEAR_STD, rtol=1e-12)
+    assert found.trusted
+    assert found.other.count == 0 < found.other.high < 1e-3
+    assert found.shares["RESIDUAL"].count == 4000
+    assert near(found.mean, 1.0)
+    assert near(found.std, LINEAR_STD)
+    # of a normal distribution
+    np.testing.assert_allclose(found.mean.error, LINEAR_STD / np.sqrt(4000), rtol=0.05)
+    np.testing.assert_allclose(found.std.error, LINEAR_STD / np.sqrt(8000), rtol=0.1)
+    assert found == propagate(plane, mean, COVARIANCE, n=4000, seed=3)
+    assert found.mean != propagate(plane, mean, COVARIANCE, n=4000, seed=4).mean
+
+
+def test_beside_a_boundary_the_shares_are_those_of_the_normal_distribution():
+    mean = {"a": 0.0, "b": 0.5 - LINEAR_STD}  # one standard deviation from the stops
+    found = propagate(half_plane, mean, COVARIANCE, n=4000)
+    inside = norm.cdf(1)
+    share = found.shares["RESIDUAL"]
+    assert abs(share.share - inside) < 4 * np.sqrt(inside * (1 - inside) / 4000)
+    assert share.low < inside < share.high
+    assert found.other == found.shares["STOP"]
+    assert not found.trusted
+    # the normal distribution cut off at −1
+    shift = norm.pdf(1) / inside
+    assert near(found.mean, LINEAR_STD * (1 + shift))
+    assert near(found.std, LINEAR_STD * np.sqrt(1 - shift - shift**2))
+
+
+def test_the_other_sign_is_another_fate():
+    found = propagate(plane, {"a": 0.0, "b": 0.5 - LINEAR_STD}, COVARIANCE, n=4000)
+    assert list(found.shares) == ["RESIDUAL"]
+    assert found.other.low < norm.cdf(-1) < found.other.high
+    assert not found.trusted
+
+
+@pytest.mark.parametrize(
+    ("covariance", "std"),
+    [
+        (np.diag([1e-4, 0.0]), 2e-2),
+        (np.full((2, 2), 1e-4), 1e-2),  # a and b vary together: 2 − 1
+        ([[1e-20, 5e-12], [5e-12, 1e-2]], np.sqrt(4e-20 - 4 * 5e-12 + 1e-2)),  # in uneven units
+        (np.zeros((2, 2)), 0.0),
+    ],
+)
+def test_a_covariance_may_be_singular_or_uneven(covariance, std):
+    found = propagate(plane, {"a": 0.0, "b": 0.0}, covariance, n=4000)
+    np.testing.assert_allclose(found.linear_std, std, rtol=1e-7, atol=1e-12)
+    assert abs(found.std.value - std) <= 4 * found.std.error + 1e-12
+
+
+def test_what_is_not_known_at_the_mean_is_not_told():
+    def lost(a, b):
+        return Told(jnp.sqrt(a + b)), START
+
+    mean = {"a": -0.5, "b": -0.5}
+    found = propagate(lost, mean, np.diag([0.25, 0.0]), n=1000, max_steps=5)
+    assert np.isnan([found.omega_inf, found.gradient["a"], found.linear_std]).all()
+    assert not found.trusted
+    assert found.shares["UNDECIDED"].low < norm.cdf(2) < found.shares["UNDECIDED"].high
+    certain = propagate(lost, mean, np.zeros((2, 2)), n=10, max_steps=5)
+    assert np.isnan([*certain.mean, *certain.std]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"mean": {}}, r"`mean` must be a dict of named numbers"),
+        ({"mean": {"a": 0.0, "b": np.nan}}, r"`mean\['b'\]` must be finite"),
+        ({"mean": {"a": 0.0, "c": 1.0}}, r"name the arguments of `problem`"),
+        ({"covariance": np.eye(3)}, r"`covariance` must have shape \(2, 2\)"),
+        ({"covariance": [[1.0, 0.1], [0.2, 1.0]]}, r"is not symmetric"),
+        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, r"without a negative eigenvalue, but has one"),
+        ({"n": 0}, r"`n` must be a positive whole number"),
+    ],
+)
+def test_propagate_refuses(change, match):
+    given = {"mean": {"a": 0.0, "b": 0.0}, "covariance": np.eye(2)} | change
+    with pytest.raises(ValueError, match=match):
+        propagate(plane, **given)
+
+
+def test_indices_of_ishigami():
+    def problem(x, y, z):
+        return Told(jnp.sin(x) * (1 + 0.1 * z**4) + 7 * jnp.sin(y) ** 2), START
+
+    found = sobol(problem, dict.fromkeys("xyz", (-np.pi, np.pi)), n=4096)
+    b, p8 = 0.1 * np.pi**4, 0.1**2 * np.pi**8
+    alone, cross = (1 + b / 5) ** 2 / 2, p8 / 18 - p8 / 50  # Ishigami & Homma 1990
+    variance = alone + 49 / 8 + cross
+    first = np.array([alone, 49 / 8, 0]) / variance
+    total = np.array([alone + cross, 49 / 8, cross]) / variance
+    for indices, truth in ((found.first, first), (found.total, total)):
+        assert list(indices) == list("xyz")
+        value, low, high = np.array(list(indices.values())).T
+        assert np.max(np.abs(value - truth)) < 0.01
+        assert np.all((low < truth) & (truth < high))
+        assert np.all(high - low < 0.2)
+    np.testing.assert_allclose((found.mean, found.variance), (3.5, variance), rtol=0.01)
+    assert (found.runs, found.unknown) == (5 * 4096, 0)
+
+
+def test_indices_of_an_indicator():
+    """1 where x + y > 1: E(f | x) = x, so S = (1/12)/(1/4), T = 1 − S; z does nothing."""
+
+    def problem(x, y, z):
+        return Told(jnp.where(x + y > 1, -1.0 - z, 0.0)), START
+
+    found = sobol(problem, dict.fromkeys("xyz", (0.0, 1.0)), n=2048, target="residual")
+    assert found.target == "residual"
+    for name in "xy":
+        assert abs(found.first[name].value - 1 / 3) < 0.02
+        assert abs(found.total[name].value - 2 / 3) < 0.02
+    assert found.first["z"] == found.total["z"] == (0, 0, 0)
+    assert (found.mean, found.variance) == (
+        pytest.approx(0.5, abs=0.01),
+        pytest.approx(0.25, abs=1e-3),
+    )
+
+
+def test_indices_are_variances_of_conditional_means():
+    def value(x, y, np=np):
+        return np.maximum(np.sin(3 * x) * y - 0.2 * x, 0.0)
+
+    def problem(x, y):
+        return Told(value(x, y, jnp)), START
+
+    middles = (np.arange(1000) + 0.5) / 1000
+    omega_inf = value(2 * middles[:, None], middles - 0.2)
+    for target, f in (("omega_inf", omega_inf), ("residual", 1.0 * (omega_inf > 0))):
+        found = sobol(problem, {"x": (0.0, 2.0), "y": (-0.2, 0.8)}, n=4096, target=target)
+        for name, along, across in (("x", 1, 0), ("y", 0, 1)):
+            assert abs(found.first[name].value - f.mean(along).var() / f.var()) < 0.02
+            assert abs(found.total[name].value - (1 - f.mean(across).var() / f.var())) < 0.02
+
+
+def test_few_unknown_runs_are_replaced_and_many_refused():
+    def problem(x, y):
+        return Told(jnp.where(x > 0.99, jnp.nan, 1 + y)), START
+
+    ranges = {"x": (0.0, 1.0), "y": (0.0, 1.0)}
+    found = sobol(problem, ranges, n=512, most_unknown=0.02, max_steps=5)
+    assert found.unknown == pytest.approx(0.01, abs=0.003)
+    assert found.first["y"].value == pytest.approx(1, abs=0.05)
+    assert found.first["x"].value == pytest.approx(0, abs=0.05)
+    with pytest.raises(ValueError, match=r"`most_unknown` must be at least .*, but that share is"):
+        sobol(problem, ranges, n=512, most_unknown=0.005, max_steps=5)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"n": 100}, r"`n` must be a power of two, but is 100"),
+        ({"seed": -1}, r"`seed` must be a whole number, not negative"),
+        ({"target": "time"}, r"`target` must be 'omega_inf' or 'residual'"),
+        ({"ranges": {}}, r"`ranges` must be a dict of pairs"),
+        ({"ranges": {"a": (0.0, 1.0), "b": (1.0, 1.0)}}, r"`ranges\['b'\]` must be a pair low <"),
+        ({"ranges": {"a": (0.0, 1.0), "b": 1.0}}, r"`ranges\['b'\]` must have shape \(2,\)"),
+        ({"target": "residual"}, r"`ranges` must make the target vary, but it is 1 everywhere"),
+    ],
+)
+def test_sobol_refuses(change, match):
+    given = {"ranges": {"a": (0.1, 1.0), "b": (0.1, 0.2)}, "n": 16} | change
+    with pytest.raises(ValueError, match=match):
+        sobol(plane, given.pop("ranges"), **given)
