@@ -17,6 +17,10 @@ def first_order(delta, w_perp, w3, phi):
     return dt.TransverseReduced(delta), dt.cylindrical(w_perp, w3, phi)
 
 
+def cartesian(delta, w1, w2, w3):
+    return dt.TransverseReduced(delta), jnp.stack([w1, w2, w3])
+
+
 def complex_step(delta, w_perp, w3, phi, along):
     """∂ω∞ by a complex step in NumPy, each case in a time of its own, ds = ω²dτ."""
     values = {"delta": delta, "w3": w3, "phi": phi}
@@ -132,12 +136,15 @@ def test_variations_of_a_general_body_are_those_of_the_closed_form():
         parameters = jax.tree.map(lambda x: x[None], change)
         return Tangent(equation, parameters, jnp.array([[0.1, 0.2, -0.3]]))
 
-    one = tangent(lambda d: dt.Reduced(dt.axisymmetric(d)), -0.3)
-    two = tangent(dt.TransverseReduced, -0.3)
-    y = two.lift(jnp.array([0.2, 0.003, 0.004]))
-    np.testing.assert_allclose(one.lift(y[:3]), y, rtol=1e-15)
-    np.testing.assert_allclose(one(0.0, y), two(0.0, y), rtol=1e-13)
-    np.testing.assert_allclose(one.slopes(y), two.slopes(y), rtol=1e-12)
+    @jax.jit
+    def found(y):
+        one = tangent(lambda d: dt.Reduced(dt.axisymmetric(d)), -0.3)
+        two = tangent(dt.TransverseReduced, -0.3)
+        y = two.lift(y)
+        return [(top.lift(y[:3]), top(0.0, y), top.slopes(y)) for top in (one, two)]
+
+    for one, two in zip(*found(jnp.array([0.2, 0.003, 0.004])), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-12)
 
 
 def test_slopes_where_the_value_is_known_at_once():
@@ -153,11 +160,8 @@ def test_slopes_where_the_value_is_known_at_once():
 
     found = solve_ivp(rate, (0, 400), [w2, 1.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-15)
 
-    def problem(delta, w3):
-        return dt.TransverseReduced(delta), jnp.stack([w1 + 0 * w3, w2 + 0 * w3, w3])
-
-    points = dt.Points(delta=[d, 0.0], w3=[0.0, 0.5])
-    basin = dt.sweep(problem, points, rtol=1e-11, derivatives=("delta", "w3"))
+    points = dt.Points(delta=[d, 0.0], w1=[w1, w1], w2=[w2, w2], w3=[0.0, 0.5])
+    basin = dt.sweep(cartesian, points, rtol=1e-11, derivatives=("delta", "w2", "w3"))
     assert basin.derivative("w3")[0] == pytest.approx(found.y[2, -1], rel=1e-8)
     # sphere: ω₂ = ρ cos a, ω₃ = ρ sin a with ρρ′ = −ω²ρ², so ∫ρ² dτ = −½ ln(1 − ρ₀²/ω₀²)·…
     square = w2**2 + 0.5**2
@@ -166,12 +170,11 @@ def test_slopes_where_the_value_is_known_at_once():
 
 
 def test_no_derivative_no_number():
-    def problem(delta, omega):
-        return dt.TransverseReduced(delta), omega
-
     def slope(delta, omega, **settings):
-        points = dt.Points(delta=[delta], omega=[omega])
-        return dt.sweep(problem, points, derivatives="delta", **settings).derivative("delta")[0]
+        columns = {f"w{k}": [w] for k, w in enumerate(omega, 1)}
+        points = dt.Points(delta=[delta], **columns)
+        basin = dt.sweep(cartesian, points, derivatives=("delta", "w2", "w3"), **settings)
+        return basin.derivative("delta")[0]
 
     assert slope(-0.2, [0.1, 0.1, 0.9]) == 0.0  # turns to its stop
     assert slope(0.2, [0.0, 0.0, 0.5]) == 0.0  # axis 3: neighbours stop, or nearly
