@@ -1,4 +1,4 @@
-"""How the cost grows: with amplitude, shape, batch, cores, grid, and with derivatives.
+"""How the cost grows: with amplitude, shape, batch, cores and grid.
 
 Cores and memory are measured in fresh processes: `python benchmarks/bench_scaling.py 32768 3
 native jax` prints one line of JSON. Which cores a process may use is settled before it starts
@@ -15,13 +15,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import bench_map
-import dipoletop as dt
 import measure
 import problem
 from bench_basin import IN_JAX, OURS, RTOL, run
@@ -33,7 +30,6 @@ SHAPES = (-0.2, 0.3)  # of the tops whose amplitude is varied
 AMPLITUDE = 0.1  # where δ is varied
 SMALL = 0.01  # amplitude below which a few of the starts must do
 SMALLEST = 1e-3  # … and below which diffrax, ten times as slow, is left out
-TIME = 1000.0  # of the end states that are differentiated
 
 
 class Sizes(NamedTuple):
@@ -51,13 +47,9 @@ class Sizes(NamedTuple):
         (1024, "native", True),
     )
     """Points on an axis, engine, whether the result goes to the disk."""
-    together: int = 256
-    """Starts that are differentiated under one vmap; 0 for none."""
     repeats: int = 3
     engines: tuple[str, ...] = bench_map.ENGINES
     diffrax: bool = True
-    backwards: bool = True
-    """Whether gradients are taken backwards too, which takes long to compile."""
 
 
 FEW = Sizes(
@@ -68,11 +60,9 @@ FEW = Sizes(
     cores=(1,),
     shared=64,
     maps=((16, "native", False),),
-    together=0,
     repeats=1,
     engines=("native",),
     diffrax=False,
-    backwards=False,
 )
 
 
@@ -163,68 +153,6 @@ def by_memory(sizes: Sizes) -> list[dict[str, Any]]:
     return [bench_map.measured("memory", n, engine, int(disk)) for n, engine, disk in sizes.maps]
 
 
-def _end(delta: Any, omega: Any, adjoint: Any) -> Any:
-    """ω₁ at the end of a run of `simulate`."""
-    ts = jnp.array([0.0, TIME])
-    equation = dt.TransverseReduced(delta)
-    return dt.simulate(equation, omega, ts, adjoint=adjoint, throw=False).omega[-1, 0]
-
-
-PLAIN = "end state"
-
-
-def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
-    """The end state alone; with one derivative (by δ); with all four (by δ and ω₀)."""
-    reverse, forward = diffrax.RecursiveCheckpointAdjoint(), diffrax.ForwardMode()
-
-    def tangent(delta: Any, omega: Any) -> Any:
-        ones = (jnp.ones_like(delta),)
-        return jax.jvp(lambda d: _end(d, omega, forward), (delta,), ones)
-
-    found: dict[str, Callable[..., Any]] = {
-        PLAIN: lambda delta, omega: (_end(delta, omega, forward),),
-        "and its derivative by δ, forwards": tangent,
-    }
-    if backwards:
-        gradient = jax.value_and_grad(partial(_end, adjoint=reverse), (0, 1))
-        found["and all four, backwards"] = gradient
-    return found
-
-
-def by_gradient(sizes: Sizes) -> list[dict[str, Any]]:
-    """`simulate` with and without derivatives, compilation apart, at rtol 1e-10."""
-    delta, omega = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
-    rows = _gradients((delta, omega), lambda function: function, sizes)
-    if sizes.together:
-        n = sizes.together
-        many = jnp.full(n, delta), jnp.asarray(problem.isotropic(n, 0.2))
-        rows += _gradients(many, jax.vmap, sizes)
-    return rows
-
-
-def _gradients(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[dict[str, Any]]:
-    """A row for each of `_derivatives`, and how far those by δ are apart."""
-    cases, first = {}, {}
-    for name, function in _derivatives(sizes.backwards).items():
-        program = jax.jit(batched(function))
-
-        def call(program: Any = program) -> dict[str, Any]:
-            found, clocks = measure.timed(lambda: jax.block_until_ready(program(*point)))
-            return clocks | {"found": jax.tree.leaves(found)}
-
-        first[name], cases[name] = call()["seconds"], call
-    records = measure.interleaved(cases, 3 * sizes.repeats)
-    plain = measure.summary(records[PLAIN])["seconds"]["median"]
-    by_delta = [found[0]["found"][1] for name, found in records.items() if name != PLAIN]
-    rows = []
-    for name, found in records.items():
-        row = measure.summary(found) | {"name": name, "starts": np.size(point[0])}
-        times = {"first_seconds": first[name], "over_plain": row["seconds"]["median"] / plain}
-        rows.append(row | times)
-    apart = jnp.max(jnp.abs(by_delta[0] - by_delta[-1])) / jnp.max(jnp.abs(by_delta[0]))
-    return [row | {"apart": float(apart)} for row in rows]
-
-
 def in_fresh_processes(sizes: Sizes) -> dict[str, Any]:
     """Cores and memory, best while the process that asks is small."""
     return {"cores": by_cores(sizes), "memory": by_memory(sizes)}
@@ -238,7 +166,6 @@ def compare(sizes: Sizes) -> dict[str, Any]:
         "amplitude": by_amplitude(sizes),
         "shape": by_shape(sizes),
         "batch": by_batch(sizes),
-        "gradient": by_gradient(sizes),
     }
 
 

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import report_gradients
 import report_scaling
 from bench_basin import OURS
 from bench_import import BASE
@@ -30,6 +31,7 @@ def markdown(results: dict[str, Any]) -> str:
     """All tables, in Markdown that is also legible as it stands."""
     parts = [_machine(results), _basin(results["basin"])]
     parts += [_precision(results["precision"]), report_scaling.scaling(results["scaling"])]
+    parts += [report_gradients.gradients(results["gradients"])]
     parts += [report_scaling.savings(results["savings"]), _maps(results["maps"])]
     parts += [_compilations(results["maps"]), _import(results["import"])]
     return "\n\n".join(parts)

@@ -2,9 +2,7 @@
 
 from typing import Any
 
-from tables import Table, layout, megabytes, number, per_start
-
-ABSENT = "—"
+from tables import ABSENT, Table, layout, megabytes, number, per_start
 
 
 def scaling(found: dict[str, Any]) -> str:
@@ -22,7 +20,7 @@ def scaling(found: dict[str, Any]) -> str:
         table = layout(_costs(found[scene])) if found[scene] else "Not measured on this system."
         parts += [f"### {title}", table]
     parts += ["### Memory of one sweep of the default map, with residual values, fresh processes"]
-    parts += [layout(_memory(found["memory"])), *_gradient(found["gradient"])]
+    parts += [layout(_memory(found["memory"]))]
     return "\n\n".join(parts)
 
 
@@ -58,18 +56,6 @@ def _memory(rows: list[dict[str, Any]]) -> Table:
         starts = f"{row['points']} × {row['points']}"
         table.append([starts, row["engine"], place, *sizes, number(row["seconds"])])
     return table
-
-
-def _gradient(rows: list[dict[str, Any]]) -> list[str]:
-    head = ["`simulate` to τ = 1000", "starts", "compiled and run once, s"]
-    table = [[*head, "µs/start, wall, min / median", "× the end state"]]
-    for row in rows:
-        wall = " / ".join(number(per_start(row, "seconds", w)) for w in ("min", "median"))
-        first, over = number(row["first_seconds"]), number(row["over_plain"])
-        table.append([row["name"], str(row["starts"]), first, wall, over])
-    apart = max(row["apart"] for row in rows)
-    said = f"Derivatives by δ forwards and backwards differ by {apart:.0e} of the largest."
-    return ["### Derivatives of an end state, rtol 1e-10", layout(table), said]
 
 
 def savings(found: dict[str, Any]) -> str:

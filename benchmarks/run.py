@@ -15,6 +15,7 @@ from typing import Any
 def measure_all(small: bool, large: bool) -> dict[str, Any]:
     """Every scene, one after another."""
     import bench_basin
+    import bench_gradients
     import bench_import
     import bench_map
     import bench_precision
@@ -26,6 +27,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     points = [512, 1024] if large else [512]
     precision: dict[str, Any] = {"n": 16384, "repeats": 7}
     savings, scaling = bench_savings.Sizes(), bench_scaling.Sizes()
+    gradients = bench_gradients.Sizes()
     if large:
         scaling = scaling._replace(
             batches=(*scaling.batches, 1_000_000), maps=(*scaling.maps, (2048, "native", False))
@@ -36,6 +38,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         points = [16]
         precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
         savings, scaling = bench_savings.FEW, bench_scaling.FEW
+        gradients = bench_gradients.FEW
     before = measure.load()
     # Fresh processes first, while this one is small.
     importing = bench_import.compare(1 if small else 15)
@@ -49,6 +52,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         "precision": bench_precision.alone(**precision),
         "basin": bench_basin.compare(sizes),
         "scaling": fresh | bench_scaling.compare(scaling),
+        "gradients": bench_gradients.compare(gradients),
         "savings": bench_savings.compare(savings),
         "load": [before, measure.load()],
     }

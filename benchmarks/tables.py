@@ -3,6 +3,7 @@
 from typing import Any
 
 Table = list[list[str]]
+ABSENT = "—"
 
 
 def layout(table: Table, *, text: int = 1) -> str:
