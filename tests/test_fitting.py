@@ -198,17 +198,6 @@ def test_a_design_of_ones_own():
     assert abs(found.omega_inf - best * np.exp(-best / 2)) < 1e-8
 
 
-def test_an_edge_of_a_basin_is_no_maximum():
-    def cut(x, s):
-        return Decay(x), jnp.stack([x, s, 2.5 - x - s])  # best where x = 1.5, s = 1
-
-    found = design(cut, BOX, n=128, starts=1)
-    assert not found.success
-    assert "edge of a basin" in found.message
-    assert found.defect > 1e-3
-    assert found.parameters["x"] < 1.5
-
-
 @pytest.mark.parametrize(
     ("change", "match"),
     [

@@ -67,7 +67,8 @@ def minimal_kick(
     Args:
         equation: an equation of motion with a `verdict`.
         omega0: the start ω₀, shape (3,), dimensionless, body axes.
-        largest: the largest kick that is looked at; None means |ω₀|, which can stop any top.
+        largest: the largest kick that is looked at; None means |ω₀|, which can stop any top if
+            all components may be changed.
         directions: how many rays.
         radii: how many points on each.
         along: numbers of the components of ω₀ that may be changed.

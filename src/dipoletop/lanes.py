@@ -104,9 +104,9 @@ def settled(verdict: Verdict, rtol: Real, atol: Real, margin: float) -> Bool[Arr
     return within | (verdict.outcome != Outcome.RESIDUAL)
 
 
-def smooth(verdict: Verdict, rtol: Real, margin: float) -> Bool[Array, "*lanes"]:
-    """Whether the derivatives of ω∞ are known to that part of the tolerance."""
-    return verdict.slope <= margin * rtol
+def smooth(verdict: Verdict, rtol: Real) -> Bool[Array, "*lanes"]:
+    """Whether the derivatives of ω∞ are known to the tolerance, by an estimate that is high."""
+    return verdict.slope <= rtol
 
 
 def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Array, "*lanes"]:
@@ -117,7 +117,7 @@ def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Arra
     certain = certain & settled(verdict, rtol, atol, VALUE_MARGIN)
     if until == "value":
         return certain
-    return certain & (smooth(verdict, rtol, VALUE_MARGIN) | (verdict.outcome == Outcome.STOP))
+    return certain & (smooth(verdict, rtol) | (verdict.outcome == Outcome.STOP))
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:

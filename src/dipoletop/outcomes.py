@@ -56,7 +56,7 @@ def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any])
     settled = known & lanes.settled(verdict, *scale, 1.0)
     slopes = None
     if isinstance(equation, Tangent):
-        sure = settled & lanes.smooth(verdict, scale[0], 1.0)
+        sure = settled & lanes.smooth(verdict, scale[0])
         slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan).T
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
