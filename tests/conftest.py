@@ -3,10 +3,7 @@
 Nothing here imports dipoletop: the jaxtyping plugin (see pyproject.toml) must see it first.
 """
 
-import atexit
 import os
-import shutil
-import tempfile
 
 import hypothesis
 import jax
@@ -17,13 +14,6 @@ import matplotlib
 os.environ.setdefault(
     "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 )
-
-# Several processes test: what one has compiled, the others read.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="dipoletop-tests-")
-    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
