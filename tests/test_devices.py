@@ -122,4 +122,7 @@ def test_every_device_works_and_finds_the_same_bits(runs, engine):
 
 
 if __name__ == "__main__":
+    from conftest import compile_lanes_as_users_do
+
+    compile_lanes_as_users_do()
     print(json.dumps({engine: everything(engine) for engine in ENGINES}))

@@ -31,7 +31,7 @@ REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
 LARGE = 200  # operations of a right-hand side from which the stages become a loop
 VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
-
+CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
 
 RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1  # states of a lane
 
@@ -369,10 +369,7 @@ _first_call = threading.Lock()
 @functools.cache
 def _compiled(platform: str) -> Any:
     jit: Any = eqx.filter_jit
-    # Wide vectors pay on CPUs that have them; the flag is unknown elsewhere.
-    if platform == "cpu":
-        return jit(_integrate, compiler_options={"xla_cpu_prefer_vector_width": 512})
-    return jit(_integrate)
+    return jit(_integrate, compiler_options=CPU_OPTIONS) if platform == "cpu" else jit(_integrate)
 
 
 def integrate(
