@@ -256,6 +256,6 @@ def test_length_of_the_native_code(monkeypatch):
     Writer = _llvm.Writer
     monkeypatch.setattr(_llvm, "Writer", writer)
     monkeypatch.setattr(_llvm, "machine_code", lambda text: (0, None))
-    native._Program(dt.TransverseReduced(jnp.zeros(8)), 3, diffrax.Dopri8(), "value")
+    native._Program(dt.TransverseReduced(jnp.zeros(8)), 3, diffrax.Dopri8(), "value", None)
     for part, name in zip(written, INSTRUCTIONS, strict=True):
         in_room(part.count, INSTRUCTIONS[name])

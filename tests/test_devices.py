@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop import outcomes
+from dipoletop import _engine, native, outcomes
 from dipoletop.basin import FIELDS
 
 COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
@@ -65,19 +65,29 @@ def digest(found):
 
 
 def watched(run, together):
-    """What a run finds, and the device that each tile's end states lie on.
+    """What a run finds, and the device of each tile: in JAX that which its end states lie on.
 
     So many tiles at a time wait for each other, so no device can do the work of another.
     """
-    judge, meeting, used = outcomes._judge, threading.Barrier(together), []
+    judged, judged_in_jax = outcomes.judged, _engine._judged
+    meeting, used = threading.Barrier(together), []
 
-    def judged(equation, ends, scale):
-        used.extend(device.id for device in ends[0].devices())
+    def met(devices):
+        used.extend(device.id for device in devices)
         meeting.wait(300)
-        return judge(equation, ends, scale)
+
+    def by_engine(engine, *args, device, **options):
+        if engine is native:
+            met([device])
+        return judged(engine, *args, device=device, **options)
+
+    def in_jax(judge, equation, ends, scale):
+        met(ends.y.devices())
+        return judged_in_jax(judge, equation, ends, scale)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(outcomes, "_judge", judged)
+        patch.setattr(outcomes, "judged", by_engine)
+        patch.setattr(_engine, "_judged", in_jax)
         return digest(run()), sorted(used)
 
 

@@ -12,10 +12,10 @@ from jaxtyping import Float
 from . import lanes, manifold
 from ._checks import finite
 from ._crossings import Crossings, bisect, cut, fates_at, segments
-from ._engine import engine_for
+from ._engine import engine_for, lifted
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
-from .outcomes import check_verdict, lifted
+from .outcomes import check_verdict
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
 PARTS = 8  # times at which two neighbours are looked at before they are brought together again
@@ -175,6 +175,7 @@ def _after(
     rtol = tolerance("rtol", settings["rtol"])
     steps = jnp.asarray(budget("max_steps", settings.get("max_steps", MAX_STEPS)))
     limits = lanes.Limits(rtol, absolute(None, rtol, omegas), jnp.asarray(np.repeat(ts, 2)), steps)
-    engine = engine_for(settings.get("engine", "auto"), block, y0, "time")
+    device = next(iter(y0.devices()))
+    engine = engine_for(settings.get("engine", "auto"), block, device, "time")
     ends = engine.integrate(block, y0, limits, until="time")
     return np.asarray(block.omega(ends.y)).T.reshape(len(ts), 2, 3)

@@ -3,13 +3,21 @@
 import functools
 import importlib
 import warnings
+from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from . import lanes, manifold
 from ._checks import refuse
 from ._monitoring import compiling
+
+Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
+"""From an equation, where runs of it ended (y, t, steps, status) and (rtol, atol) to a tree of
+arrays with the lanes behind."""
 
 
 @functools.cache
@@ -22,15 +30,18 @@ def _native() -> tuple[Any, str]:
         return None, f"numba cannot be imported ({error})"
 
 
-def engine_for(engine: str, equation: Any, y0: Any, until: lanes.Until) -> Any:
-    """The engine for such runs, with the equation compiled: a module with `integrate`.
+def engine_for(
+    engine: str, equation: Any, device: Any, until: lanes.Until, judge: Judge | None = None
+) -> Any:
+    """The engine for such runs: a module with `integrate`; see also `judged`.
 
     Args:
         engine: "jax"; "native"; or "auto", the native one where it can run, with a warning if
-            it is there but cannot take this equation.
+            it is there but cannot take this equation, which it compiles.
         equation: with a trailing axis of lanes on its arrays.
-        y0: starts, (n, N), on the device that shall run.
+        device: which shall run.
         until: when a run is finished.
+        judge: what `judged` will be asked for, if anything.
 
     A full equation has an engine of its own, in JAX: `manifold`.
     """
@@ -45,13 +56,13 @@ def engine_for(engine: str, equation: Any, y0: Any, until: lanes.Until) -> Any:
     native: Any
     native, reason = _native()
     if not reason:
-        if y0.dtype != jnp.float64:
+        if jnp.result_type(float) != jnp.float64:
             reason = "float64 is off"
-        elif any(device.platform != "cpu" for device in y0.devices()):
+        elif device.platform != "cpu":
             reason = "it runs on processors only"
     if not reason:
         try:
-            native.prepare(equation, y0.shape[0], until)
+            native.prepare(equation, until, judge=judge)
             return native
         except native.Unsupported as error:
             reason = f"it cannot take {type(equation).__name__} ({error})"
@@ -60,3 +71,45 @@ def engine_for(engine: str, equation: Any, y0: Any, until: lanes.Until) -> Any:
     if engine == "native":
         refuse("engine", "be 'auto' or 'jax' here", f"is 'native', but {reason}")
     return lanes
+
+
+def judged(
+    engine: Any,
+    judge: Judge,
+    equation: Any,
+    omegas: Any,
+    limits: lanes.Limits,
+    *,
+    until: lanes.Until,
+    device: Any,
+) -> Any:
+    """What a judge says of the ends of runs.
+
+    Args:
+        engine: from `engine_for`. One that has a function `judged` itself needs no JAX for it.
+        judge: a pure function.
+        equation: an equation whose array fields carry a trailing axis of N lanes.
+        omegas: starts ω₀, shape (3, N).
+        limits: tolerances, end times and budget.
+        until: when a run is finished.
+        device: which shall run; arrays that lie elsewhere, or in NumPy, are moved.
+    """
+    if hasattr(engine, "judged"):
+        return engine.judged(judge, equation, omegas, limits, until=until)
+    arrays, rest = eqx.partition(
+        (equation, omegas, limits), lambda x: eqx.is_array(x) or isinstance(x, np.ndarray)
+    )
+    equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
+    ends = engine.integrate(equation, lifted(equation, omegas), limits, until=until)
+    return _judged(judge, equation, ends, (limits.rtol, limits.atol))
+
+
+@eqx.filter_jit
+def lifted(equation: Any, omegas: Any) -> Any:
+    """The states that start at these angular velocities."""
+    return equation.lift(omegas)
+
+
+@eqx.filter_jit
+def _judged(judge: Judge, equation: Any, ends: lanes.Ends, scale: Any) -> Any:
+    return judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)

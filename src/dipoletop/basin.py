@@ -209,5 +209,5 @@ def columns_of(found: Classification, derivatives: tuple[str, ...] = ()) -> dict
     """The columns of a basin from classifications, which have slopes along the `derivatives`."""
     columns = {name: np.asarray(getattr(found, name), kind[0]) for name, kind in FIELDS.items()}
     for k, name in enumerate(derivatives):
-        columns[SLOPE + name] = np.asarray(found.slopes)[:, k]
+        columns[SLOPE + name] = np.asarray(found.slopes)[k]
     return columns

@@ -43,8 +43,8 @@ class Limits(eqx.Module):
     """
 
     rtol: Float[Array, ""]
-    atol: Float[Array, "N"]
-    t1: Float[Array, "N"]
+    atol: Float[Array, "N"] | Float[np.ndarray, "N"]
+    t1: Float[Array, "N"] | Float[np.ndarray, "N"]
     max_steps: Int[Array, ""]
 
 
@@ -221,7 +221,8 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
     zero = jnp.zeros_like(h)
     none = zero.astype("int32")
-    return Lanes(y0, f, zero, zero, h, none, status, equation, limits.atol, limits.t1)
+    atol, t1 = jnp.asarray(limits.atol), jnp.asarray(limits.t1)
+    return Lanes(y0, f, zero, zero, h, none, status, equation, atol, t1)
 
 
 def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) -> Lanes:

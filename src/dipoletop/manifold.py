@@ -288,6 +288,48 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
     return y, time, at.windows, status
 
 
+def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windows: Any) -> Array:
+    """When a function of the state falls to 0 on the physical motion from ω₀ on, first of all.
+
+    Seen where elements of windows end; NaN if it is not found. Derivatives, forwards, are exact
+    up to the third order.
+    """
+
+    def going(carry: Any) -> Bool[Array, ""]:
+        at, *_, below = carry
+        return ~jnp.any(below) & ~at.lost & (at.windows < max_windows)
+
+    def on(carry: Any) -> Any:
+        at, *_ = carry
+        new, window, good = march(equation, at, rtol)
+        below = jax.vmap(function)(window.states[:, -1]) <= 0
+        return new, at.time, window, below & (jnp.arange(below.size) < good)
+
+    at = set_out(equation, omega0, 0.0)
+    _, window, _ = jax.eval_shape(lambda at: march(equation, at, rtol), at)
+    window = jax.tree.map(lambda kind: jnp.zeros(kind.shape, kind.dtype), window)
+    begun = at, at.time, window, jnp.zeros(window.times.shape[0], bool)
+    _, before, window, below = jax.lax.while_loop(going, on, begun)
+
+    def state(time: Array) -> Array:
+        return _windows.evaluate(window, window.states, time[None])[0]
+
+    def halved(_: Any, ends: Any) -> Any:
+        early, late = ends
+        middle = (early + late) / 2
+        low = function(state(middle)) <= 0
+        return jnp.where(low, early, middle), jnp.where(low, middle, late)
+
+    which = jnp.argmax(below)
+    ends = jnp.where(which > 0, window.times[which - 1, -1], 0.0), window.times[which, -1]
+    time, _ = jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halved, ends))
+    for _ in range(2):  # Newton's method, since halving has no derivatives
+        y = state(time)
+        value, slope = jax.jvp(function, (y,), (equation(0.0, y),))
+        time = time - value / slope
+    return jnp.where(jnp.any(below), before + time, jnp.nan)
+
+
 def _varied(equation: Tangent, start: Array, limits: Any, until: lanes.Until) -> Any:
     """`until_decided` for one motion and its variations."""
     base, n = equation.equation, start.shape[0] // (1 + equation.m)

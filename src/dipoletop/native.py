@@ -1,11 +1,15 @@
 """The lane engine in machine code: the same steps as `lanes`, for float64 on processors.
 
 `lanes.begin` and `lanes.advance`, traced for one lane, are compiled to vector instructions
-(`_llvm`, `_simd`); a loop around them refills a lane as soon as it is finished. It needs numba.
+(`_llvm`, `_simd`); a loop around them refills a lane as soon as it is finished. So are the
+equation's `lift` and the last verdict, since a call of JAX costs as much as a thousand starts.
+It needs numba.
 """
 
+import functools
 import threading
-from typing import Any, no_type_check
+from collections.abc import Callable
+from typing import Any, NamedTuple, no_type_check
 
 import diffrax
 import equinox as eqx
@@ -27,7 +31,7 @@ from ._types import Equation
 NAME = "native"  # of the engine
 WIDTH = 8  # lanes stepped together
 
-__all__ = ["NAME", "WIDTH", "Unsupported", "integrate", "prepare"]
+__all__ = ["NAME", "WIDTH", "Unsupported", "integrate", "judged", "prepare"]
 
 
 def _call(typing: Any, address: Any, first: Any, stride: Any, shared: Any) -> Any:
@@ -48,111 +52,207 @@ _treat: Any = intrinsic(_call)
 
 
 _TABLE, _LIST = numba.float64[:, ::1], numba.float64[::1]
+_ROWS, _CODES = numba.intp[::1], numba.types.UniTuple(numba.intp, 3)
 
 
-@numba.njit([numba.intp(numba.intp, numba.intp, _TABLE, _LIST, _TABLE, numba.intp)], nogil=True)
-@no_type_check  # numba reads the function itself, not a checker around it
-def _work(begin, advance, queue, shared, block, status):
-    """Work off the queue, a column for each start; the end states take the starts' places."""
-    rows, size = queue.shape
-    width = block.shape[1]
-    item = queue.itemsize
-    place = shared.ctypes.data
-    for first in range(0, size, width):
-        _treat(begin, queue.ctypes.data + item * first, size, place)
-    slot = np.full(width, -1)
-    taken = sweeps = 0
+@numba.njit(nogil=True)
+@no_type_check  # numba reads the functions themselves, not a checker around them
+def _write_out(end, ended, places, count, shared, out, kept):
+    """What is wanted of some ends, to where it belongs."""
+    if end != 0:
+        _treat(end, ended.ctypes.data, WIDTH, shared.ctypes.data)
+    for lane in range(count):
+        for row in range(kept.size):
+            out[row, places[lane]] = ended[kept[row], lane]
+
+
+@numba.njit([numba.intp(_CODES, _TABLE, _ROWS, _TABLE, _ROWS, _LIST, _ROWS)], nogil=True)
+@no_type_check
+def _work(codes, given, into, out, kept, shared, sizes):
+    """Work off a queue: `given` has a column for each start, `out` one for each end.
+
+    There are three blocks of lanes: the next starts, those at work, and the last ends. Row k of
+    `given` goes into row into[k], and row kept[k] to row k of `out`. Where there is no code, 0,
+    nothing is to be done. The sizes: rows, those of them that run, and the row of the status.
+    """
+    begin, advance, end = codes
+    rows, alive, status = sizes
+    size, number = given.shape[1], shared.ctypes.data
+    fresh, block, ended = np.zeros((rows, WIDTH)), np.zeros((alive, WIDTH)), np.zeros((rows, WIDTH))
+    slot, places = np.full(WIDTH, -1), np.zeros(WIDTH, np.intp)
+    at = count = sweeps = 0
     while True:
         running = 0
-        for lane in range(width):
-            if block[status, lane] == lanes.RUNNING:
-                running += 1
-                continue
-            if slot[lane] >= 0:
-                for row in range(rows):
-                    queue[row, slot[lane]] = block[row, lane]
-                slot[lane] = -1
-            while taken < size and queue[status, taken] != lanes.RUNNING:
-                taken += 1
-            if taken < size:
-                for row in range(rows):
-                    block[row, lane] = queue[row, taken]
-                slot[lane] = taken
-                taken += 1
-                running += 1
+        for lane in range(WIDTH):
+            while block[status, lane] != lanes.RUNNING:
+                if slot[lane] >= 0:
+                    for row in range(alive):
+                        ended[row, count] = block[row, lane]
+                    places[count] = slot[lane]
+                    count += 1
+                    if count == WIDTH:
+                        _write_out(end, ended, places, count, shared, out, kept)
+                        count = 0
+                    slot[lane] = -1
+                if at == size:
+                    break
+                if at % WIDTH == 0:
+                    for row in range(into.size):
+                        for k in range(WIDTH):
+                            fresh[into[row], k] = given[row, min(at + k, size - 1)]
+                    _treat(begin, fresh.ctypes.data, WIDTH, number)
+                for row in range(alive):
+                    block[row, lane] = fresh[row, at % WIDTH]
+                slot[lane] = at
+                at += 1
+            running += block[status, lane] == lanes.RUNNING
         if running == 0:
+            _write_out(end, ended, places, count, shared, out, kept)
             return sweeps
-        _treat(advance, block.ctypes.data, width, place)
+        _treat(advance, block.ctypes.data, WIDTH, number)
         sweeps += 1
 
 
+Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
+
+
+class _Table(NamedTuple):
+    """What the rows of a table of lanes hold, each a number of every lane."""
+
+    at: lanes.Lanes
+    omegas: Any
+    found: Any
+    """What a `Judge` says."""
+
+
 class _Program:
-    """`lanes.begin` and `lanes.advance` in machine code, and the table they work on.
+    """Machine code: `lanes.begin` and `lanes.advance`; if there is a judge, it and the lift."""
 
-    A row of the table holds one number of every lane: the leaves of `lanes.Lanes`, in order.
-    """
-
-    def __init__(self, equation: Any, n: int, solver: Any, until: lanes.Until):
+    def __init__(self, equation: Any, n: int, solver: Any, until: lanes.Until, judge: Judge | None):
         arrays, static = eqx.partition(equation, _is_array)
 
-        def begin(at: lanes.Lanes, shared: Any) -> Any:
+        def whole(at: lanes.Lanes) -> Any:
+            return eqx.combine(at.equation, static)
+
+        def begin(table: _Table, shared: Any) -> _Table:
+            at, omegas, _ = table
+            y = at.y if omegas is None else whole(at).lift(omegas)
             limits = lanes.Limits(shared[0], at.atol, at.t1, shared[1])
-            whole = eqx.combine(at.equation, static)
-            begun = lanes.begin(whole, at.y, limits, int(solver.order(None)), until)
-            return eqx.filter(begun, eqx.is_array)
+            begun = lanes.begin(whole(at), y, limits, int(solver.order(None)), until)
+            return table._replace(at=eqx.filter(begun, eqx.is_array))
 
         def advance(at: lanes.Lanes, shared: Any) -> Any:
-            whole = eqx.tree_at(lambda at: at.equation, at, eqx.combine(at.equation, static))
-            return eqx.filter(
-                lanes.advance(whole, shared[0], shared[1], solver, until), eqx.is_array
-            )
+            rtol, max_steps = shared
+            complete = eqx.tree_at(lambda at: at.equation, at, whole(at))
+            return eqx.filter(lanes.advance(complete, rtol, max_steps, solver, until), eqx.is_array)
+
+        def found(at: lanes.Lanes, shared: Any) -> Any:
+            ends = at.y, at.t, at.steps, at.status
+            return judge and judge(whole(at), ends, (shared[0], at.atol))
+
+        def end(table: _Table, shared: Any) -> _Table:
+            return table._replace(found=found(table.at, shared))
 
         def one(leaf: Any) -> Array:
             return jnp.zeros((*leaf.shape[:-1], 1), leaf.dtype)
 
         y, size, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
         fields = jax.tree.map(one, arrays)
-        rows = lanes.Lanes(y, y, size, size, size, count, count, fields, size, size)
+        at = lanes.Lanes(y, y, size, size, size, count, count, fields, size, size)
         shared = jnp.zeros(()), jnp.zeros((), int)
-        self.begin, *alive = compiled(begin, rows, shared, WIDTH)
-        self.advance, *more = compiled(advance, rows, shared, WIDTH)
-        self._alive = alive + more
-        leaves, structure = jax.tree.flatten(rows)
+        self.found = jax.eval_shape(found, at, shared)
+        table = _Table(at, judge and jnp.zeros((3, 1)), jax.tree.map(one, self.found))
+        parts = (begin, table), (advance, at), *([(end, table)] if judge else [])
+        codes = [compiled(function, given, shared, WIDTH) for function, given in parts]
+        self._alive = [engine for _, engine in codes]
+        self._codes = tuple(address for address, _ in [*codes, (0, None)][:3])
+        leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
-        self.size = ends[-1]
         self.rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
+        self._sizes = np.array([ends[-1], self.rows.at.t1.stop, self.rows.at.status.start])
+
+    def run(self, equation: Any, limits: lanes.Limits, begun: Any, wanted: Any) -> tuple[Any, int]:
+        """What is wanted of the ends of runs, and how many steps all lanes together made.
+
+        Args:
+            equation: with a trailing axis of N lanes on its arrays.
+            limits: tolerances, end times and budget.
+            begun: the rows that the lanes begin with, and their values.
+            wanted: rows, in any tree; arrays of shape (rows, N) take their places.
+        """
+        at, size = self.rows.at, limits.t1.shape[0]
+        parameters = map(jax.tree.leaves, (at.equation, eqx.filter(equation, _is_array)))
+        pairs = begun, (at.atol, limits.atol), (at.t1, limits.t1), *zip(*parameters, strict=True)
+        into = _numbers([rows for rows, _ in pairs])
+        given, tables = np.empty((into.size, size)), (np.asarray(values) for _, values in pairs)
+        np.concatenate([table.reshape(-1, size) for table in tables], out=given)
+        leaves, structure = jax.tree.flatten(wanted)
+        kept = _numbers(leaves)
+        out = np.empty((kept.size, size))
+        shared = np.array([limits.rtol, limits.max_steps], float)
+        sweeps = _work(self._codes, given, into, out, kept, shared, self._sizes)
+        ends = np.cumsum([rows.stop - rows.start for rows in leaves])
+        return jax.tree.unflatten(structure, np.split(out, ends[:-1])), sweeps
+
+
+def _numbers(rows: list[slice]) -> np.ndarray:
+    """The numbers of some rows, one after another."""
+    return np.concatenate([np.arange(part.start, part.stop) for part in rows])
 
 
 def _is_array(leaf: Any) -> bool:
-    """An array, or the shape and type of one."""
-    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+    """An array of JAX or NumPy, or the shape and type of one."""
+    return eqx.is_array(leaf) or isinstance(leaf, np.ndarray | jax.ShapeDtypeStruct)
 
 
 _programs: dict[Any, _Program | Unsupported] = {}
 _compiling = threading.Lock()
 
 
-def prepare(equation: Any, n: int, until: lanes.Until, solver: Any = None) -> _Program:
-    """The program for all equations of this structure, with states of n numbers; compiled once.
+def prepare(
+    equation: Any,
+    until: lanes.Until,
+    *,
+    n: int | None = None,
+    judge: Judge | None = None,
+    solver: Any = None,
+) -> _Program:
+    """The program for all equations of this structure, compiled once.
+
+    Args:
+        equation: with a trailing axis of lanes on its arrays.
+        until: when a lane is finished.
+        n: numbers of a state; None: those that the equation lifts to.
+        judge: what is to be said of the ends.
+        solver: `diffrax.Dopri8()` by default.
 
     Raises:
         Unsupported: the equation, or its verdict, has no straight-line code.
     """
     solver = diffrax.Dopri8() if solver is None else solver
     leaves, structure = jax.tree.flatten((equation, solver))
-    kinds = (((x.shape[:-1], x.dtype) if _is_array(x) else x) for x in leaves)
-    key = (structure, tuple(kinds), n, until)
+    kinds = tuple(((x.shape[:-1], x.dtype) if _is_array(x) else x) for x in leaves)
+    n = _lifted_size(structure, kinds) if n is None else n
+    key = (structure, kinds, n, judge, until)
     with _compiling:
         if key not in _programs:
             try:
                 with compiling():
-                    _programs[key] = _Program(equation, n, solver, until)
+                    _programs[key] = _Program(equation, n, solver, until, judge)
             except Unsupported as reason:
                 _programs[key] = reason
     found = _programs[key]
     if isinstance(found, Unsupported):
         raise found
     return found
+
+
+@functools.cache
+def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
+    """How many numbers a state has that an equation lifts to."""
+    lane = (jax.ShapeDtypeStruct((*x[0], 1), x[1]) if isinstance(x, tuple) else x for x in kinds)
+    equation, _ = jax.tree.unflatten(structure, lane)
+    return eqx.filter_eval_shape(lambda e, w: e.lift(w), equation, jnp.zeros((3, 1))).shape[0]
 
 
 def integrate(
@@ -179,19 +279,23 @@ def integrate(
     Raises:
         Unsupported: the equation, or its verdict, has no straight-line code.
     """
-    program = prepare(equation, y0.shape[0], until, solver)
-    at, size = program.rows, y0.shape[1]
-    queue = np.zeros((program.size, -(-size // WIDTH) * WIDTH))
-    parameters = map(jax.tree.leaves, (at.equation, eqx.filter(equation, eqx.is_array)))
-    given = (at.y, y0), (at.atol, limits.atol), (at.t1, limits.t1)
-    for rows, values in (*given, *zip(*parameters, strict=True)):
-        table = np.asarray(values).reshape(-1, size)
-        queue[rows, :size] = table
-        queue[rows, size:] = table[:, :1]
-    queue[at.t1, size:] = 0.0  # what fills the last block takes no step
-    shared = np.array([limits.rtol, limits.max_steps], float)
-    block = np.zeros((program.size, WIDTH))
-    sweeps = _work(program.begin, program.advance, queue, shared, block, at.status.start)
-    y, t, steps, status = (queue[rows, :size] for rows in (at.y, at.t, at.steps, at.status))
+    program = prepare(equation, until, n=y0.shape[0], solver=solver)
+    at = program.rows.at
+    wanted = at.y, at.t, at.steps, at.status
+    (y, t, steps, status), sweeps = program.run(equation, limits, (at.y, y0), wanted)
     whole = (number[0].astype("int32") for number in (steps, status))
     return lanes.Ends(*jax.device_put((y, t[0], *whole, np.array([sweeps, 0]))))
+
+
+def judged(
+    judge: Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: lanes.Until
+) -> Any:
+    """What a judge says of the ends of runs, in NumPy; the arrays that go in may be, too."""
+    program = prepare(equation, until, judge=judge)
+    rows = program.rows
+    found, _ = program.run(equation, limits, (rows.omegas, omegas), rows.found)
+
+    def said(values: np.ndarray, kind: Any) -> np.ndarray:
+        return values.reshape(*kind.shape[:-1], -1).astype(kind.dtype)
+
+    return jax.tree.map(said, found, program.found)

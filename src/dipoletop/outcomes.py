@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from . import lanes, manifold
 from ._checks import initial_state, real, refuse, subnormal
-from ._engine import engine_for
+from ._engine import engine_for, judged
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation, Outcome, State, Stop, Verdict
 from ._workers import in_parallel, workers
@@ -41,12 +41,12 @@ class Classification(eqx.Module):
     """Whether the state that ended the run lies in a region proven to decide."""
     stop: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     """A member of `Stop`: in which way a top stops."""
-    slopes: Float[Array, "*n m"] | Float[np.ndarray, "*n m"] | None = None
-    """The variations of ω∞ along those of a `Tangent` equation: 0 where the top stops as its
+    slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
+    """The variations of ω∞ along the m ones of a `Tangent` equation: 0 where the top stops as its
     neighbours do; NaN where ω∞ is not known, or has no derivatives. Else None."""
 
 
-def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
+def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
     """The final verdict on end states; a state that is not a number decides nothing."""
     y, t, steps, status = ends
     verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
@@ -57,7 +57,7 @@ def _assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any])
     slopes = None
     if isinstance(equation, Tangent):
         sure = settled & lanes.smooth(verdict, scale[0])
-        slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan).T
+        slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(settled, verdict.omega_inf, jnp.nan),
@@ -140,7 +140,7 @@ def classify(
 def _classify_branch(equation, y0, rtol, atol, max_steps: int, until) -> Classification:
     limits = (rtol, atol, jnp.inf, max_steps)
     found = manifold.until_decided(equation, y0, limits, until)
-    return _assemble(equation, found, (rtol, atol))
+    return assemble(equation, found, (rtol, atol))
 
 
 @eqx.filter_jit
@@ -173,12 +173,12 @@ def _classify(equation, y0, rtol, atol, max_steps: int, until: lanes.Until) -> C
     if until == "time":
         y = y * jnp.nan  # which decides nothing
     status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
-    return _assemble(equation, (y, time, solution.stats["num_steps"], status), (rtol, atol))
+    return assemble(equation, (y, time, solution.stats["num_steps"], status), (rtol, atol))
 
 
 def classify_block(
     equation: Equation,
-    omegas: Float[Array, "3 N"],
+    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
     limits: lanes.Limits,
     until: lanes.Until,
     engine: str,
@@ -186,25 +186,10 @@ def classify_block(
 ) -> Classification:
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
-        omegas = jnp.where(jnp.asarray(lost), jnp.nan, omegas)
-    # What the user has put on another device is moved.
-    arrays, rest = eqx.partition((equation, omegas, limits), eqx.is_array)
-    equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
+        omegas = np.where(lost, np.nan, omegas)
     equation = manifold.physical(equation)
-    y0 = lifted(equation, omegas)
-    chosen = engine_for(engine, equation, y0, until)
-    ends = chosen.integrate(equation, y0, limits, until=until)
-    scale = (limits.rtol, limits.atol)
-    return _judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)
-
-
-@eqx.filter_jit
-def lifted(equation, omegas):
-    """The states that start at these angular velocities."""
-    return equation.lift(omegas)
-
-
-_judge = eqx.filter_jit(_assemble)
+    chosen = engine_for(engine, equation, device, until, assemble)
+    return judged(chosen, assemble, equation, omegas, limits, until=until, device=device)
 
 
 def classify_many(
@@ -250,7 +235,8 @@ def classify_many(
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, starts.T)
-    whole = _Runs(equations, starts, scale, rtol, jnp.asarray(budget("max_steps", max_steps)))
+    steps = jnp.asarray(budget("max_steps", max_steps))
+    whole = _Runs(equations, np.asarray(starts), np.asarray(scale), rtol, steps)
     single = _is_single(equations)
     if not single:
         _check_batch(equations, size)
@@ -259,36 +245,38 @@ def classify_many(
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 
     def work(job: int, device: Any) -> Classification:
-        part = _cut(whole, jnp.asarray(job * tile), tile, single)
+        part = _cut(whole, job * tile, tile, single)
         return jax.tree.map(np.asarray, classify_block(*part, until, engine, device))
 
     parts = dict(in_parallel(work, range(-(-size // tile)), crew))
     found = [parts[job] for job in sorted(parts)]
-    return jax.tree.map(lambda *x: np.concatenate(x)[:size], *found)
+    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :size], *found)
 
 
 class _Runs(NamedTuple):
     """All that is asked of `classify_many`."""
 
     equations: Any
-    starts: Float[Array, "N 3"]
-    atol: Float[Array, "N"]
+    starts: Float[np.ndarray, "N 3"]
+    atol: Float[np.ndarray, "N"]
     rtol: Float[Array, ""]
     max_steps: Int[Array, ""]
 
 
-@eqx.filter_jit
-def _cut(runs: _Runs, first: Array, tile: int, single: bool) -> tuple[Any, Array, lanes.Limits]:
-    """One tile: equation with its lanes behind, starts and limits. Padding takes no step."""
-    size = runs.starts.shape[0]
-    at = first + jnp.arange(tile)
-    t1 = jnp.where(at < size, jnp.inf, 0.0)
-    at = jnp.minimum(at, size - 1)
+def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, lanes.Limits]:
+    """One tile: equation with its lanes behind, starts and limits. Padding takes no step.
 
-    def lanewise(x: Array) -> Array:
+    In NumPy, by views if the tile is full: JAX would take as long as the machine code to come.
+    """
+    size, index = len(runs.starts), np.arange(first, first + tile)
+    t1 = np.where(index < size, np.inf, 0.0).astype(runs.starts.dtype)
+    at: Any = slice(first, first + tile) if index[-1] < size else np.minimum(index, size - 1)
+
+    def lanewise(x: Array) -> np.ndarray:
+        numbers = np.asarray(x)
         if single:
-            return jnp.broadcast_to(x[..., None], (*x.shape, tile))
-        return jnp.moveaxis(x[at], 0, -1)
+            return np.broadcast_to(numbers[..., None], (*numbers.shape, tile))
+        return np.moveaxis(numbers[at], 0, -1)
 
     arrays, rest = eqx.partition(runs.equations, eqx.is_array)
     equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
-from ._checks import real, refuse, where_valid
+from ._checks import real, where_valid
 from ._forward import differentiable
 from ._linalg import dot, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
@@ -140,7 +140,8 @@ def decay_time(
     vmapped, and differentiated as `residual_rotation` (up to second order).
 
     Args:
-        equation: an equation with a `verdict` and a `body`, of a level without runaways.
+        equation: an equation with a `verdict` and a `body`; a full one is followed along its
+            physical branch.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         share: between 0 and 1, both excluded.
         rtol: relative tolerance.
@@ -151,7 +152,7 @@ def decay_time(
         τ in units of τ₀; NaN where ω∞ is not known, and if the top has nothing to lose.
 
     Raises:
-        ValueError: bad arguments, among them a full equation.
+        ValueError: bad arguments.
 
     Example:
         Spin about axis 2 obeys (2.4): E falls to one half when 1 + 2ω₀²τ = 2.
@@ -160,8 +161,6 @@ def decay_time(
         >>> f"{dt.decay_time(dt.TransverseReduced(0.3), [0.0, 0.5, 0.0]):.8f}"
         '2.00000000'
     """
-    if manifold.is_full(manifold.physical(equation)):
-        refuse("equation", "be of a level without runaways", f"is {type(equation).__name__}")
     equation = manifold.physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
     part = real("share", share)
@@ -194,6 +193,10 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
     first, last = energy(y0), radiation.kinetic_energy(equation.body, along)
     level = first - share * (first - last)
     falls = (first > last) & jnp.isfinite(inf)
+    if manifold.is_full(equation):
+        rtol, _, windows = limits
+        windows = jnp.where(falls, windows, 0)
+        return manifold.crossing(equation, start, lambda y: energy(y) - level, rtol, windows)
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     until = jnp.where(falls, jnp.inf, 0.0)
     step = _solve(equation, until, y0, limits, event=below)

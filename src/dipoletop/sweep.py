@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,7 +19,8 @@ from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._workers import in_parallel, workers
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
-from .outcomes import TILE, check_verdict, classify_block, goal, lifted, power_of_two
+from .manifold import physical
+from .outcomes import TILE, assemble, check_verdict, classify_block, goal, power_of_two
 
 
 def sweep(
@@ -85,11 +85,10 @@ def sweep(
         rtols.append(tolerance("confirm", confirm))
     crew = workers(devices)
     tile = min(TILE, power_of_two(-(-size // 8)))  # whatever the machine: a store may move
-    equation, start = build(np.zeros(1, int))
+    equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
     until = goal(equation, value)
-    with jax.default_device(crew[0]):
-        chosen = engine_for(engine, equation, lifted(equation, start), until)
+    chosen = engine_for(engine, physical(equation), crew[0], until, assemble)
     run = functools.partial(
         _run_tile,
         build,

@@ -93,11 +93,12 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     keeps = (w3 == 0) | (d == 0)
     axis = (w1 == 0) & ((w2 == 0) | keeps)
 
-    share = jnp.where(d >= 0, 0.5, (1 + 2 * d) / (2 + d))
-    # In unsquared form, and not where squares underflow: 0 ≤ 0 would certify anything.
-    height = jnp.sqrt(jnp.where(d >= 0, 0.25, jnp.maximum(share, 0.0) * (1 - d) / (2 + d)))
-    flat = (jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
-    residual = (d > -0.5) & (w1 != 0) & (w2**2 <= share * u) & flat
+    # ω₂² ≤ κu and |δω₃| ≤ λu, κ = λ = ½ or, for δ < 0, (1+2δ)/(2+δ) and √(κ(1−δ)/(2+δ)).
+    scale, share = jnp.where(d >= 0, 2.0, 2 + d), jnp.where(d >= 0, 1.0, 1 + 2 * d)
+    height = jnp.sqrt(jnp.where(d >= 0, 1.0, jnp.maximum(share, 0.0) * (1 - d)))
+    # Unsquared, and not where squares underflow: 0 ≤ 0 would certify anything.
+    flat = (scale * jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
+    residual = (d > -0.5) & (w1 != 0) & (scale * w2**2 <= share * u) & flat
 
     fast = (1 + d + d**2) * w3**2
     q, swing = _swing(d, w, u)
