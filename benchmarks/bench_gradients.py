@@ -47,9 +47,10 @@ class Sizes(NamedTuple):
     """Levels at which one start is differentiated."""
     by_start: bool = True
     """… by its ω₀, too."""
-    twice: tuple[str, ...] = ("order-1", "order-2", "semi")
+    twice: tuple[str, ...] = ("order-1", "semi")
     """… and differentiated twice, which takes long to compile."""
-    body: bool = True
+    body: bool = False
+    """Whether a general body is among them, whose gradient takes minutes to compile."""
     budgets: tuple[int, ...] = (1_000, 100_000)
     """Largest numbers of steps of the programs whose memory is compared."""
     checked: tuple[str, ...] = ("order-1", "order-2", "order-3", "order-4", "semi", "full")
@@ -70,7 +71,6 @@ FEW = Sizes(
     single=("order-1",),
     by_start=False,
     twice=(),
-    body=False,
     budgets=(1_000,),
     checked=("order-1",),
     points=4,

@@ -32,6 +32,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         scaling = scaling._replace(
             batches=(*scaling.batches, 1_000_000), maps=(*scaling.maps, (2048, "native", False))
         )
+        gradients = gradients._replace(body=True)
     if small:
         few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
         sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1, rivals=few)

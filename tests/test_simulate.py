@@ -141,8 +141,9 @@ def test_adjoint_controller_and_gradient_pass_through():
             solver=diffrax.Tsit5(),  # few stages, each compiled four times
             adjoint=adjoint,
             stepsize_controller=diffrax.PIDController(1e-12, 1e-14),
+            balance=True,
         )
-        return run.omega[-1, 0]
+        return run.omega[-1, 0] + run.energy[-1] + 10 * run.emitted[-1] + run.balance_defect[-1]
 
     direct = diffrax.RecursiveCheckpointAdjoint()
     reverse = jax.grad(end)(-0.2, direct)
