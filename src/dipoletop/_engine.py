@@ -3,7 +3,6 @@
 import functools
 import importlib
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,10 +13,6 @@ import numpy as np
 from . import lanes, manifold
 from ._checks import refuse
 from ._monitoring import compiling
-
-Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
-"""From an equation, where runs of it ended (y, t, steps, status) and (rtol, atol) to a tree of
-arrays with the lanes behind."""
 
 
 @functools.cache
@@ -31,7 +26,7 @@ def _native() -> tuple[Any, str]:
 
 
 def engine_for(
-    engine: str, equation: Any, device: Any, until: lanes.Until, judge: Judge | None = None
+    engine: str, equation: Any, device: Any, until: lanes.Until, judge: lanes.Judge | None = None
 ) -> Any:
     """The engine for such runs: a module with `integrate`; see also `judged`.
 
@@ -75,7 +70,7 @@ def engine_for(
 
 def judged(
     engine: Any,
-    judge: Judge,
+    judge: lanes.Judge,
     equation: Any,
     omegas: Any,
     limits: lanes.Limits,
@@ -111,5 +106,5 @@ def lifted(equation: Any, omegas: Any) -> Any:
 
 
 @eqx.filter_jit
-def _judged(judge: Judge, equation: Any, ends: lanes.Ends, scale: Any) -> Any:
+def _judged(judge: lanes.Judge, equation: Any, ends: lanes.Ends, scale: Any) -> Any:
     return judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)

@@ -10,6 +10,7 @@ components lie on axis 0; the method is the Butcher tableau of any explicit diff
 import functools
 import math
 import threading
+from collections.abc import Callable
 from typing import Any, Literal
 
 import diffrax
@@ -25,6 +26,9 @@ NAME = "jax"  # of the engine
 Until = Literal["outcome", "value", "slope", "time"]
 """When a lane is finished: its outcome is certain; also ω∞ to the tolerance; also the derivatives
 of ω∞; or at time t1."""
+Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
+"""From an equation, where runs of it ended (y, t, steps, status) and (rtol, atol) to a tree of
+arrays with the lanes behind."""
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished

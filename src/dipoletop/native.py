@@ -8,7 +8,6 @@ It needs numba.
 
 import functools
 import threading
-from collections.abc import Callable
 from typing import Any, NamedTuple, no_type_check
 
 import diffrax
@@ -113,22 +112,21 @@ def _work(codes, given, into, out, kept, shared, sizes):
         sweeps += 1
 
 
-Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
-
-
 class _Table(NamedTuple):
     """What the rows of a table of lanes hold, each a number of every lane."""
 
     at: lanes.Lanes
     omegas: Any
     found: Any
-    """What a `Judge` says."""
+    """What a judge says."""
 
 
 class _Program:
     """Machine code: `lanes.begin` and `lanes.advance`; if there is a judge, it and the lift."""
 
-    def __init__(self, equation: Any, n: int, solver: Any, until: lanes.Until, judge: Judge | None):
+    def __init__(
+        self, equation: Any, n: int, solver: Any, until: lanes.Until, judge: lanes.Judge | None
+    ):
         arrays, static = eqx.partition(equation, _is_array)
 
         def whole(at: lanes.Lanes) -> Any:
@@ -214,7 +212,7 @@ def prepare(
     until: lanes.Until,
     *,
     n: int | None = None,
-    judge: Judge | None = None,
+    judge: lanes.Judge | None = None,
     solver: Any = None,
 ) -> _Program:
     """The program for all equations of this structure, compiled once.
@@ -288,7 +286,7 @@ def integrate(
 
 
 def judged(
-    judge: Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: lanes.Until
+    judge: lanes.Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: lanes.Until
 ) -> Any:
     """What a judge says of the ends of runs, in NumPy; the arrays that go in may be, too."""
     program = prepare(equation, until, judge=judge)
