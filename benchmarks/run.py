@@ -1,6 +1,6 @@
 """All benchmarks in one run: dipoletop beside its peers. What they mean is in README.md here.
 
-python benchmarks/run.py --small     a minute or two, to see that everything works
+python benchmarks/run.py --small     some minutes, to see that everything works
 python benchmarks/run.py             everything, printed
 python benchmarks/run.py --write     and kept: README.md, results/, the figure
 """
