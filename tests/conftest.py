@@ -1,6 +1,6 @@
 """How every test runs: float64, strict promotion, and property tests that repeat exactly.
 
-Nothing here imports dipoletop: the jaxtyping plugin (see pyproject.toml) must see it first.
+Nothing here imports dipoletop at once: the jaxtyping plugin (see pyproject.toml) must see it first.
 """
 
 import os

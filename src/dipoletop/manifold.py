@@ -291,8 +291,7 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
 def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windows: Any) -> Array:
     """When a function of the state falls to 0 on the physical motion from ω₀ on, first of all.
 
-    Seen where elements of windows end; NaN if it is not found. Derivatives, forwards, are exact
-    up to the third order.
+    Seen where elements of windows end; NaN if it is not found. Differentiable forwards.
     """
 
     def going(carry: Any) -> Bool[Array, ""]:
