@@ -13,7 +13,7 @@ from dipoletop import radiation
 from dipoletop._types import Outcome, Stop
 from dipoletop.bodies import Body
 from dipoletop.equations import _general, _line
-from dipoletop.equations.rigid import Reduced, SemiReduced, free_rotation
+from dipoletop.equations.rigid import Full, Reduced, SemiReduced, free_rotation
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
 LANES = 16  # of each kind of body
@@ -243,6 +243,23 @@ def test_slowness_decides_nothing():
     # dipole on the largest axis, spin about another, a billion times slower than braking starts
     body = single([1.0, 1.3, 1.6], [0.0, 0.0, 1.0])
     assert judge(body, 1e-12 * jnp.array([0.3, 1.0, 0.2])).outcome == Outcome.UNDECIDED
+
+
+@pytest.mark.parametrize("level", [4, _line.EXACT])
+def test_the_line_decides_at_any_amplitude(level):
+    # dipole on the largest axis, |d|²|Ω|√tr(I⁻²) = 0.3: where levels above order 1 differ
+    body = Body(np.diag([1.0, 0.8, 0.75]), [1.0, 0.0, 0.0])
+    equation = Full(body) if level == _line.EXACT else Reduced(body, level)
+    rates = jnp.zeros(3 if level == _line.EXACT else 0)  # which decide nothing
+
+    def at(beside):
+        omega = jnp.array([-0.15, beside, -beside])
+        return judge(equation, jnp.concatenate([omega, rates]))
+
+    for beside in (0.0, 1e-4):
+        assert at(beside).outcome == Outcome.RESIDUAL
+        assert at(beside).omega_inf == pytest.approx(-0.15, abs=beside)
+    assert at(0.15).outcome == Outcome.UNDECIDED
 
 
 def test_middle_axis_holds_a_fast_residual_rotation():

@@ -30,8 +30,9 @@ Nodes = Float[Array, "#nodes *#lanes"]
 
 REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law well enough
 # |odd terms of x′_i| ≤ 3 |d|²|x|²|x_i|/J_i at order 1, because J_a ≤ J_b + J_d and so on; sampled,
-# the largest is 1.0 at order 1 and 2.1 at the others (orders from 2 on: within REACH).
-ODD = 3.0
+# the largest is 1.0 at order 1 and 2.1 at the others (orders from 2 on: within REACH; beyond it
+# times a power of the excess, as high as that of |Ω| at order 4 over the cube).
+ODD, GROWTH = 3.0, 6
 DRIFT = 0.1  # largest relative change of w that a residual region may allow
 NODES = 16  # on which the slow flow is searched for a barrier
 WAVER = 4.0  # the slow flow is exact up to this times |d|²|Ω|/J, measured in x and in f
@@ -75,24 +76,25 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
         line is left that could attract y, or the slow flow has a barrier before it.
     """
     frame = seen_from_dipole(body, y)
-    near = _reach(body, frame) <= REACH
+    reach = _reach(body, frame) / REACH
     same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
     round_about_n = jnp.abs(frame.ja - frame.jb) <= same
     touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
-    general = _general(frame, order, near, round_about_n)
+    general = _general(frame, order, reach, round_about_n)
     degenerate = frame.principal & touches & ~round_about_n
     return jax.tree.map(
         lambda one, two: jnp.where(degenerate, one, two), _transverse(frame, order), general
     )
 
 
-def _general(frame: Frame, order: int | None, near: Flag, round_about_n: Flag) -> Verdict:
+def _general(frame: Frame, order: int | None, reach: Real, round_about_n: Flag) -> Verdict:
     """The verdict but for an axisymmetric body with its dipole across the axis."""
-    caught, value, error, slope = _residual(frame, order)
+    near = reach <= 1
+    caught, value, error, slope = _residual(frame, order, reach)
     spin = _on_other_axis(frame, round_about_n)
     keeps = round_about_n & (frame.w != 0)  # then w is constant
     if order is not None and order > 1:  # at large amplitude these levels run away
-        keeps, caught = keeps & near, caught & near
+        keeps = keeps & near
     middle = near & _no_stable_line(frame, order)
     held = near & _behind_barrier(frame)
     stop = jnp.where(frame.principal, spin | (~keeps & (middle | held)), near)
@@ -155,7 +157,7 @@ def _reach(body: Body, frame: Frame) -> Real:
     return frame.strength * frame.size * jnp.sqrt(sum(dot(back[i], back[i]) for i in range(3)))
 
 
-def _residual(frame: Frame, order: int | None) -> tuple[Flag, Real, Real, Real]:
+def _residual(frame: Frame, order: int | None, reach: Real) -> tuple[Flag, Real, Real, Real]:
     """Whether the line attracts the state; ω∞, its relative error, and that of its derivatives.
 
     With V = yᵀPy, ℓᵀP + Pℓ = −1 at the present w, let V₀ be its present value. As long as
@@ -176,7 +178,8 @@ def _residual(frame: Frame, order: int | None) -> tuple[Flag, Real, Real, Real]:
     g = a - b
     eta = jnp.abs(g) * s * v
     square = jnp.maximum(1.0, s**2) * v / jnp.where(low > 0, low, 1.0)  # bounds |y|²
-    odd = ODD * mu / jnp.minimum(a, b) * square
+    largest = ODD if order is None or order == 1 else ODD * jnp.maximum(reach, 1.0) ** GROWTH
+    odd = largest * mu / jnp.minimum(a, b) * square
     held = stable & (low > 0) & (eta <= DRIFT) & (8 * high * odd <= 1)
     for part in (1 - eta, 1 + eta):
         held = held & (_decay(scaled(line(a, b, mu * part, order), s), p) * part >= 0.75)
