@@ -1,5 +1,6 @@
 """Derivatives of ω∞ against complex steps, and where there are none."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
+from dipoletop._types import Verdict
 from dipoletop.equations.tangent import Tangent
 from dipoletop.sensitivity import decay_time
 
@@ -137,6 +139,54 @@ def test_variations_of_a_general_body_are_those_of_the_closed_form():
 
     for one, two in zip(*found(jnp.array([0.2, 0.003, 0.004])), strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12)
+
+
+class Held(eqx.Module):
+    """A body that stays as it is: the end of a run, without the run."""
+
+    body: dt.Body
+
+    def __call__(self, t, y, args=None):
+        return 0 * y
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        body = self.body
+        return Verdict(
+            jnp.asarray(dt.Outcome.RESIDUAL), body.inertia[0, 0] * y[0], jnp.asarray(False)
+        )
+
+
+def test_no_derivative_along_changes_that_turn_the_dipole_off_its_axis():
+    """Then ω∞ falls to 0. What keeps the dipole there, or turns all, has its derivative."""
+    plain = jnp.diag(jnp.array([0.7, 1.1, 0.9]))
+
+    @jax.jit
+    def slopes(turn, along):
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        turned = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+        def value(change):
+            across = jnp.zeros((3, 3)).at[0, 1].set(change[1]).at[1, 0].set(change[1])
+            inertia = plain + change[0] * jnp.diag(jnp.array([1.0, 0.0, 0.0])) + across
+            dipole = jnp.array([0.9 + change[2], change[3], 0.0])
+            body = dt.Body(turned @ inertia @ turned.T, turned @ dipole)
+            return dt.residual_rotation(Held(body), jnp.array([0.2, 0.1, 0.1]))
+
+        return jax.grad(value)(jnp.zeros(4)), jax.jvp(value, (jnp.zeros(4),), (along,))[1]
+
+    kept, turning = jnp.array([2.0, 0.0, 1.0, 0.0]), jnp.array([0.0, 1.0, 0.0, 0.0])
+    gradient, slope = slopes(0.0, kept)
+    np.testing.assert_allclose(gradient[::2], [0.2, 0.0], rtol=1e-14)
+    assert np.all(gradient[1::2] > 1e290)
+    assert float(slope) == pytest.approx(0.4, rel=1e-14)
+    assert slopes(0.0, turning)[1] > 1e290
+    # Of a body that lies askew, and so is aligned but for rounding.
+    assert float(slopes(0.3, kept)[1]) == pytest.approx(0.4 * np.cos(0.3) ** 2, rel=1e-9)
 
 
 def test_slopes_where_the_value_is_known_at_once():

@@ -142,21 +142,22 @@ def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, 
     return decided(Verdict(*equation.verdict(y)), rtol, atol, until)
 
 
-def _error_ratio(error: State, y0: State, y1: State, scale: Any) -> Float[Array, "*lanes"]:
-    """Largest component of the error over what is allowed."""
+def _error_ratio(equation: Any, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
+    """Largest component of the error over what is allowed; an equation may have its own `sizes`."""
     rtol, atol = scale
-    allowed = atol[None] + rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1))
+    sizes = getattr(equation, "sizes", jnp.abs)
+    allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
     return _largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
 
 
 def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Real:
     """Step size to begin with (Hairer, Nørsett & Wanner I, section II.4)."""
-    zero = jnp.zeros_like(y)
-    d0, d1 = _error_ratio(y, y, zero, scale), _error_ratio(f, y, zero, scale)
+    ratio = functools.partial(_error_ratio, equation, ends=(y, jnp.zeros_like(y)), scale=scale)
+    d0, d1 = ratio(y), ratio(f)
     moves = (d0 > 0) & (d1 > 0)
     h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
     f1 = equation(h0, y + h0[None] * f, None)
-    d2 = _error_ratio(f1 - f, y, zero, scale) / h0
+    d2 = ratio(f1 - f) / h0
     slope = jnp.maximum(jnp.maximum(d1, d2), jnp.finfo(h0.dtype).tiny)
     return jnp.minimum(100 * h0, _root(0.01 / slope, order))
 
@@ -237,7 +238,7 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     last = at.h >= left
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
-    ratio = _error_ratio(error, at.y, new, scale)
+    ratio = _error_ratio(at.equation, error, (at.y, new), scale)
     factor = SAFETY / _root(jnp.maximum(ratio, 1e-30), solver.order(None))
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = running & regular & (ratio <= 1)

@@ -17,8 +17,10 @@ from ._forward import differentiable
 from ._linalg import dot, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
-from .equations.tangent import Tangent
+from .equations.tangent import Together
 from .outcomes import classify
+
+HUGE = 1e-6  # the part of the largest number that stands for infinity: 0 times it is 0
 
 
 def residual_rotation(
@@ -49,7 +51,10 @@ def residual_rotation(
         undecided. Derivatives are 0 where the top stops as all its neighbours do, and NaN where
         there are none: of what is undecided or failed, and on an axis of decaying spin (a
         boundary) but for axis 3. A derivative with respect to one element of an inertia tensor
-        breaks its symmetry; only those along symmetric changes have a meaning.
+        breaks its symmetry; only those along symmetric changes have a meaning. Along changes that
+        turn the dipole away from its principal axis, which ends all residual rotation, they are
+        infinite: 1e302, or the like, since that times 0 is 0. (Not so if the dipole lies along
+        the axis but for rounding: then they hold along changes that keep it there.)
 
     Raises:
         ValueError: bad arguments.
@@ -81,7 +86,8 @@ def residual_rotation(
         arrays, start = jax.tree.unflatten(structure, back(x))
         _, push = jax.linearize(back, x)
         units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
-        return ends(Tangent(eqx.combine(arrays, rest), *units), start, limits).slopes
+        slopes = ends(Together(eqx.combine(arrays, rest), *units), start, limits).slopes
+        return jnp.minimum(slopes, HUGE * jnp.finfo(start.dtype).max)
 
     return _with_gradient(value, gradient)(leaves, limits)
 
