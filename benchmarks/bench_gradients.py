@@ -1,7 +1,7 @@
 """What derivatives cost over the values alone, and how far they are off.
 
 Derivatives of ω∞ come from the equation's first variations, in the lanes of a sweep or for one
-start through JAX. What they are held to is found without them: central differences of order 6.
+start through JAX. What they are held to is found without them, by differences.
 """
 
 from collections.abc import Callable
@@ -18,20 +18,13 @@ import dipoletop as dt
 import measure
 import problem
 from bench_basin import RTOL
+from bench_derivatives import TRUTH, body, differences, top
 from dipoletop._levels import equation
 
 NAMES = ("delta", "w3", "w1")  # that a sweep differentiates by: the first, the first two, …
-TRUTH = 1e-13  # relative tolerance of what the others are held to
-SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
-WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
-STEP, FINE = 1e-3, 2.5e-4  # of that difference: for one start; for many, some of them less smooth
 POINT = np.append(-0.2, dt.cylindrical(0.2, 0.15, 0.1))  # δ and ω₀ of the single start
-BODY = np.array([0.7, 1.1, 0.9, 0.9, 0.2, 0.02, 0.1])
-"""The general body: I₁, I₂, I₃, the dipole along axis 1 (it must lie along one, or all motions
-stop), ω₀."""
+BODY = np.array([0.7, 1.1, 0.9, 0.0, 0.9, 0.2, 0.02, 0.1])  # a row of `bench_derivatives.body`
 CALLS = 20  # of a program for one start, on the clock at once
-LARGEST = 0.3  # |ω₀| of the accuracy table: where all levels hold
-FAR = 0.3  # ω∞/|ω₀| from which a start is far from the boundary
 TIME = 1000.0  # of the end states that are differentiated
 LENGTHS = (0.3, 0.03, 0.003)  # |ω₀| of runs of different length, δ = 0.3
 
@@ -53,9 +46,6 @@ class Sizes(NamedTuple):
     """Whether a general body is among them, whose gradient takes minutes to compile."""
     budgets: tuple[int, ...] = (1_000, 100_000)
     """Largest numbers of steps of the programs whose memory is compared."""
-    checked: tuple[str, ...] = ("order-1", "order-2", "order-3", "order-4", "semi", "full")
-    points: int = 100
-    """Starts at which derivatives are held to differences."""
     together: int = 256
     """Starts whose end states are differentiated under one vmap; 0 for none."""
     backwards: bool = True
@@ -72,42 +62,18 @@ FEW = Sizes(
     by_start=False,
     twice=(),
     budgets=(1_000,),
-    checked=("order-1",),
-    points=4,
     together=0,
     backwards=False,
     repeats=1,
 )
 
 
-def _columns(rows: Float[np.ndarray, "n 4"]) -> dict[str, np.ndarray]:
-    return dict(zip(("delta", "w1", "w2", "w3"), rows.T, strict=True))
-
-
 def _sweep(level: str, rows: Float[np.ndarray, "n 4"], rtol: float, **settings: Any) -> dt.Basin:
-    """A sweep over rows of δ and ω₀."""
-
-    def top(delta: Any, w1: Any, w2: Any, w3: Any) -> Any:
-        return equation(level, delta), jnp.stack([w1, w2, w3])
-
-    return dt.sweep(top, dt.Points(**_columns(rows)), rtol=rtol, progress=False, **settings)
+    return top(level).sweep(rows, rtol, **settings)
 
 
 def _slopes(basin: dt.Basin) -> Float[np.ndarray, "n m"]:
     return np.stack([basin.derivative(name) for name in basin.attrs["derivatives"]], axis=-1)
-
-
-def differences(
-    function: Callable[[np.ndarray], np.ndarray],
-    rows: Float[np.ndarray, "n k"],
-    along: int,
-    step: float = STEP,
-) -> np.ndarray:
-    """The derivative of a function of many rows by one of their columns."""
-    around = np.repeat(rows[None], len(SHIFTS), axis=0)
-    around[:, :, along] += step * SHIFTS[:, None]
-    found = function(around.reshape(-1, rows.shape[1]))
-    return np.tensordot(WEIGHTS / step, found.reshape(len(SHIFTS), len(rows), *found.shape[1:]), 1)
 
 
 def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
@@ -225,54 +191,39 @@ def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
     def value(delta: Any, omega: Any) -> Any:
         return dt.residual_rotation(equation(level, delta), omega)
 
-    def precise(rows: np.ndarray) -> np.ndarray:
-        return _sweep(level, rows, TRUTH).omega_inf
-
-    point, row = (jnp.asarray(POINT[0]), jnp.asarray(POINT[1:])), POINT[None]
-    slopes = [differences(precise, row, k)[0] for k in range(4)]
+    family, row = top(level), POINT[None]
+    point = jnp.asarray(POINT[0]), jnp.asarray(POINT[1:])
+    slopes = differences(family.values, row, family.directions)[0][0, :, 0]
     cases = {
-        "ω∞": (value, point, precise(row)),
+        "ω∞": (value, point, family.values(row)),
         "by δ": (jax.grad(value), point, slopes[:1]),
     }
     if sizes.by_start:
         cases["by δ and ω₀"] = (jax.grad(value, (0, 1)), point, slopes)
     if level in sizes.twice:
-        names = tuple(_columns(row))
-
-        def gradients(rows: np.ndarray) -> np.ndarray:
-            return _slopes(_sweep(level, rows, TRUTH, derivatives=names))
-
-        second = [differences(gradients, row, k)[0] for k in range(4)]
+        second = differences(family.slopes, row, family.directions)[0][0]
         hessian = jax.hessian(lambda x: value(x[0], x[1:]))
         cases["twice by δ and ω₀"] = (hessian, (jnp.asarray(POINT),), second)
     return cases
 
 
-def _general(inertia: Any, dipole: Any, omega: Any) -> Any:
-    """The equation of order 1 of a body by its principal moments; its start."""
-    axis = jnp.array([1.0, 0.0, 0.0])
-    return dt.Reduced(dt.Body(jnp.diag(inertia), dipole * axis)), omega
-
-
 def _of_a_body() -> dict[str, Any]:
     """Functions of inertia, dipole and start, and what they should find."""
+    family, row = body("body, order 1"), BODY[None]
 
-    def value(*parts: Any) -> Any:
-        return dt.residual_rotation(*_general(*parts))
+    def value(moments: Any, dipole: Any, omega: Any) -> Any:
+        axis = jnp.array([1.0, 0.0, 0.0])
+        equation = dt.Reduced(dt.Body(jnp.diag(moments), dipole * axis))
+        return dt.residual_rotation(equation, omega)
 
-    def precise(rows: np.ndarray) -> np.ndarray:
-        def made(x: Any) -> Any:
-            return _general(x[:3], x[3], x[4:])
-
-        return dt.sweep(made, dt.Points(x=rows), rtol=TRUTH, progress=False).omega_inf
-
-    row = BODY[None]
-    parts = jnp.asarray(BODY[:3]), jnp.asarray(BODY[3]), jnp.asarray(BODY[4:])
-    slopes = [differences(precise, row, k)[0] for k in range(len(BODY))]
-    cases = {"ω∞": (value, parts, precise(row))}
-    for k, name in enumerate(("its moments", "its dipole", "the start")):
-        wanted = np.split(np.array(slopes), [3, 4])[k]
-        cases[f"by {name}"] = (jax.grad(value, k), parts, wanted)
+    parts = jnp.asarray(BODY[:3]), jnp.asarray(BODY[4]), jnp.asarray(BODY[5:])
+    moments, _, dipole, start = np.split(
+        differences(family.values, row, family.directions)[0][0, :, 0], [3, 4, 5]
+    )
+    cases = {"ω∞": (value, parts, family.values(row))}
+    wanted = {"its moments": moments, "its dipole": dipole, "the start": start}
+    for k, name in enumerate(wanted):
+        cases[f"by {name}"] = (jax.grad(value, k), parts, wanted[name])
     return cases
 
 
@@ -311,33 +262,6 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
             about = {"name": name, "max_steps": budget, "compile_seconds": seconds}
             rows.append(about | {"bytes": size, "steps": [n for n in served if n < budget]})
     return rows
-
-
-def against_differences(sizes: Sizes) -> list[dict[str, Any]]:
-    """∂ω∞/∂δ of sweeps at random residual starts far from the boundary."""
-    return [_held_to_differences(level, sizes.points) for level in sizes.checked]
-
-
-def _held_to_differences(level: str, count: int) -> dict[str, Any]:
-    def precise(rows: np.ndarray) -> np.ndarray:
-        return _sweep(level, rows, TRUTH).omega_inf
-
-    deltas, omegas = problem.mixed_basin(8 * count, seed=3)
-    sizes = np.linalg.norm(omegas, axis=1)
-    rows = np.column_stack([deltas, omegas])[sizes < LARGEST]
-    ratio = np.abs(_sweep(level, rows, RTOL).omega_inf) / np.linalg.norm(rows[:, 1:], axis=1)
-    rows = rows[ratio > FAR][:count]
-    exact, coarse = (differences(precise, rows, 0, h) for h in (FINE, 2 * FINE))
-
-    def off(slopes: np.ndarray) -> dict[str, float]:
-        error = np.abs(slopes / exact - 1)
-        return {"median": float(np.median(error)), "largest": float(np.max(error))}
-
-    swept = {
-        f"{rtol:.0e}": off(_slopes(_sweep(level, rows, rtol, derivatives="delta"))[:, 0])
-        for rtol in (RTOL, 1e-10, 1e-12)
-    }
-    return {"level": level, "starts": len(rows), "off": swept, "differences": off(coarse)}
 
 
 def _end(delta: Any, omega: Any, adjoint: Any) -> Any:
@@ -409,6 +333,5 @@ def compare(sizes: Sizes) -> dict[str, Any]:
         "sweeps": in_sweeps(sizes),
         "single": of_one_start(sizes),
         "memory": in_memory(sizes),
-        "accuracy": against_differences(sizes),
         "end": of_end_states(sizes),
     }

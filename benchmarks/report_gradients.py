@@ -14,8 +14,6 @@ def gradients(found: dict[str, Any]) -> str:
     parts = [title, layout(_sweeps(found["sweeps"]), text=2)]
     parts += ["### Derivatives of one start, rtol 1e-10", layout(_single(found["single"]), text=2)]
     parts += ["### Temporary memory of a gradient by δ", layout(_memory(found["memory"]))]
-    far = "∂ω∞/∂δ at residual starts far from the boundary"
-    parts += [f"### {far}, against differences", layout(_accuracy(found["accuracy"]))]
     return "\n\n".join(parts + _end(found["end"]))
 
 
@@ -56,16 +54,6 @@ def _memory(rows: list[dict[str, Any]]) -> Table:
         served = ", ".join(map(str, row["steps"])) or ABSENT
         sizes = [str(row["max_steps"]), str(row["bytes"])]
         table.append([row["name"], *sizes, served, number(row["compile_seconds"])])
-    return table
-
-
-def _accuracy(rows: list[dict[str, Any]]) -> Table:
-    names = [f"rtol {rtol}" for rtol in rows[0]["off"]] + ["differences, h and 2h"]
-    table = [["level", "starts", *(f"{name}: median / largest" for name in names)]]
-    for row in rows:
-        every = [*row["off"].values(), row["differences"]]
-        errors = [f"{off['median']:.1e} / {off['largest']:.1e}" for off in every]
-        table.append([row["level"], str(row["starts"]), *errors])
     return table
 
 

@@ -1,0 +1,294 @@
+"""Derivatives of ω∞ held to differences: near the boundary and far from it, at every level.
+
+Of axisymmetric tops by δ and ω₀, of general bodies by the inertia tensor, the dipole and ω₀, as
+sweeps find them; of tops also second ones, as `jax.hessian` does.
+
+python benchmarks/bench_derivatives.py --write     kept: README.md, results/
+"""
+
+import argparse
+import shlex
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import dipoletop as dt
+import measure
+import problem
+import report
+from dipoletop._levels import LEVELS, equation
+from tables import Table, layout
+
+TRUTH = 1e-13  # relative tolerance of the values that are subtracted
+RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
+SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
+WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
+RATIO = 0.4
+STEPS = 3e-3 * RATIO ** np.arange(8)  # of it: next to the boundary short ones
+LARGEST = 0.3  # |ω₀|: where all levels hold
+CERTAIN = 1e-8  # differences that agree worse prove nothing
+NEAREST = 400  # starts from which those are taken that are near the boundary
+FAR = 0.3  # ω∞/|ω₀| of starts far from it
+BODIES: dict[str, Callable[[dt.Body], Any]] = {
+    "body, order 1": dt.Reduced,
+    "body, semi": dt.SemiReduced,
+    "body, full": dt.Full,
+}
+GUIDES = {"full": "semi", "body, full": "body, semi"}
+"""Levels a hundred times faster, by which starts and steps are chosen."""
+FEWER = {"full": ("delta", "w3"), "body, full": ("i1", "d")}
+"""What is varied, if not everything, at half as many starts: each takes half a second."""
+
+Function = Callable[[np.ndarray], np.ndarray]
+"""Of rows, to a row of values for each."""
+
+
+class Family(NamedTuple):
+    """Problems of one kind: each is a row of numbers."""
+
+    name: str
+    problem: Callable[..., Any]
+    """Its arguments, the columns, to an equation and a start."""
+    columns: tuple[str, ...]
+    draw: Callable[[int], np.ndarray]
+    """A number of rows at random."""
+    by: tuple[str, ...]
+    """The columns by which it is differentiated."""
+
+    def sweep(self, rows: Float[np.ndarray, "n k"], rtol: float, **settings: Any) -> dt.Basin:
+        """ω∞ of rows."""
+        points = dt.Points(**dict(zip(self.columns, rows.T, strict=True)))
+        return dt.sweep(self.problem, points, rtol=rtol, progress=False, **settings)
+
+    def values(self, rows: np.ndarray) -> Float[np.ndarray, "n 1"]:
+        """ω∞, nearly exact."""
+        return self.sweep(rows, TRUTH).omega_inf[:, None]
+
+    def slopes(self, rows: np.ndarray, rtol: float = TRUTH) -> Float[np.ndarray, "n d"]:
+        """Its derivatives."""
+        basin = self.sweep(rows, rtol, derivatives=self.by)
+        return np.stack([basin.derivative(name) for name in self.by], axis=-1)
+
+    @property
+    def directions(self) -> Float[np.ndarray, "d k"]:
+        """Which number of a row each derivative varies."""
+        return np.eye(len(self.columns))[[self.columns.index(name) for name in self.by]]
+
+
+def family(name: str, by: tuple[str, ...] | None = None) -> Family:
+    """The family of that name, differentiated by some of its columns (all, if none are given)."""
+    made = top(name) if name in LEVELS else body(name)
+    return made if by is None else made._replace(by=by)
+
+
+def top(level: str) -> Family:
+    """Axisymmetric tops of the mixed basin with a transverse dipole."""
+
+    def made(delta: Any, w1: Any, w2: Any, w3: Any) -> Any:
+        return equation(level, delta), jnp.stack([w1, w2, w3])
+
+    def draw(n: int) -> np.ndarray:
+        deltas, omegas = problem.mixed_basin(n, seed=3)
+        return np.column_stack([deltas, omegas])
+
+    columns = ("delta", "w1", "w2", "w3")
+    return Family(level, made, columns, draw, columns)
+
+
+def body(name: str) -> Family:
+    """Bodies of any moments between 0.6 and 1, the dipole along axis 1, a principal axis.
+
+    (The dipole must lie along one, or all motions stop.)
+    """
+
+    def made(i1: Any, i2: Any, i3: Any, i23: Any, d: Any, w1: Any, w2: Any, w3: Any) -> Any:
+        zero = jnp.zeros_like(i1)
+        rows = [[i1, zero, zero], [zero, i2, i23], [zero, i23, i3]]
+        inertia = jnp.stack([jnp.stack(row) for row in rows])
+        rigid = dt.Body(inertia, jnp.stack([d, zero, zero]))
+        return BODIES[name](rigid), jnp.stack([w1, w2, w3])
+
+    def draw(n: int) -> np.ndarray:
+        _, omegas = problem.mixed_basin(n, seed=4)
+        low, high = np.array([[0.6, 0.6, 0.6, -0.05, 0.5], [1.0, 1.0, 1.0, 0.05, 1.0]])
+        rigid = low + (high - low) * np.random.default_rng(4).random((n, 5))
+        return np.column_stack([rigid, omegas])
+
+    columns = ("i1", "i2", "i3", "i23", "d", "w1", "w2", "w3")
+    return Family(name, made, columns, draw, columns)
+
+
+def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
+    """Rows at random, residual ones: by their distance from the boundary, and with ω∞ beyond `FAR`.
+
+    The distance is as Newton's method has it, ω∞/|∇ω∞|.
+    """
+    rows = guide.draw(pool)
+    sizes = np.linalg.norm(rows[:, -3:], axis=1)
+    rows, sizes = rows[sizes < LARGEST], sizes[sizes < LARGEST]
+    values = np.abs(guide.sweep(rows, RTOLS[0]).omega_inf)
+    slopes = np.linalg.norm(guide.slopes(rows, RTOLS[0]), axis=1)
+    residual = (values > 0) & (slopes > 0)
+    near = np.argsort(values[residual] / slopes[residual])[:NEAREST]
+    return {"near": rows[residual][near], "far": rows[values > FAR * sizes][:count]}
+
+
+def chosen_steps(
+    function: Function, rows: Float[np.ndarray, "n k"], directions: Float[np.ndarray, "d k"]
+) -> Float[np.ndarray, "n d"]:
+    """For each row and direction the step on which three in a row agree best."""
+    n, d = len(rows), len(directions)
+    every = along(function, rows, directions, np.tile(STEPS[:, None, None], (1, n, d)))
+    apart = np.max(np.abs(np.diff(every, axis=0)), axis=-1)
+    apart = np.nan_to_num(np.maximum(apart[1:], apart[:-1]), nan=np.inf)
+    return STEPS[np.argmin(apart, axis=0) + 1]
+
+
+def along(
+    function: Function,
+    rows: Float[np.ndarray, "n k"],
+    directions: Float[np.ndarray, "d k"],
+    steps: Float[np.ndarray, "s n d"],
+) -> Float[np.ndarray, "s n d c"]:
+    """Central differences of order 6 of c functions, with steps of their own."""
+    moves = SHIFTS[:, None, None, None, None] * steps[..., None] * directions
+    around = rows[:, None] + moves
+    found = function(around.reshape(-1, rows.shape[1])).reshape(*around.shape[:-1], -1)
+    return np.tensordot(WEIGHTS, found, 1) / steps[..., None]
+
+
+def differences(
+    function: Function,
+    rows: Float[np.ndarray, "n k"],
+    directions: Float[np.ndarray, "d k"],
+    steps: Float[np.ndarray, "n d"] | None = None,
+) -> tuple[Float[np.ndarray, "n d c"], Float[np.ndarray, "n d c"]]:
+    """Derivatives of c functions of rows, and how far two steps differ on them."""
+    fine = chosen_steps(function, rows, directions) if steps is None else steps
+    both = along(function, rows, directions, np.stack([fine, fine / RATIO]))
+    return both[0], np.abs(both[0] - both[1])
+
+
+def certain(found: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The rows of which differences tell the derivatives well enough."""
+    exact, apart = (np.abs(x).reshape(len(x), -1).max(axis=1) for x in found)
+    return np.flatnonzero(apart < CERTAIN * exact)
+
+
+def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
+    """Errors over the largest element of each derivative."""
+    each = tuple(range(1, exact.ndim))
+    error = np.max(np.abs(found - exact), axis=each) / np.max(np.abs(exact), axis=each)
+    return {"median": float(np.median(error)), "largest": float(np.max(error))}
+
+
+def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
+    """First derivatives, of sweeps."""
+    by = FEWER.get(name)
+    count = count if by is None else count // 2
+    asked, guide = family(name, by), family(GUIDES.get(name, name), by)
+    return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
+
+
+def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
+    """Second derivatives, of `residual_rotation`."""
+    by = FEWER.get(level)
+    count = count if by is None else count // 2
+    asked, guide = family(level, by), family(GUIDES.get(level, level), by)
+    directions = jnp.asarray(asked.directions)
+
+    @jax.jit
+    def hessian(row: Any, rtol: Any) -> Any:
+        def value(moves: Any) -> Any:
+            x = row + moves @ directions
+            return dt.residual_rotation(equation(level, x[0]), x[1:], rtol=rtol)
+
+        return jax.hessian(value)(jnp.zeros(len(directions)))
+
+    def found(rows: np.ndarray, rtol: float) -> np.ndarray:
+        return np.array([hessian(jnp.asarray(row), jnp.asarray(rtol)) for row in rows])
+
+    return compared(asked, guide, (found, asked.slopes, guide.slopes), count, pool)
+
+
+def compared(
+    asked: Family, guide: Family, functions: tuple[Any, Function, Function], count: int, pool: int
+) -> list[dict[str, Any]]:
+    """What is found at rows for each tolerance beside differences.
+
+    Functions: what finds the derivatives, what they are of, and what this is in the guide.
+    """
+    finds, function, guiding = functions
+    ways, lines = asked.directions, []
+    for place, rows in drawn(guide, count, pool).items():
+        steps = chosen_steps(guiding, rows, ways)
+        sure = certain(differences(guiding, rows, ways, steps))[:count]
+        rows, steps, skipped = rows[sure], steps[sure], int(sure[-1] + 1 - len(sure))
+        exact, apart = differences(function, rows, ways, steps)
+        sure = certain((exact, apart))
+        rows, exact, apart, skipped = (
+            rows[sure],
+            exact[sure],
+            apart[sure],
+            skipped + len(rows) - len(sure),
+        )
+        exact = exact.reshape(len(rows), *[len(ways)] * (1 if exact.shape[-1] == 1 else 2))
+        distance = np.abs(guide.values(rows)[:, 0]) / np.linalg.norm(guide.slopes(rows), axis=1)
+        lines.append(
+            {"of": asked.name, "by": asked.by, "place": place, "starts": len(rows)}
+            | {"skipped": skipped, "distance": float(np.median(distance))}
+            | {"apart": off(exact + apart.reshape(exact.shape), exact)}
+            | {"off": {f"{rtol:.0e}": off(finds(rows, rtol), exact) for rtol in RTOLS}}
+        )
+    return lines
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Median and largest error."""
+    names = [f"rtol {rtol}" for rtol in rows[0]["off"]] + ["differences"]
+    found: Table = [["of", "by", "", "starts", "skipped", "distance"]]
+    found[0] += [f"{name}: median / largest" for name in names]
+    for row in rows:
+        every = [*row["off"].values(), row["apart"]]
+        errors = [f"{error['median']:.1e} / {error['largest']:.1e}" for error in every]
+        about = [row["of"], ", ".join(row["by"]), row["place"]]
+        counts = [str(row["starts"]), str(row["skipped"]), f"{row['distance']:.1e}"]
+        found.append([*about, *counts, *errors])
+    return layout(found, text=3)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--points", type=int, default=50, help="of each kind of start")
+    parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
+    parser.add_argument("--first", nargs="*", choices=(*LEVELS, *BODIES), help="default: all")
+    parser.add_argument("--second", nargs="*", choices=LEVELS, help="default: all")
+    parser.add_argument("--write", action="store_true", help="keep the results")
+    args = parser.parse_args()
+    found: dict[str, Any] = {
+        "command": shlex.join(["python", "benchmarks/bench_derivatives.py", *sys.argv[1:]]),
+        **measure.machine(),
+        "first": [],
+        "second": [],
+    }
+    for name in args.first if args.first is not None else (*LEVELS, *BODIES):
+        found["first"] += first(name, args.points, args.pool)
+        print(table(found["first"][-2:]), flush=True)
+    for level in args.second if args.second is not None else LEVELS:
+        found["second"] += second(level, max(args.points // 5, 1), args.pool)
+        print(table(found["second"][-2:]), flush=True)
+    if args.write:
+        parts = [f"`{found['command']}`, {found['date']}, {found['cores']} cores."]
+        for order in ("first", "second"):
+            parts += [f"{order.capitalize()} derivatives:", table(found[order])]
+        report.keep("derivatives", "\n\n".join(parts), found)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    main()
