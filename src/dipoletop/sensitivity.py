@@ -81,21 +81,22 @@ def residual_rotation(
         arrays, start = jax.tree.unflatten(structure, leaves)
         return ends(eqx.combine(arrays, rest), start, limits).omega_inf
 
-    def gradient(x: Float[Array, "n"], settings: Any) -> Float[Array, "n"]:
+    def with_slopes(x: Float[Array, "n"], settings: Any) -> Float[Array, "1+n"]:
         back, limits = settings
         arrays, start = jax.tree.unflatten(structure, back(x))
         _, push = jax.linearize(back, x)
         units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
-        slopes = ends(Together(eqx.combine(arrays, rest), *units), start, limits).slopes
-        return jnp.minimum(slopes, HUGE * jnp.finfo(start.dtype).max)
+        found = ends(Together(eqx.combine(arrays, rest), *units), start, limits)
+        slopes = jnp.minimum(found.slopes, HUGE * jnp.finfo(start.dtype).max)
+        return jnp.append(found.omega_inf, slopes)
 
-    return _with_gradient(value, gradient)(leaves, limits)
+    return _with_gradient(value, with_slopes)(leaves, limits)
 
 
-def _with_gradient(value: Callable[..., Array], gradient: Callable[..., Array]) -> Any:
-    """`value(leaves, settings)` with the derivatives `gradient(x, (back, settings))`.
+def _with_gradient(value: Callable[..., Array], with_slopes: Callable[..., Array]) -> Any:
+    """`value(leaves, settings)`, differentiated by `with_slopes(x, (back, settings))`.
 
-    There x holds the leaves that vary, and back(x) is all leaves.
+    There x holds the leaves that vary, and back(x) is all leaves; the value comes first.
     """
 
     @jax.custom_jvp
@@ -110,8 +111,8 @@ def _with_gradient(value: Callable[..., Array], gradient: Callable[..., Array]) 
         back = _Back(
             tuple(moving), unravel, [None if k in moving else leaf for k, leaf in enumerate(leaves)]
         )
-        slopes = differentiable(gradient)(x, (back, settings))
-        return wrapped(leaves, settings), slopes @ change
+        found, *slopes = differentiable(with_slopes)(x, (back, settings))
+        return found, jnp.stack(slopes) @ change
 
     wrapped.defjvp(rule, symbolic_zeros=True)
     return wrapped
