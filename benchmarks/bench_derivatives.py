@@ -7,6 +7,7 @@ python benchmarks/bench_derivatives.py --write     kept: README.md, results/
 """
 
 import argparse
+import json
 import shlex
 import sys
 from collections.abc import Callable
@@ -41,8 +42,10 @@ BODIES: dict[str, Callable[[dt.Body], Any]] = {
 }
 GUIDES = {"full": "semi", "body, full": "body, semi"}
 """Levels a hundred times faster, by which starts and steps are chosen."""
+NAMES, ORDERS = (*LEVELS, *BODIES), ("first", "second")
 FEWER = {"full": ("delta", "w3"), "body, full": ("i1", "d")}
-"""What is varied, if not everything, at half as many starts: each takes half a second."""
+FRACTION = 5
+"""What is varied, if not everything, and at what part of the starts: each takes seconds."""
 
 Function = Callable[[np.ndarray], np.ndarray]
 """Of rows, to a row of values for each."""
@@ -190,7 +193,7 @@ def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
 def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
     """First derivatives, of sweeps."""
     by = FEWER.get(name)
-    count = count if by is None else count // 2
+    count = count if by is None else count // FRACTION
     asked, guide = family(name, by), family(GUIDES.get(name, name), by)
     return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
 
@@ -198,7 +201,7 @@ def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
 def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
     """Second derivatives, of `residual_rotation`."""
     by = FEWER.get(level)
-    count = count if by is None else count // 2
+    count = count if by is None else max(count // FRACTION, 1)
     asked, guide = family(level, by), family(GUIDES.get(level, level), by)
     directions = jnp.asarray(asked.directions)
 
@@ -262,31 +265,39 @@ def table(rows: list[dict[str, Any]]) -> str:
     return layout(found, text=3)
 
 
+def kept(order: str, rows: list[dict[str, Any]]) -> None:
+    """Rows into the results, in the place of older ones of the same family."""
+    path = report.HERE / "results" / "derivatives.json"
+    old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    found = {name: old.get(name, []) for name in ORDERS}
+    others = [row for row in found[order] if row["of"] != rows[0]["of"]]
+    found[order] = sorted(others + rows, key=lambda row: NAMES.index(row["of"]))
+    runs = dict.fromkeys(row["run"] for name in ORDERS for row in found[name])
+    parts = ["; ".join(runs) + "."]
+    for name in ORDERS:
+        if found[name]:
+            parts += [f"{name.capitalize()} derivatives:", table(found[name])]
+    report.keep("derivatives", "\n\n".join(parts), found)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--points", type=int, default=50, help="of each kind of start")
     parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
-    parser.add_argument("--first", nargs="*", choices=(*LEVELS, *BODIES), help="default: all")
-    parser.add_argument("--second", nargs="*", choices=LEVELS, help="default: all")
-    parser.add_argument("--write", action="store_true", help="keep the results")
+    parser.add_argument("--first", nargs="*", choices=NAMES, default=NAMES, help="default: all")
+    parser.add_argument("--second", nargs="*", choices=LEVELS, default=LEVELS, help="default: all")
+    parser.add_argument("--write", action="store_true", help="keep the results of each family")
     args = parser.parse_args()
-    found: dict[str, Any] = {
-        "command": shlex.join(["python", "benchmarks/bench_derivatives.py", *sys.argv[1:]]),
-        **measure.machine(),
-        "first": [],
-        "second": [],
-    }
-    for name in args.first if args.first is not None else (*LEVELS, *BODIES):
-        found["first"] += first(name, args.points, args.pool)
-        print(table(found["first"][-2:]), flush=True)
-    for level in args.second if args.second is not None else LEVELS:
-        found["second"] += second(level, max(args.points // 5, 1), args.pool)
-        print(table(found["second"][-2:]), flush=True)
-    if args.write:
-        parts = [f"`{found['command']}`, {found['date']}, {found['cores']} cores."]
-        for order in ("first", "second"):
-            parts += [f"{order.capitalize()} derivatives:", table(found[order])]
-        report.keep("derivatives", "\n\n".join(parts), found)
+    machine = measure.machine()
+    command = shlex.join(["python", "benchmarks/bench_derivatives.py", *sys.argv[1:]])
+    run = {"run": f"`{command}`, {machine['date']}, {machine['cores']} cores"}
+    pieces = [("first", first, name, args.points) for name in args.first]
+    pieces += [("second", second, name, max(args.points // 5, 1)) for name in args.second]
+    for order, measured, name, count in pieces:
+        rows = [row | run for row in measured(name, count, args.pool)]
+        print(table(rows), flush=True)
+        if args.write:
+            kept(order, rows)
 
 
 if __name__ == "__main__":
