@@ -120,6 +120,19 @@ def test_a_requested_accuracy(wanted):
     assert np.mean(found) > 0.6
 
 
+def test_derivatives_of_the_branch():
+    """By shape and start, backwards, against differences of order 6."""
+    start, way, step = dt.cylindrical(0.2, 0.2, np.pi / 30), jnp.array([0.3, -0.2, 0.4]), 4e-3
+
+    def rate(change, moved):
+        return dt.slow_manifold(dt.TransverseFull(change - 0.2), start + moved)[1]
+
+    slopes = jax.jit(jax.grad(rate, (0, 1)))(0.0, jnp.zeros(3))
+    around = [rate(k * step, k * step * way) for k in (-3, -2, -1, 1, 2, 3)]
+    found = np.array([-1, 9, -45, 45, -9, 1]) / (60 * step) @ jnp.array(around)
+    assert float(slopes[0] + slopes[1] @ way) == pytest.approx(float(found), rel=1e-10)
+
+
 def test_small_amplitudes_have_the_series():
     """The orders approach the branch, each by a power of ω more."""
     start = jnp.array([0.3, 0.5, -0.4])

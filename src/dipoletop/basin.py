@@ -133,7 +133,8 @@ class Basin:
     def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
         """∂ω∞/∂axis (sweeps with `derivatives`): 0 where the top stops as its neighbours do.
 
-        NaN where ω∞ is not known or not differentiable.
+        NaN where ω∞ is not known or not differentiable; infinite where a change turns the dipole
+        of a general body off its principal axis, which ends all residual rotation.
         """
         return self.column(SLOPE + axis)
 

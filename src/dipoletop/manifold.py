@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _windows, lanes, radiation
 from ._checks import finite, refuse
+from ._forward import differentiable
 from ._settings import tolerance
 from ._types import Verdict
 from ._windows import Window
@@ -44,7 +46,8 @@ def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bo
     """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
 
     The motion from Ω on is solved for as a boundary-value problem over some runaway times. What
-    is assumed at its far end (the asymptotic series) is forgotten exponentially.
+    is assumed at its far end (the asymptotic series) is forgotten exponentially. May be jitted,
+    vmapped and differentiated, forwards and backwards.
 
     Args:
         equation: a full equation, such as `TransverseFull` or `Full`.
@@ -71,9 +74,18 @@ def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bo
         refuse("equation", "be a full equation", f"is {type(equation).__name__}")
     start = finite("omega", omega, (3,), batch=False)
     wanted = jnp.asarray(jnp.inf) if rtol is None else tolerance("rtol", rtol)
-    found = _known_branch if physical(equation) is not equation else _slow_manifold
-    rate, error = found(equation, start, wanted)
-    return (rate, error) if with_error else rate
+    if physical(equation) is not equation:
+        rate, error = _known_branch(equation, start, wanted)
+        return (rate, error) if with_error else rate
+    arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
+    x, back = ravel_pytree((arrays, start))
+
+    def found(x: Array, wanted: Array) -> Array:
+        arrays, omega = back(x)
+        return jnp.append(*_slow_manifold(eqx.combine(arrays, rest), omega, wanted))
+
+    result = differentiable(found)(x, wanted)
+    return (result[:3], result[3]) if with_error else result[:3]
 
 
 def _known_branch(equation: Any, omega: Array, wanted: Array) -> tuple[Array, Array]:

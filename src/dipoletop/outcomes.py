@@ -43,7 +43,8 @@ class Classification(eqx.Module):
     """A member of `Stop`: in which way a top stops."""
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
     """The variations of ω∞ along the m ones of a `Tangent` equation: 0 where the top stops as its
-    neighbours do; NaN where ω∞ is not known, or has no derivatives. Else None."""
+    neighbours do; infinite along a change that turns the dipole of a general body off its
+    principal axis; NaN where ω∞ is not known, or has no derivatives. Else None."""
 
 
 def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:

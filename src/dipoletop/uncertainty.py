@@ -139,12 +139,14 @@ def propagate(
     one = sweep(problem, Points(**means), derivatives=names, **options)
     gradient = np.array([one.derivative(name)[0] for name in names])
     many = sweep(problem, Sample(n=n, seed=seed, draw=draw), **options)
+    with np.errstate(invalid="ignore"):  # infinity times 0, which is said by NaN
+        linear = np.linalg.norm(gradient @ np.asarray(root))
     values = many.omega_inf[many.outcome == Outcome.RESIDUAL]
     mean_found, std_found = _moments(values[np.isfinite(values)])
     return Propagation(
         float(one.omega_inf[0]),
         dict(zip(names, gradient.tolist(), strict=True)),
-        float(np.linalg.norm(gradient @ np.asarray(root))),
+        float(linear),
         many.fractions(),
         _share(fate(many) != fate(one)),
         mean_found,
