@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
+from dipoletop.sensitivity import decay_time
 
 TOP = dt.TransverseFull(-0.2)
 STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
@@ -186,6 +187,17 @@ def test_outcomes_are_those_of_the_motion(long):
     assert stops == (start[1] > 0.1)
     assert not found.certified[0]
     assert abs(found.omega_inf[0] - (0 if stops else run.omega[-1, 0])) < 1e-9
+
+
+def test_half_of_the_energy_to_be_lost_is_lost_when_it_is_said_to_be(long):
+    start, _ = long
+    half = decay_time(TOP, start)
+    first, then, *_, last = dt.simulate(
+        TOP, start, TIMES.at[1].set(half), rtol=1e-11, balance=True
+    ).energy
+    # At that last time the energy left over is the residual one, or falls like 1/τ.
+    rest = last if start[1] < 0.1 else 0.0
+    assert float(then) == pytest.approx(float(first + rest) / 2, rel=1e-9)
 
 
 def rotator(t, y):

@@ -245,11 +245,3 @@ def test_decay_time_and_its_slope():
     value, slope = jax.jit(jax.value_and_grad(time, 1))(0.5, 0.75)
     assert float(value) == pytest.approx(6.0, rel=1e-9)
     assert float(slope) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
-
-
-def test_decay_time_of_a_full_equation():
-    """Half of what it will ever lose is lost then, by the energies of its motion."""
-    equation, omega0 = dt.TransverseFull(-0.2), dt.cylindrical(0.2, 0.2, np.pi / 30)
-    half = decay_time(equation, omega0)
-    first, then, last = dt.simulate(equation, omega0, jnp.array([0.0, half, 3000.0])).energy
-    assert float(then) == pytest.approx(float(first + last) / 2, rel=1e-9)

@@ -103,7 +103,7 @@ class Tangent(eqx.Module):
             lambda equation, y: Verdict(*equation.verdict(y)).omega_inf, state, variations
         )
         body = vars(self.equation).get("body")
-        if body is not None:  # else the parameters keep the dipole where it is
+        if isinstance(body, Body):  # else the parameters keep the dipole where it is
             turned = self._apply(functools.partial(_turns, body), variations)
             changes = [
                 jnp.where((value != 0) & off, jnp.inf, change)
