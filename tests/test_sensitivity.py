@@ -187,6 +187,21 @@ def test_no_derivative_along_changes_that_turn_the_dipole_off_its_axis():
     assert slopes(0.0, turning)[1] > 1e290
     # Of a body that lies askew, and so is aligned but for rounding.
     assert float(slopes(0.3, kept)[1]) == pytest.approx(0.4 * np.cos(0.3) ** 2, rel=1e-9)
+    np.testing.assert_allclose(along_the_way(0.3), [0.2 * np.cos(0.3) ** 2, np.inf], rtol=1e-9)
+
+
+@jax.jit
+def along_the_way(turn):
+    """Variations of `Held` by I₁ and by I₁₂ of a body turned about axis 3."""
+    c, s = jnp.cos(turn), jnp.sin(turn)
+    turned = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    by = jnp.zeros((2, 3, 3)).at[0, 0, 0].set(1.0).at[1, 0, 1].set(1.0).at[1, 1, 0].set(1.0)
+    inertia = turned @ jnp.diag(jnp.array([0.7, 1.1, 0.9])) @ turned.T
+    held = Held(dt.Body(inertia, turned @ jnp.array([0.9, 0.0, 0.0])))
+    changes = jax.tree.map(lambda x: jnp.zeros((2, *x.shape)), held)
+    changes = eqx.tree_at(lambda held: held.body.inertia, changes, turned @ by @ turned.T)
+    tangent = Tangent(held, changes, jnp.zeros((2, 3)))
+    return tangent.slopes(tangent.lift(jnp.array([0.2, 0.1, 0.1])))
 
 
 def test_slopes_where_the_value_is_known_at_once():

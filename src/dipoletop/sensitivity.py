@@ -54,7 +54,8 @@ def residual_rotation(
         breaks its symmetry; only those along symmetric changes have a meaning. Along changes that
         turn the dipole away from its principal axis, which ends all residual rotation, they are
         infinite: 1e302, or the like, since that times 0 is 0. (Not so if the dipole lies along
-        the axis but for rounding: then they hold along changes that keep it there.)
+        the axis but for rounding: then they hold along changes that keep it there. A `sweep`,
+        which knows the change, tells these from others.)
 
     Raises:
         ValueError: bad arguments.
