@@ -29,7 +29,7 @@ TRUTH = 1e-13  # relative tolerance of the values that are subtracted
 RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
 SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
 WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
-RATIO = 0.4
+RATIO = 0.4  # of a step to the one before
 STEPS = 3e-3 * RATIO ** np.arange(8)  # of it: next to the boundary short ones
 LARGEST = 0.3  # |ω₀|: where all levels hold
 CERTAIN = 1e-8  # differences that agree worse prove nothing
@@ -177,16 +177,22 @@ def differences(
     return both[0], np.abs(both[0] - both[1])
 
 
+def largest(each: np.ndarray) -> np.ndarray:
+    """The largest size in each row."""
+    return np.max(np.abs(each), axis=tuple(range(1, each.ndim)))
+
+
 def certain(found: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """The rows of which differences tell the derivatives well enough."""
-    exact, apart = (np.abs(x).reshape(len(x), -1).max(axis=1) for x in found)
-    return np.flatnonzero(apart < CERTAIN * exact)
+    sure = np.flatnonzero(largest(found[1]) < CERTAIN * largest(found[0]))
+    if sure.size == 0:
+        raise SystemExit(f"Of no start differences agree to {CERTAIN:.0e}: take a larger --pool.")
+    return sure
 
 
 def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
     """Errors over the largest element of each derivative."""
-    each = tuple(range(1, exact.ndim))
-    error = np.max(np.abs(found - exact), axis=each) / np.max(np.abs(exact), axis=each)
+    error = largest(found - exact) / largest(exact)
     return {"median": float(np.median(error)), "largest": float(np.max(error))}
 
 
@@ -230,16 +236,11 @@ def compared(
     ways, lines = asked.directions, []
     for place, rows in drawn(guide, count, pool).items():
         steps = chosen_steps(guiding, rows, ways)
-        sure = certain(differences(guiding, rows, ways, steps))[:count]
-        rows, steps, skipped = rows[sure], steps[sure], int(sure[-1] + 1 - len(sure))
-        exact, apart = differences(function, rows, ways, steps)
+        clear = certain(differences(guiding, rows, ways, steps))[:count]
+        exact, apart = differences(function, rows[clear], ways, steps[clear])
         sure = certain((exact, apart))
-        rows, exact, apart, skipped = (
-            rows[sure],
-            exact[sure],
-            apart[sure],
-            skipped + len(rows) - len(sure),
-        )
+        rows, exact, apart = rows[clear[sure]], exact[sure], apart[sure]
+        skipped = int(clear[-1]) + 1 - len(rows)
         exact = exact.reshape(len(rows), *[len(ways)] * (1 if exact.shape[-1] == 1 else 2))
         distance = np.abs(guide.values(rows)[:, 0]) / np.linalg.norm(guide.slopes(rows), axis=1)
         lines.append(

@@ -19,6 +19,7 @@ import dipoletop as dt
 import measure
 import problem
 from dipoletop import lanes, native
+from dipoletop._endings import Until
 from dipoletop.symmetry import unfold
 
 RTOL = 1e-8
@@ -60,7 +61,7 @@ FEW = Sizes(
 def follow(
     deltas: Deltas,
     omegas: Omegas,
-    until: lanes.Until,
+    until: Until,
     *,
     rtol: float = RTOL,
     t1: float = np.inf,

@@ -12,6 +12,7 @@ import numpy as np
 
 from . import lanes, manifold
 from ._checks import refuse
+from ._endings import Until
 from ._monitoring import compiling
 
 
@@ -26,7 +27,7 @@ def _native() -> tuple[Any, str]:
 
 
 def engine_for(
-    engine: str, equation: Any, device: Any, until: lanes.Until, judge: lanes.Judge | None = None
+    engine: str, equation: Any, device: Any, until: Until, judge: lanes.Judge | None = None
 ) -> Any:
     """The engine for such runs: a module with `integrate`; see also `judged`.
 
@@ -75,7 +76,7 @@ def judged(
     omegas: Any,
     limits: lanes.Limits,
     *,
-    until: lanes.Until,
+    until: Until,
     device: Any,
 ) -> Any:
     """What a judge says of the ends of runs.

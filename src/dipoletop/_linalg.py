@@ -4,12 +4,19 @@ Whatever trails (lanes) broadcasts, so one line of physics serves a single top a
 tops. Written out in components: XLA fuses these, and batched library calls on 3×3 do not.
 """
 
+import functools
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Scalar = Float[Array, "*#lanes"]
 Vec = Float[Array, "3 *#lanes"]
 Mat = Float[Array, "3 3 *#lanes"]
+
+
+def largest(components: Array) -> Scalar:
+    """The largest component; a chain, since XLA:CPU does not vectorise `max`."""
+    return functools.reduce(jnp.maximum, list(components))
 
 
 def scale(s: Scalar, a: Vec) -> Vec:

@@ -11,7 +11,7 @@ import functools
 import math
 import threading
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -20,12 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._types import Equation, Outcome, Real, State, Verdict
+from ._endings import Until, decided, sound
+from ._linalg import largest
+from ._types import Equation, Real, State
 
 NAME = "jax"  # of the engine
-Until = Literal["outcome", "value", "slope", "time"]
-"""When a lane is finished: its outcome is certain; also ω∞ to the tolerance; also the derivatives
-of ω∞; or at time t1."""
 Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
 """From an equation, where runs of it ended (y, t, steps, status) and (rtol, atol) to a tree of
 arrays with the lanes behind."""
@@ -34,7 +33,6 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
 LARGE = 200  # operations of a right-hand side from which the stages become a loop
-VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
 
 RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1  # states of a lane
@@ -96,58 +94,12 @@ class _Block(eqx.Module):
         return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
 
-def _largest(components: Any) -> Real:
-    """The largest component, lane by lane; a chain, since XLA:CPU does not vectorise `max`."""
-    return functools.reduce(jnp.maximum, list(components))
-
-
-def settled(verdict: Verdict, rtol: Real, atol: Real, margin: float) -> Bool[Array, "*lanes"]:
-    """Whether the estimated error of ω∞ is within that part of the tolerance."""
-    size = jnp.abs(verdict.omega_inf)
-    within = verdict.error * size <= margin * (rtol * size + atol)
-    return within | (verdict.outcome != Outcome.RESIDUAL)
-
-
-def smooth(verdict: Verdict, rtol: Real) -> Bool[Array, "*lanes"]:
-    """Whether the derivatives of ω∞ are known to the tolerance, by an estimate that is high."""
-    return verdict.slope <= rtol
-
-
-def decided(verdict: Verdict, rtol: Real, atol: Real, until: Until) -> Bool[Array, "*lanes"]:
-    """Whether a verdict ends a run; ω∞ need not be better than the integration is."""
-    certain = verdict.outcome != Outcome.UNDECIDED
-    if until == "outcome":
-        return certain
-    certain = certain & settled(verdict, rtol, atol, VALUE_MARGIN)
-    if until == "value":
-        return certain
-    return certain & (smooth(verdict, rtol) | (verdict.outcome == Outcome.STOP))
-
-
-def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:
-    """Whether a state can be integrated further: a finite rate, and no runaway.
-
-    A runaway is too large, or large and so fast that floating-point time does not resolve it.
-    """
-    size, speed = _largest(jnp.abs(y)), _largest(jnp.abs(rate))
-    limit = float(jnp.finfo(y.dtype).max) ** 0.1  # leaves room for the powers in the rates
-    blurred = (size > 1) & (100 * jnp.finfo(y.dtype).eps * speed * t > size)
-    return (size < limit) & (speed < jnp.inf) & ~blurred
-
-
-def _finished(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*lanes"]:
-    if until == "time":
-        return jnp.zeros(y.shape[1:], bool)
-    rtol, atol = scale
-    return decided(Verdict(*equation.verdict(y)), rtol, atol, until)
-
-
 def _error_ratio(equation: Any, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
     """Largest component of the error over what is allowed; an equation may have its own `sizes`."""
     rtol, atol = scale
     sizes = getattr(equation, "sizes", jnp.abs)
     allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
-    return _largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
+    return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
 
 
 def _first_step(equation: Equation, y: State, f: State, scale: Any, order: int) -> Real:
@@ -221,7 +173,7 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     f = equation(jnp.zeros_like(limits.t1), y0, None)
     h = _first_step(equation, y0, f, scale, order)
     able = sound(0 * h, y0, f) & jnp.isfinite(h)
-    done = _finished(equation, y0, scale, until) | (limits.t1 <= 0)
+    done = decided(equation, y0, scale, until) | (limits.t1 <= 0)
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
     status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
     zero = jnp.zeros_like(h)
@@ -249,13 +201,13 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     steps = at.steps + running.astype(at.steps.dtype)
     # A rejected step that would hardly have moved the state is the end of the line.
     eps = jnp.finfo(h.dtype).eps
-    stuck = _largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * _largest(jnp.abs(at.y))
+    stuck = largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * largest(jnp.abs(at.y))
     gain = h + at.rest
     later = jnp.where(last, at.t1, at.t + gain)
     t = jnp.where(accept, later, at.t)
     rest = jnp.where(accept, gain - (later - at.t), at.rest)
     broken = ~sound(t, y, f) | (stuck & ~accept)
-    done = accept & (last | _finished(at.equation, y, scale, until))
+    done = accept & (last | decided(at.equation, y, scale, until))
     status = jnp.where(steps < max_steps.astype(steps.dtype), RUNNING, EXHAUSTED)
     status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
     status = jnp.where(running, status, at.status).astype(at.status.dtype)

@@ -14,11 +14,10 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from . import _windows, lanes, radiation
+from . import _endings, _windows, lanes, radiation
 from ._checks import finite, refuse
 from ._forward import differentiable
 from ._settings import tolerance
-from ._types import Verdict
 from ._windows import Window
 from .equations.tangent import Tangent
 
@@ -227,7 +226,7 @@ def integrate(
     y0: Float[Array, "n N"],
     limits: lanes.Limits,
     *,
-    until: lanes.Until = "value",
+    until: _endings.Until = "value",
 ) -> lanes.Ends:
     """The ends of many physical motions: `lanes.integrate` for full equations.
 
@@ -249,7 +248,7 @@ _alone = threading.Lock()  # two such programs at once have been seen to wait fo
 
 
 @eqx.filter_jit
-def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: lanes.Until) -> lanes.Ends:
+def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: _endings.Until) -> lanes.Ends:
     arrays, static = eqx.partition(equation, eqx.is_array)
 
     def one(lane: Any) -> Any:
@@ -264,7 +263,7 @@ def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: lanes.Unti
     return lanes.Ends(y.T, time, windows, status, jnp.stack([jnp.sum(windows), 0]))
 
 
-def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) -> Any:
+def until_decided(equation: Any, start: Array, limits: Any, until: _endings.Until) -> Any:
     """One motion, to the first state that decides: that, its time, windows, status.
 
     `limits` are rtol, atol, t1 (0: not to be run) and the budget of windows.
@@ -274,7 +273,7 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
     rtol, atol, t1, max_windows = limits
 
     def ends(y: Array) -> Bool[Array, ""]:
-        return lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
+        return _endings.decided(equation, y, (rtol, atol), until)
 
     def going(carry: Any) -> Bool[Array, ""]:
         return carry[3] == lanes.RUNNING
@@ -282,19 +281,19 @@ def until_decided(equation: Any, start: Array, limits: Any, until: lanes.Until) 
     def on(carry: Any) -> Any:
         at, y, _, _ = carry
         new, window, good = march(equation, at, rtol)
-        states, times = window.states[:, -1], at.time + window.times[:, -1]
-        done = jax.vmap(ends)(states) & (jnp.arange(states.shape[0]) < good)
-        which = jnp.where(jnp.any(done), jnp.argmax(done), jnp.maximum(good - 1, 0))
-        y = jnp.where(good > 0, states[which], y)
-        time = jnp.where(good > 0, times[which], at.time)
+        # The start is looked at with the first window: XLA compiles a long verdict only once.
+        states = jnp.concatenate([y[None], window.states[:, -1]])
+        times = at.time + jnp.append(0.0, window.times[:, -1])
+        done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= good)
+        which = jnp.where(jnp.any(done), jnp.argmax(done), good)
         status = jnp.where(new.windows < max_windows, lanes.RUNNING, lanes.EXHAUSTED)
         status = jnp.where(new.lost, lanes.BROKEN, status)
         status = jnp.where(jnp.any(done), lanes.FINISHED, status).astype("int32")
-        return new, y, time, status
+        return new, states[which], times[which], status
 
     at = set_out(equation, equation.omega(start), 0.0)
-    idle = ends(start) | (t1 <= 0)
-    status = jnp.where(at.lost, lanes.BROKEN, jnp.where(idle, lanes.FINISHED, lanes.RUNNING))
+    idle = jnp.where(t1 > 0, lanes.RUNNING, lanes.FINISHED)
+    status = jnp.where(at.lost, lanes.BROKEN, idle)
     begun = at, start, at.time, status.astype("int32")
     at, y, time, status = jax.lax.while_loop(going, on, begun)
     return y, time, at.windows, status
@@ -341,7 +340,7 @@ def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windo
     return jnp.where(jnp.any(below), before + time, jnp.nan)
 
 
-def _varied(equation: Tangent, start: Array, limits: Any, until: lanes.Until) -> Any:
+def _varied(equation: Tangent, start: Array, limits: Any, until: _endings.Until) -> Any:
     """`until_decided` for one motion and its variations."""
     base, n = equation.equation, start.shape[0] // (1 + equation.m)
     arrays, rest = eqx.partition(base, eqx.is_inexact_array)

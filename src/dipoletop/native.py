@@ -22,6 +22,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from . import lanes
+from ._endings import Until
 from ._llvm import compiled
 from ._monitoring import compiling
 from ._simd import Unsupported
@@ -124,9 +125,7 @@ class _Table(NamedTuple):
 class _Program:
     """Machine code: `lanes.begin` and `lanes.advance`; if there is a judge, it and the lift."""
 
-    def __init__(
-        self, equation: Any, n: int, solver: Any, until: lanes.Until, judge: lanes.Judge | None
-    ):
+    def __init__(self, equation: Any, n: int, solver: Any, until: Until, judge: lanes.Judge | None):
         arrays, static = eqx.partition(equation, _is_array)
 
         def whole(at: lanes.Lanes) -> Any:
@@ -209,7 +208,7 @@ _compiling = threading.Lock()
 
 def prepare(
     equation: Any,
-    until: lanes.Until,
+    until: Until,
     *,
     n: int | None = None,
     judge: lanes.Judge | None = None,
@@ -259,7 +258,7 @@ def integrate(
     limits: lanes.Limits,
     *,
     solver: diffrax.AbstractERK | None = None,
-    until: lanes.Until = "value",
+    until: Until = "value",
 ) -> lanes.Ends:
     """Work off a queue of starts on one core: `lanes.integrate` in machine code.
 
@@ -286,7 +285,7 @@ def integrate(
 
 
 def judged(
-    judge: lanes.Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: lanes.Until
+    judge: lanes.Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: Until
 ) -> Any:
     """What a judge says of the ends of runs, in NumPy; the arrays that go in may be, too."""
     program = prepare(equation, until, judge=judge)

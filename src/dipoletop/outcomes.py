@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from . import lanes, manifold
+from . import _endings, lanes, manifold
 from ._checks import initial_state, real, refuse, subnormal
 from ._engine import engine_for, judged
 from ._settings import MAX_STEPS, absolute, budget, tolerance
@@ -54,10 +54,10 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     broken = status == lanes.BROKEN
     known = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     missing = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
-    settled = known & lanes.settled(verdict, *scale, 1.0)
+    settled = known & _endings.settled(verdict, scale, 1.0)
     slopes = None
     if isinstance(equation, Tangent):
-        sure = settled & lanes.smooth(verdict, scale[0])
+        sure = settled & _endings.smooth(verdict, scale[0])
         slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
@@ -70,7 +70,7 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     )
 
 
-def goal(equation: Any, value: bool) -> lanes.Until:
+def goal(equation: Any, value: bool) -> _endings.Until:
     """What must be certain before a run ends."""
     if not value:
         return "outcome"
@@ -145,12 +145,10 @@ def _classify_branch(equation, y0, rtol, atol, max_steps: int, until) -> Classif
 
 
 @eqx.filter_jit
-def _classify(equation, y0, rtol, atol, max_steps: int, until: lanes.Until) -> Classification:
+def _classify(equation, y0, rtol, atol, max_steps: int, until: _endings.Until) -> Classification:
     def ended(t, y, args, **_):
-        broken = ~lanes.sound(t, y, equation(t, y, None))
-        if until == "time":
-            return broken
-        return broken | lanes.decided(Verdict(*equation.verdict(y)), rtol, atol, until)
+        broken = ~_endings.sound(t, y, equation(t, y, None))
+        return broken | _endings.decided(equation, y, (rtol, atol), until)
 
     # Decided or broken at once: no time to integrate.
     t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, jnp.inf)
@@ -170,7 +168,7 @@ def _classify(equation, y0, rtol, atol, max_steps: int, until: lanes.Until) -> C
     )
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
-    able = lanes.sound(time, y, equation(time, y, None))
+    able = _endings.sound(time, y, equation(time, y, None))
     if until == "time":
         y = y * jnp.nan  # which decides nothing
     status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
@@ -181,7 +179,7 @@ def classify_block(
     equation: Equation,
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
     limits: lanes.Limits,
-    until: lanes.Until,
+    until: _endings.Until,
     engine: str,
     device: Any,
 ) -> Classification:

@@ -169,7 +169,7 @@ def _run_tile(
     at = np.arange(job * tile, (job + 1) * tile)
     real = at < size
     equation, omegas = build(np.minimum(at, size - 1))
-    stops = jnp.where(jnp.asarray(real), jnp.inf, 0.0)
+    stops = np.where(real, np.inf, 0.0)
 
     def classified(rtol) -> dict[str, np.ndarray]:
         limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), stops, jnp.asarray(max_steps))

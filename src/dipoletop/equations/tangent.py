@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._linalg import cross, matvec
+from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
 
@@ -81,9 +81,8 @@ class Tangent(eqx.Module):
         Not by its own size in a variation: then a component that passes 0 costs many steps.
         """
         state, *variations = map(jnp.abs, self._split(y))
-        largest = [functools.reduce(jnp.maximum, list(each)) for each in variations]
-        sizes = [jnp.broadcast_to(SLACK * size[None], state.shape) for size in largest]
-        return jnp.concatenate([state, *sizes])
+        sizes = [SLACK * largest(each)[None] for each in variations]
+        return jnp.concatenate([state, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
 
     def omega(self, y: State) -> Vector:
         """The angular velocity of a state."""
