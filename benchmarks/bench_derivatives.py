@@ -40,12 +40,11 @@ BODIES: dict[str, Callable[[dt.Body], Any]] = {
     "body, semi": dt.SemiReduced,
     "body, full": dt.Full,
 }
-GUIDES = {"full": "semi", "body, full": "body, semi"}
-"""Levels a hundred times faster, by which starts and steps are chosen."""
+COSTLY = {"full": ("semi", ("delta", "w3")), "body, full": ("body, semi", ("i1", "d"))}
+FRACTION, PATIENCE = 5, 1e4
+"""Each start takes seconds: such families have the starts and steps that suit one a hundred times
+faster, vary less, at a part of the starts, and only at those decided before τ = PATIENCE."""
 NAMES, ORDERS = (*LEVELS, *BODIES), ("first", "second")
-FEWER = {"full": ("delta", "w3"), "body, full": ("i1", "d")}
-FRACTION = 5
-"""What is varied, if not everything, and at what part of the starts: each takes seconds."""
 
 Function = Callable[[np.ndarray], np.ndarray]
 """Of rows, to a row of values for each."""
@@ -62,6 +61,8 @@ class Family(NamedTuple):
     """A number of rows at random."""
     by: tuple[str, ...]
     """The columns by which it is differentiated."""
+    patience: float = np.inf
+    """Until which τ motions may take."""
 
     def sweep(self, rows: Float[np.ndarray, "n k"], rtol: float, **settings: Any) -> dt.Basin:
         """ω∞ of rows."""
@@ -83,10 +84,17 @@ class Family(NamedTuple):
         return np.eye(len(self.columns))[[self.columns.index(name) for name in self.by]]
 
 
-def family(name: str, by: tuple[str, ...] | None = None) -> Family:
-    """The family of that name, differentiated by some of its columns (all, if none are given)."""
-    made = top(name) if name in LEVELS else body(name)
-    return made if by is None else made._replace(by=by)
+def families(name: str, count: int) -> tuple[Family, Family, int]:
+    """The family of that name, that by which its starts are chosen, and how many they may be."""
+
+    def made(name: str) -> Family:
+        return top(name) if name in LEVELS else body(name)
+
+    if name not in COSTLY:
+        return made(name), made(name), count
+    guide, by = COSTLY[name]
+    quick = made(guide)._replace(by=by, patience=PATIENCE)
+    return made(name)._replace(by=by), quick, max(count // FRACTION, 1)
 
 
 def top(level: str) -> Family:
@@ -134,11 +142,12 @@ def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
     rows = guide.draw(pool)
     sizes = np.linalg.norm(rows[:, -3:], axis=1)
     rows, sizes = rows[sizes < LARGEST], sizes[sizes < LARGEST]
-    values = np.abs(guide.sweep(rows, RTOLS[0]).omega_inf)
+    found = guide.sweep(rows, TRUTH)
+    values, soon = np.abs(found.omega_inf), found.time < guide.patience
     slopes = np.linalg.norm(guide.slopes(rows, RTOLS[0]), axis=1)
-    residual = (values > 0) & (slopes > 0)
+    residual = (values > 0) & (slopes > 0) & soon
     near = np.argsort(values[residual] / slopes[residual])[:NEAREST]
-    return {"near": rows[residual][near], "far": rows[values > FAR * sizes][:count]}
+    return {"near": rows[residual][near], "far": rows[(values > FAR * sizes) & soon][:count]}
 
 
 def chosen_steps(
@@ -198,17 +207,13 @@ def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
 
 def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
     """First derivatives, of sweeps."""
-    by = FEWER.get(name)
-    count = count if by is None else count // FRACTION
-    asked, guide = family(name, by), family(GUIDES.get(name, name), by)
+    asked, guide, count = families(name, count)
     return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
 
 
 def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
     """Second derivatives, of `residual_rotation`."""
-    by = FEWER.get(level)
-    count = count if by is None else max(count // FRACTION, 1)
-    asked, guide = family(level, by), family(GUIDES.get(level, level), by)
+    asked, guide, count = families(level, count)
     directions = jnp.asarray(asked.directions)
 
     @jax.jit
