@@ -14,6 +14,7 @@ import functools
 import itertools
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -77,17 +78,13 @@ def solve(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:
     fast = jax.vmap(jax.vmap(lambda w: equation.fast(_slowed(lower, w))))
     states = jnp.concatenate([first, fast(first)], axis=-1)
     problem = _Problem(equation, omega0, forward, backward)
-    search = problem.solved(states, size)
-    states = search.states - search.step
-    converged = jnp.max(jnp.abs(search.step)) <= CONVERGED * size
+    states, converged, iterations, wrong_end = _solution(problem, states)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, states, precision="highest")
     last = jnp.max(jnp.abs(coefficients[:, -2:]), axis=1)
     lengths = jnp.diff(times[:, -1], prepend=0.0)
     tail = jnp.maximum(jnp.max(last[:, :3], axis=1), lengths * jnp.max(last[:, 3:], axis=1))
     tail = tail / jnp.where(size > 0, size, 1.0)
-    return Window(
-        span, bend, times, forward, states, converged, search.count, tail, search.wrong_end
-    )
+    return Window(span, bend, times, forward, states, converged, iterations, tail, wrong_end)
 
 
 class _Search(NamedTuple):
@@ -151,7 +148,7 @@ class _Problem(NamedTuple):
             return _Search(
                 keep(new, at.states),
                 keep(missing, at.missing),
-                keep(self._step(new, residual), at.step),
+                keep(self.step(new, residual), at.step),
                 keep(1.0, at.part / 2),
                 error,
                 at.count + 1,
@@ -161,7 +158,7 @@ class _Problem(NamedTuple):
         start = _Search(states, infinite, 0 * states, one, infinite, jnp.zeros((), "int32"))
         return jax.lax.while_loop(going, tried, start)
 
-    def _step(self, states: Array, residual: Array) -> Array:
+    def step(self, states: Array, residual: Array) -> Array:
         """Newton's step: each element for itself, as a function of what enters at its ends."""
         count, nodes, n = states.shape
         inner = jax.vmap(jax.vmap(jax.jacfwd(self.field)))(states)  # e, k, i, l
@@ -196,6 +193,28 @@ class _Problem(NamedTuple):
                 known = known.at[e, 3:].set(slope @ own[e, -1, :3])
         enter = jnp.linalg.solve(whole, known.reshape(-1)).reshape(count, n)
         return own + jnp.einsum("ekil,el->eki", response, enter, precision="highest")
+
+
+@eqx.filter_custom_jvp
+def _solution(problem: _Problem, guess: Float[Array, "E K n"]) -> tuple[Array, ...]:
+    """States that solve a problem, whether they do, tries, and the error at the far end."""
+    size = jnp.max(jnp.abs(problem.omega0))
+    search = problem.solved(guess, size)
+    converged = jnp.max(jnp.abs(search.step)) <= CONVERGED * size
+    return search.states - search.step, converged, search.count, search.wrong_end
+
+
+@_solution.def_jvp
+def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """R(p, y) = 0 has dy = −(∂R/∂y)⁻¹ (∂R/∂p) dp: a step of Newton's, whatever the search was."""
+    problem, guess = primals
+    states, *others = _solution(problem, guess)
+
+    def residual(problem: _Problem) -> Array:
+        return problem.residual(states)[0]
+
+    _, moved = eqx.filter_jvp(residual, (problem,), tangents[:1])
+    return (states, *others), (-problem.step(states, moved), None, None, None)
 
 
 def evaluate(window: Window, values: Float[Array, "E K n"], at: Float[Array, "T"]) -> Array:

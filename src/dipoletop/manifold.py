@@ -273,7 +273,9 @@ def until_decided(equation: Any, start: Array, limits: Any, until: _endings.Unti
     rtol, atol, t1, max_windows = limits
 
     def ends(y: Array) -> Bool[Array, ""]:
-        return _endings.decided(equation, y, (rtol, atol), until)
+        # Where a motion ends has no derivative, and those of a verdict are long.
+        fixed, state = jax.lax.stop_gradient((eqx.filter(equation, eqx.is_array), y))
+        return _endings.decided(eqx.combine(fixed, equation), state, (rtol, atol), until)
 
     def going(carry: Any) -> Bool[Array, ""]:
         return carry[3] == lanes.RUNNING

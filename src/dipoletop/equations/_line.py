@@ -6,6 +6,9 @@ w′/w = g y_a y_b exactly, g = a − b. So w(1 + yᵀSy) is constant up to the 
 ℓᵀS + Sℓ = −g [[0, 1], [1, 0]]/2.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 
 from .._types import Real
@@ -65,17 +68,21 @@ def line(a: Real, b: Real, mu: Real, order: int | None) -> Two:
 
 def _solvent(a: Real, b: Real, mu: Real) -> Two:
     """ℓ of the full equation, (I⊥ − 2μ n× − μℓ) ℓ = I⊥ℓ₀ − μ, whose fast roots it leaves out."""
-    l11 = l12 = l21 = l22 = jnp.zeros_like(a * b * mu)
-    for _ in range(EXACT):
+
+    def swept(_: Any, m: Two) -> Two:
+        l11, l12, l21, l22 = m
         m11, m12, m21, m22 = a - mu * l11, mu * (2 - l12), -mu * (2 + l21), b - mu * l22
         det = guarded(m11 * m22 - m12 * m21)
-        l11, l12, l21, l22 = (
+        return (
             (-mu * m22 - (1 - a) * m12) / det,
             ((b - 1) * m22 + mu * m12) / det,
             (mu * m21 + (1 - a) * m11) / det,
             (-(b - 1) * m21 - mu * m11) / det,
         )
-    return l11, l12, l21, l22
+
+    none = jnp.zeros_like(a * b * mu)
+    # A loop, since all of them written out compile for minutes in a second derivative.
+    return jax.lax.fori_loop(0, EXACT, swept, (none, none, none, none), unroll=5)
 
 
 def lyapunov(m: Two, q: Form) -> Form:

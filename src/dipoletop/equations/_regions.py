@@ -16,6 +16,7 @@ from ._residual import (
     residual_full,
     residual_higher_order,
     residual_semi_reduced,
+    second_power,
 )
 
 Flag = Bool[Array, "*#lanes"]
@@ -190,29 +191,33 @@ def full(delta: Real, w: Vector) -> Verdict:
     and δ: of its characteristic polynomial the constant term, ω₁⁴, is positive. Tested only.
     """
     d = delta
-    found = higher_order(d, w, EXACT)
+    own = second_power(d, w, EXACT)
+    found = _small(d, w, own)
     one = _guarded(w[0])
     off = (w[1] / one) ** 2 + (w[2] / (one * jnp.minimum(jnp.abs(one), 1.0))) ** 2
     beside = (found.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (off <= BESIDE)
     outcome = jnp.where(beside, Outcome.RESIDUAL, found.outcome)
     given = found.omega_inf, found.error, found.slope
-    series = (jnp.where(beside, *each) for each in zip(residual_full(d, w), given, strict=True))
+    series = (jnp.where(beside, *each) for each in zip(residual_full(w, own), given, strict=True))
     omega_inf, error, slope = series
     return Verdict(outcome, omega_inf, found.certified, found.stop, error, slope)
 
 
 def higher_order(delta: Real, w: Vector, order: int) -> Verdict:
-    """Orders 2–4, or `EXACT`: the semi-reduced regions at small amplitude, tested only.
+    """Orders 2–4, or `EXACT`: the semi-reduced regions at small amplitude, tested only."""
+    return _small(delta, w, second_power(delta, w, order))
+
+
+def _small(d: Real, w: Vector, own: Real) -> Verdict:
+    """A level whose Q₂ is `own`, at small amplitude.
 
     The levels agree there up to O(ω²), which the error of ω∞ includes.
     """
-    d = delta
     size = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
     small = size <= 0.1 * jnp.where(d <= 0.3, 1.0, jnp.minimum(1.0, (1 - d) ** 2))
     found = semi_reduced(d, w)
-    value, error, slope = _kept(
-        jnp.asarray(found.error == 0), w[0], residual_higher_order(d, w, order)
-    )
+    series = residual_higher_order(d, w, own)
+    value, error, slope = _kept(jnp.asarray(found.error == 0), w[0], series)
     residual = small & (found.outcome == Outcome.RESIDUAL)
     omega_inf = jnp.where(residual, value, jnp.where(small, found.omega_inf, jnp.nan))
     return Verdict(

@@ -9,7 +9,7 @@ order 1, where they fall short by less than a factor 2.
 import jax.numpy as jnp
 
 from .._types import Real, Vector
-from ._line import EXACT, line, lyapunov, quadratic, scaled
+from ._line import line, lyapunov, quadratic, scaled
 
 LEVEL_GAP = 20.0
 SLOPE = 30.0  # of the derivatives' errors
@@ -64,30 +64,30 @@ def residual_semi_reduced(d: Real, w: Vector) -> Series:
     return value, 2.5 * _second_order(d, t, z, v) * size**2, _slope(size, z)
 
 
-def residual_higher_order(d: Real, w: Vector, order: int) -> Series:
-    """ω∞ and its errors at an order, or `EXACT`: Q₂ is its own, Q₄ semi-reduced, up to O(v)."""
+def second_power(d: Real, w: Vector, order: int | None) -> Real:
+    """Q₂ of a level, from how motions beside the line decay."""
+    t, z, v = _scaled(w)
+    mu, none = jnp.sqrt(v), jnp.zeros_like(d * v)
+    across = scaled(line(1 + none, 1 - d, mu, order), mu)
+    return quadratic(lyapunov(across, (none, d * mu / 2, none)), (t, z))
+
+
+def residual_higher_order(d: Real, w: Vector, own: Real) -> Series:
+    """ω∞ and its errors at a level whose Q₂ is `own`; Q₄ is semi-reduced, right up to O(v)."""
     t, z, v = _scaled(w)
     value, error, slope = residual_semi_reduced(d, w)
-    value = value + w[0] * (_quadratic(d, t, z, v, order) - _quadratic(d, t, z, v, None))
+    value = value + w[0] * (own - second_power(d, w, None))
     size = t**2 + (v + d**2) * z**2
     gap = LEVEL_GAP * v / (1 - d) ** 2 * size
     slope = slope + SLOPE * gap * jnp.sqrt(size) * (1 + jnp.abs(z))
     return value, error + gap * _second_order(d, t, z, v), slope
 
 
-def residual_full(d: Real, w: Vector) -> Series:
+def residual_full(w: Vector, own: Real) -> Series:
     """ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
     t, z, v = _scaled(w)
     size = t**2 + v * z**2 + z**2
-    value = w[0] * (1 + _quadratic(d, t, z, v, EXACT))
-    return value, LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
-
-
-def _quadratic(d: Real, t: Real, z: Real, v: Real, order: int | None) -> Real:
-    """Q₂ of a level, from how motions beside the line decay."""
-    mu, none = jnp.sqrt(v), jnp.zeros_like(d * v)
-    across = scaled(line(1 + none, 1 - d, mu, order), mu)
-    return quadratic(lyapunov(across, (none, d * mu / 2, none)), (t, z))
+    return w[0] * (1 + own), LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
 
 
 def _slope(size: Real, z: Real) -> Real:
