@@ -209,6 +209,22 @@ def test_half_of_the_energy_to_be_lost_is_lost_when_it_is_said_to_be(long):
     assert float(then) == pytest.approx(float(first + rest) / 2, rel=1e-9)
 
 
+def test_derivatives_of_the_residual_rotation():
+    """By shape and start, backwards, against differences of order 6."""
+    start, way, step = jnp.array([0.2, 0.05, 0.05]), jnp.array([1.0, 0.3, -0.2, 0.4]), 4e-3
+
+    def value(change):
+        top = dt.TransverseFull(change[0] - 0.2)
+        return dt.residual_rotation(top, start + change[1:], rtol=1e-10)
+
+    slopes = jax.jit(jax.grad(value))(jnp.zeros(4))
+    moves = jnp.outer(step * jnp.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0]), way)
+    tops = dt.TransverseFull(moves[:, 0] - 0.2)
+    around = dt.classify_many(tops, start[None] + moves[:, 1:], rtol=1e-12).omega_inf
+    found = np.array([-1, 9, -45, 45, -9, 1]) / (60 * step) @ around
+    assert float(slopes @ way) == pytest.approx(found, rel=1e-8)
+
+
 def rotator(t, y):
     """(A.1): ω″ = ω′ + ω³."""
     return y[1], y[1] + y[0] ** 3
