@@ -194,7 +194,7 @@ def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
     rng = np.random.default_rng(7)
     deltas = jnp.asarray(rng.uniform(-0.9, 0.9, n))
     speeds = 10 ** rng.uniform(-1, 0.5, n)
-    times = jnp.asarray(20 / speeds**2)
+    times = jnp.asarray(20 * 10 ** rng.uniform(-2.5, 0, n) / speeds**2)  # every stage of braking
     way = rng.normal(size=(3, n))
     any_way = jnp.asarray(way / np.linalg.norm(way, axis=0) * speeds)
     plane = any_way.at[2].set(0.0)

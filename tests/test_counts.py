@@ -21,10 +21,10 @@ from dipoletop._monitoring import COMPILING
 
 # Steps of a run of the mixed basin at rtol 1e-8, by level and `value`: (least mean, mean, longest).
 STEPS = {
-    (1, True): (17.5, 20.0, 203),  # 18.8, 188
-    (1, False): (10.7, 12.2, 199),  # 11.5, 184
-    ("semi", True): (19.0, 21.7, 218),  # 20.5, 202
-    ("semi", False): (11.0, 12.5, 210),  # 11.8, 194
+    (1, True): (16.2, 18.4, 200),  # 17.4, 185
+    (1, False): (9.7, 11.1, 195),  # 10.4, 181
+    ("semi", True): (17.8, 20.2, 215),  # 19.1, 199
+    ("semi", False): (10.1, 11.5, 206),  # 10.8, 191
 }
 # Steps of lanes that were running, over all that were made: at least.
 EFFICIENCY = {"jax": 0.65, "native": 0.88}  # 0.71, 0.94

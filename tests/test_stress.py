@@ -113,8 +113,9 @@ def spinning():
 
 
 def rotators():
+    """At every stage of braking: what was wrong at first is forgotten in the end."""
     speeds = jnp.linspace(0.1, 3.0, N)
-    times = 20 / speeds**2
+    times = jnp.geomspace(0.05, 20, N)[::-1] / speeds**2
     return dt.RotatorReduced(), speeds[None], times, jax.vmap(dt.exact.rotator)(speeds, times)[None]
 
 
