@@ -1,4 +1,7 @@
-"""Several devices: each does its share, and no bit depends on which one did the work."""
+"""Several devices: each does its share, and no bit depends on which one did the work.
+
+Only the native engine classifies many starts in one call: its threads share one queue.
+"""
 
 import hashlib
 import json
@@ -95,11 +98,12 @@ def everything(engine):
     """Runs on every device, on one of them, and with starts that lie on one of them."""
     devices = jax.devices()
     every = len(devices)
+    at_once = 1 if engine == "native" else every
     return {
-        "many": watched(lambda: classified(engine), every),
+        "many": watched(lambda: classified(engine), at_once),
         "sweep": watched(lambda: swept(devices, engine), every),
         "sweep on one": watched(lambda: swept(devices[1:2], engine), 1),
-        "starts on one": watched(lambda: classified(engine, devices[1]), every),
+        "starts on one": watched(lambda: classified(engine, devices[1]), at_once),
     }
 
 
@@ -123,11 +127,12 @@ def test_every_device_works_and_finds_the_same_bits(runs, engine):
     bits = digest(here)
     assert digest(classified(engine)) == bits
     everywhere = [bits, sorted([*range(DEVICES)] * (TILES // DEVICES))]
+    many = [bits, [0]] if engine == "native" else everywhere
     assert runs[engine] == {
-        "many": everywhere,
+        "many": many,
         "sweep": everywhere,
         "sweep on one": [bits, [1] * TILES],
-        "starts on one": everywhere,
+        "starts on one": many,
     }
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dipoletop as dt
-from dipoletop import _engine, _llvm, lanes, native
+from dipoletop import _engine, _llvm, lanes, native, outcomes
 
 RNG = np.random.default_rng(11)
 WIDTH = 4
@@ -264,3 +264,24 @@ def test_a_second_call_with_other_values_compiles_nothing():
         if shift == 0:
             count = len(native._programs)
     assert len(native._programs) == count
+
+
+def test_threads_share_the_queue():
+    equation, starts, limits = problem(dt.TransverseReduced, n=1003)
+
+    def found(threads):
+        options = {"until": "value", "threads": threads}
+        return native.judged(outcomes.assemble, equation, starts, limits, **options)
+
+    jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
+
+
+def test_after_an_interruption_no_thread_takes_another_start():
+    queue = np.zeros(1, np.intp)
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        native._in_threads(interrupted, 2, queue, 100)
+    assert queue[0] == 100

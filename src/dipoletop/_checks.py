@@ -48,10 +48,13 @@ def real(
 
 
 def where_valid(
-    name: str, value: Float[Array, "*s"], valid: Bool[Array, "..."], must: str
+    name: str,
+    value: Float[Array, "*s"],
+    valid: Bool[Array, "..."] | Bool[np.ndarray, "..."] | np.bool_,
+    must: str,
 ) -> Float[Array, "*s"]:
     """`value` where `valid` (which broadcasts from the left); else refuse it, or NaN if traced."""
-    valid = jnp.reshape(valid, valid.shape + (1,) * (value.ndim - valid.ndim))
+    valid = valid.reshape(valid.shape + (1,) * (value.ndim - valid.ndim))
     if concrete(value, valid):
         if not np.all(valid):
             bad = np.asarray(value)[~np.broadcast_to(np.asarray(valid), value.shape)]

@@ -78,6 +78,7 @@ def judged(
     *,
     until: Until,
     device: Any,
+    threads: int = 1,
 ) -> Any:
     """What a judge says of the ends of runs.
 
@@ -89,9 +90,10 @@ def judged(
         limits: tolerances, end times and budget.
         until: when a run is finished.
         device: which shall run; arrays that lie elsewhere, or in NumPy, are moved.
+        threads: for an engine that has its own `judged`, how many work off the queue.
     """
     if hasattr(engine, "judged"):
-        return engine.judged(judge, equation, omegas, limits, until=until)
+        return engine.judged(judge, equation, omegas, limits, until=until, threads=threads)
     arrays, rest = eqx.partition(
         (equation, omegas, limits), lambda x: eqx.is_array(x) or isinstance(x, np.ndarray)
     )

@@ -1,5 +1,6 @@
 """Tolerances and budgets: what they must be, and what `None` means."""
 
+import functools
 from typing import Any
 
 import jax
@@ -25,13 +26,17 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
     return array
 
 
-def absolute(atol: Any, rtol: Float[Array, ""], start: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
-    """`atol`, or rtol·|ω₀| for None: an absolute tolerance means nothing unless it scales."""
-    size = _norm(start)
+def absolute(
+    atol: Any, rtol: Float[Array, ""], start: Float[Array, "..."], axis: int = 0
+) -> Float[Array, "*n"]:
+    """`atol`, or rtol·|ω₀| for None: an absolute tolerance means nothing unless it scales.
+
+    The components of ω₀ are on the first or on the last axis, 0 or -1.
+    """
     if atol is None:
-        # A start at rest stays there; any positive tolerance will do for it.
-        return rtol * jnp.where(size > 0, size, 1.0)
-    return jnp.broadcast_to(check_atol(atol, size.shape), size.shape)
+        return _scaled(rtol, start, axis)
+    shape = start.shape[1:] if axis == 0 else start.shape[:-1]
+    return jnp.broadcast_to(check_atol(atol, shape), shape)
 
 
 def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
@@ -44,13 +49,15 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     return array
 
 
-@jax.jit
-def _norm(vector: Float[Array, "3 *n"]) -> Float[Array, "*n"]:
-    """|ω|, without underflow of the squares; written out, since XLA:CPU is slow at sums."""
-    w1, w2, w3 = jnp.abs(vector)
+@functools.partial(jax.jit, static_argnames="axis")
+def _scaled(rtol: Float[Array, ""], start: Float[Array, "..."], axis: int) -> Float[Array, "*n"]:
+    """rtol·|ω₀|, without underflow of the squares; written out, since XLA:CPU is slow at sums."""
+    w1, w2, w3 = jnp.moveaxis(jnp.abs(start), axis, 0)
     most = jnp.maximum(jnp.maximum(w1, w2), w3)
     one = jnp.where(most > 0, most, 1.0)
-    return most * jnp.sqrt((w1 / one) ** 2 + (w2 / one) ** 2 + (w3 / one) ** 2)
+    size = most * jnp.sqrt((w1 / one) ** 2 + (w2 / one) ** 2 + (w3 / one) ** 2)
+    # A start at rest stays there; any positive tolerance will do for it.
+    return rtol * jnp.where(size > 0, size, 1.0)
 
 
 def budget(name: str, value: Any) -> int:

@@ -8,6 +8,7 @@ It needs numba.
 
 import functools
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, no_type_check
 
 import diffrax
@@ -30,6 +31,9 @@ from ._types import Equation
 
 NAME = "native"  # of the engine
 WIDTH = 8  # lanes stepped together
+SHARE = 256  # starts from which a thread of its own pays
+KINDS = {"float64": ir.DoubleType(), "int64": ir.IntType(64), "int32": ir.IntType(32)}
+KINDS |= {"bool": ir.IntType(8)}  # numbers in arrays
 
 __all__ = ["NAME", "WIDTH", "Unsupported", "integrate", "judged", "prepare"]
 
@@ -48,39 +52,88 @@ def _call(typing: Any, address: Any, first: Any, stride: Any, shared: Any) -> An
     return types.void(types.intp, types.intp, types.intp, types.intp), generate
 
 
+def _claim(typing: Any, counter: Any, many: Any) -> Any:
+    """Raise a counter that threads share: what it was."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address, many = args
+        place = builder.inttoptr(address, ir.IntType(64).as_pointer())
+        return builder.atomic_rmw("add", place, many, "monotonic")
+
+    return types.intp(types.intp, types.intp), generate
+
+
+def _load(typing: Any, address: Any) -> Any:
+    """The float64 at an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load(builder.inttoptr(args[0], ir.DoubleType().as_pointer()))
+
+    return types.float64(types.intp), generate
+
+
+def _store(typing: Any, address: Any, number: Any, kind: Any) -> Any:
+    """Put a number at an address, as the type of that kind."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address, number, kind = args
+        after = builder.append_basic_block()
+        choice = builder.switch(kind, after)
+        for i, element in enumerate(KINDS.values()):
+            block = builder.append_basic_block()
+            choice.add_case(ir.Constant(kind.type, i), block)
+            builder.position_at_end(block)
+            value = number if element == number.type else builder.fptosi(number, element)
+            builder.store(value, builder.inttoptr(address, element.as_pointer()))
+            builder.branch(after)
+        builder.position_at_end(after)
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.float64, types.intp), generate
+
+
 _treat: Any = intrinsic(_call)
+_take: Any = intrinsic(_claim)
+_get: Any = intrinsic(_load)
+_put: Any = intrinsic(_store)
 
-
-_TABLE, _LIST = numba.float64[:, ::1], numba.float64[::1]
-_ROWS, _CODES = numba.intp[::1], numba.types.UniTuple(numba.intp, 3)
+_LIST, _ROWS = numba.float64[::1], numba.intp[:, ::1]
+_SIZES, _CODES = numba.types.UniTuple(numba.intp, 4), numba.types.UniTuple(numba.intp, 3)
 
 
 @numba.njit(nogil=True)
 @no_type_check  # numba reads the functions themselves, not a checker around them
-def _write_out(end, ended, places, count, shared, out, kept):
+def _write_out(end, ended, places, count, shared, kept):
     """What is wanted of some ends, to where it belongs."""
     if end != 0:
         _treat(end, ended.ctypes.data, WIDTH, shared.ctypes.data)
-    for lane in range(count):
-        for row in range(kept.size):
-            out[row, places[lane]] = ended[kept[row], lane]
+    for row, address, step, kind in kept:
+        for lane in range(count):
+            _put(address + places[lane] * step, ended[row, lane], kind)
 
 
-@numba.njit([numba.intp(_CODES, _TABLE, _ROWS, _TABLE, _ROWS, _LIST, _ROWS)], nogil=True)
+@numba.njit([numba.intp(_CODES, _SIZES, numba.intp[::1], _ROWS, _ROWS, _LIST)], nogil=True)
 @no_type_check
-def _work(codes, given, into, out, kept, shared, sizes):
-    """Work off a queue: `given` has a column for each start, `out` one for each end.
+def _work(codes, sizes, queue, given, kept, shared):
+    """Work off a queue, which others may do at the same time; how many steps the block made.
 
-    There are three blocks of lanes: the next starts, those at work, and the last ends. Row k of
-    `given` goes into row into[k], and row kept[k] to row k of `out`. Where there is no code, 0,
-    nothing is to be done. The sizes: rows, those of them that run, and the row of the status.
+    There are three blocks of lanes: the next starts, those at work, and the last ends. Where there
+    is no code, 0, nothing is to be done.
+
+    Args:
+        codes: of what is to be done to each block.
+        sizes: starts, rows, those of them that run, and the row of the status.
+        queue: counts the starts that are taken.
+        given: what the starts begin with, `_places`.
+        kept: where what is kept of the ends goes, likewise.
+        shared: the numbers that all lanes share.
     """
     begin, advance, end = codes
-    rows, alive, status = sizes
-    size, number = given.shape[1], shared.ctypes.data
+    size, rows, alive, status = sizes
+    number = shared.ctypes.data
     fresh, block, ended = np.zeros((rows, WIDTH)), np.zeros((alive, WIDTH)), np.zeros((rows, WIDTH))
     slot, places = np.full(WIDTH, -1), np.zeros(WIDTH, np.intp)
-    at = count = sweeps = 0
+    first = at = last = count = sweeps = 0
     while True:
         running = 0
         for lane in range(WIDTH):
@@ -91,23 +144,26 @@ def _work(codes, given, into, out, kept, shared, sizes):
                     places[count] = slot[lane]
                     count += 1
                     if count == WIDTH:
-                        _write_out(end, ended, places, count, shared, out, kept)
+                        _write_out(end, ended, places, count, shared, kept)
                         count = 0
                     slot[lane] = -1
-                if at == size:
-                    break
-                if at % WIDTH == 0:
-                    for row in range(into.size):
+                if at == last:
+                    if at < size:
+                        at = min(_take(queue.ctypes.data, WIDTH), size)
+                    first, last = at, min(at + WIDTH, size)
+                    if at == last:
+                        break
+                    for row, address, step, _ in given:
                         for k in range(WIDTH):
-                            fresh[into[row], k] = given[row, min(at + k, size - 1)]
+                            fresh[row, k] = _get(address + min(at + k, size - 1) * step)
                     _treat(begin, fresh.ctypes.data, WIDTH, number)
                 for row in range(alive):
-                    block[row, lane] = fresh[row, at % WIDTH]
+                    block[row, lane] = fresh[row, at - first]
                 slot[lane] = at
                 at += 1
             running += block[status, lane] == lanes.RUNNING
         if running == 0:
-            _write_out(end, ended, places, count, shared, out, kept)
+            _write_out(end, ended, places, count, shared, kept)
             return sweeps
         _treat(advance, block.ctypes.data, WIDTH, number)
         sweeps += 1
@@ -166,35 +222,46 @@ class _Program:
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         self.rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        self._sizes = np.array([ends[-1], self.rows.at.t1.stop, self.rows.at.status.start])
+        self._sizes = ends[-1], self.rows.at.t1.stop, self.rows.at.status.start
 
-    def run(self, equation: Any, limits: lanes.Limits, begun: Any, wanted: Any) -> tuple[Any, int]:
-        """What is wanted of the ends of runs, and how many steps all lanes together made.
+    def run(self, equation: Any, limits: lanes.Limits, begun: Any, ends: Any, threads: int) -> int:
+        """How many steps all lanes together made.
 
         Args:
             equation: with a trailing axis of N lanes on its arrays.
             limits: tolerances, end times and budget.
-            begun: the rows that the lanes begin with, and their values.
-            wanted: rows, in any tree; arrays of shape (rows, N) take their places.
+            begun: the rows that the lanes begin with, and their values, shape (..., N).
+            ends: pairs of rows that are wanted in the end, and contiguous arrays for them.
+            threads: how many work off the queue, at most.
         """
         at, size = self.rows.at, limits.t1.shape[0]
         parameters = map(jax.tree.leaves, (at.equation, eqx.filter(equation, _is_array)))
         pairs = begun, (at.atol, limits.atol), (at.t1, limits.t1), *zip(*parameters, strict=True)
-        into = _numbers([rows for rows, _ in pairs])
-        given, tables = np.empty((into.size, size)), (np.asarray(values) for _, values in pairs)
-        np.concatenate([table.reshape(-1, size) for table in tables], out=given)
-        leaves, structure = jax.tree.flatten(wanted)
-        kept = _numbers(leaves)
-        out = np.empty((kept.size, size))
+        # Addresses do not keep the arrays that they belong to.
+        held = [(rows, np.asarray(values, float).reshape(-1, size)) for rows, values in pairs]
+        given = np.array([place for pair in held for place in _places(*pair)])
+        kept = np.array([p for rows, out in ends for p in _places(rows, out.reshape(-1, size))])
         shared = np.array([limits.rtol, limits.max_steps], float)
-        sweeps = _work(self._codes, given, into, out, kept, shared, self._sizes)
-        ends = np.cumsum([rows.stop - rows.start for rows in leaves])
-        return jax.tree.unflatten(structure, np.split(out, ends[:-1])), sweeps
+        queue = np.zeros(1, np.intp)
+        sizes = size, *self._sizes
+        work = functools.partial(_work, self._codes, sizes, queue, given, kept, shared)
+        threads = min(threads, -(-size // SHARE))
+        return _in_threads(work, threads, queue, size) if threads > 1 else work()
 
 
-def _numbers(rows: list[slice]) -> np.ndarray:
-    """The numbers of some rows, one after another."""
-    return np.concatenate([np.arange(part.start, part.stop) for part in rows])
+def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            return sum(found.result() for found in [pool.submit(work) for _ in range(threads)])
+        finally:
+            queue[0] = size  # after an interruption nobody takes any more
+
+
+def _places(rows: slice, values: np.ndarray) -> list[tuple[int, ...]]:
+    """For each of some rows: its number, where it begins, how far its numbers are apart, kind."""
+    first, (down, along) = values.ctypes.data, values.strides
+    kind = list(KINDS).index(values.dtype.name)
+    return [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
 
 
 def _is_array(leaf: Any) -> bool:
@@ -277,22 +344,26 @@ def integrate(
         Unsupported: the equation, or its verdict, has no straight-line code.
     """
     program = prepare(equation, until, n=y0.shape[0], solver=solver)
-    at = program.rows.at
-    wanted = at.y, at.t, at.steps, at.status
-    (y, t, steps, status), sweeps = program.run(equation, limits, (at.y, y0), wanted)
-    whole = (number[0].astype("int32") for number in (steps, status))
-    return lanes.Ends(*jax.device_put((y, t[0], *whole, np.array([sweeps, 0]))))
+    at, size = program.rows.at, y0.shape[1]
+    y, (t, *whole) = np.empty(y0.shape), (np.empty(size, k) for k in ("float64", "int32", "int32"))
+    ends = list(zip((at.y, at.t, at.steps, at.status), (y, t, *whole), strict=True))
+    sweeps = program.run(equation, limits, (at.y, y0), ends, 1)
+    return lanes.Ends(*jax.device_put((y, t, *whole, np.array([sweeps, 0]))))
 
 
 def judged(
-    judge: lanes.Judge, equation: Any, omegas: Any, limits: lanes.Limits, *, until: Until
+    judge: lanes.Judge,
+    equation: Any,
+    omegas: Any,
+    limits: lanes.Limits,
+    *,
+    until: Until,
+    threads: int = 1,
 ) -> Any:
     """What a judge says of the ends of runs, in NumPy; the arrays that go in may be, too."""
     program = prepare(equation, until, judge=judge)
-    rows = program.rows
-    found, _ = program.run(equation, limits, (rows.omegas, omegas), rows.found)
-
-    def said(values: np.ndarray, kind: Any) -> np.ndarray:
-        return values.reshape(*kind.shape[:-1], -1).astype(kind.dtype)
-
-    return jax.tree.map(said, found, program.found)
+    rows, size = program.rows, limits.t1.shape[0]
+    found = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.found)
+    ends = list(zip(*map(jax.tree.leaves, (rows.found, found)), strict=True))
+    program.run(equation, limits, (rows.omegas, omegas), ends, threads)
+    return found

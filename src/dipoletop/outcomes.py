@@ -1,6 +1,7 @@
 """How a run ends: one start through diffrax, many through the lane engine."""
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -180,15 +181,15 @@ def classify_block(
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
     limits: lanes.Limits,
     until: _endings.Until,
-    engine: str,
+    engine: Any,
     device: Any,
+    threads: int = 1,
 ) -> Classification:
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
         omegas = np.where(lost, np.nan, omegas)
-    equation = manifold.physical(equation)
-    chosen = engine_for(engine, equation, device, until, assemble)
-    return judged(chosen, assemble, equation, omegas, limits, until=until, device=device)
+    how = {"until": until, "device": device, "threads": threads}
+    return judged(engine, assemble, manifold.physical(equation), omegas, limits, **how)
 
 
 def classify_many(
@@ -233,7 +234,7 @@ def classify_many(
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
-    scale = absolute(atol, rtol, starts.T)
+    scale = absolute(atol, rtol, starts, axis=-1)
     steps = jnp.asarray(budget("max_steps", max_steps))
     whole = _Runs(equations, np.asarray(starts), np.asarray(scale), rtol, steps)
     single = _is_single(equations)
@@ -241,15 +242,27 @@ def classify_many(
         _check_batch(equations, size)
     until = goal(equations, value)
     crew = workers()
+    block = _cut(whole, 0, size, single)
+    engines = engines_for(engine, block[0], crew, until)
+    if hasattr(engines[crew[0]], "judged"):  # threads of its own, which share one queue
+        return classify_block(*block, until, engines[crew[0]], crew[0], threads=len(crew))
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 
     def work(job: int, device: Any) -> Classification:
         part = _cut(whole, job * tile, tile, single)
-        return jax.tree.map(np.asarray, classify_block(*part, until, engine, device))
+        return jax.tree.map(np.asarray, classify_block(*part, until, engines[device], device))
 
     parts = dict(in_parallel(work, range(-(-size // tile)), crew))
     found = [parts[job] for job in sorted(parts)]
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :size], *found)
+
+
+def engines_for(
+    engine: str, equation: Any, devices: Sequence[Any], until: _endings.Until
+) -> dict[Any, Any]:
+    """The engine of each device for `classify_block` with such equations."""
+    equation = manifold.physical(equation)
+    return {d: engine_for(engine, equation, d, until, assemble) for d in set(devices)}
 
 
 class _Runs(NamedTuple):
@@ -267,9 +280,10 @@ def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, la
 
     In NumPy, by views if the tile is full: JAX would take as long as the machine code to come.
     """
-    size, index = len(runs.starts), np.arange(first, first + tile)
-    t1 = np.where(index < size, np.inf, 0.0).astype(runs.starts.dtype)
-    at: Any = slice(first, first + tile) if index[-1] < size else np.minimum(index, size - 1)
+    size, end = len(runs.starts), first + tile
+    t1 = np.full(tile, np.inf, runs.starts.dtype)
+    t1[max(size - first, 0) :] = 0.0
+    at: Any = slice(first, end) if end <= size else np.minimum(np.arange(first, end), size - 1)
 
     def lanewise(x: Array) -> np.ndarray:
         numbers = np.asarray(x)

@@ -13,14 +13,12 @@ import numpy as np
 from . import lanes
 from . import store as disk
 from ._checks import refuse
-from ._engine import engine_for
 from ._problems import Problem, builder, fingerprint
 from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._workers import in_parallel, workers
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
-from .manifold import physical
-from .outcomes import TILE, assemble, check_verdict, classify_block, goal, power_of_two
+from .outcomes import TILE, check_verdict, classify_block, engines_for, goal, power_of_two
 
 
 def sweep(
@@ -88,7 +86,7 @@ def sweep(
     equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
     until = goal(equation, value)
-    chosen = engine_for(engine, physical(equation), crew[0], until, assemble)
+    engines = engines_for(engine, equation, crew, until)
     run = functools.partial(
         _run_tile,
         build,
@@ -99,7 +97,7 @@ def sweep(
         max_steps=budget("max_steps", max_steps),
         derivatives=along,
         until=until,
-        engine=engine,
+        engines=engines,
     )
 
     settings = {"rtol": float(rtols[0]), "atol": "rtol*|omega_0|" if atol is None else float(atol)}
@@ -108,7 +106,7 @@ def sweep(
         **settings,
         "max_steps": int(max_steps),
         "value": bool(value),
-        "engine": chosen.NAME,
+        "engine": engines[crew[0]].NAME,
         **({"derivatives": list(along)} if along else {}),
         **({} if confirm is None else {"confirm": float(confirm)}),
         **_versions(),
@@ -163,7 +161,7 @@ def _work(run, jobs, keep, crew, extent) -> None:
 
 
 def _run_tile(
-    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, derivatives, until, engine
+    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, derivatives, until, engines
 ) -> dict[str, Any]:
     """Classify the starts of one tile; the last tile is filled up with starts that take no step."""
     at = np.arange(job * tile, (job + 1) * tile)
@@ -173,7 +171,7 @@ def _run_tile(
 
     def classified(rtol) -> dict[str, np.ndarray]:
         limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), stops, jnp.asarray(max_steps))
-        ends = classify_block(equation, omegas, limits, until, engine, device)
+        ends = classify_block(equation, omegas, limits, until, engines[device], device)
         found = columns_of(ends, derivatives)
         return {name: values[real] for name, values in found.items()}
 

@@ -3,16 +3,18 @@
 from typing import Any
 
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import real, refuse, where_valid
+from .._checks import concrete, real, refuse, where_valid
 from .._types import Vector
 
 
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
     """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
     array = real("delta", delta)
-    return where_valid("delta", array, (array >= -1) & (array < 1), "lie in [-1, 1)")
+    known = np.asarray(array) if concrete(array) else array  # in NumPy, many are faster compared
+    return where_valid("delta", array, (known >= -1) & (known < 1), "lie in [-1, 1)")
 
 
 def check_order(order: Any) -> None:
