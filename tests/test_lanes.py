@@ -100,6 +100,19 @@ def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
     assert np.array_equal(np.asarray(ends.steps)[others], np.asarray(clean.steps)[others])
 
 
+def test_the_first_step_is_nearly_as_long_as_it_may_be():
+    """At every time scale: in proportion to it, and the next step is hardly longer."""
+    speeds = 10.0 ** jnp.linspace(-30, 3, 34)
+    given = limits(speeds[None])
+    begun = lanes.begin(dt.RotatorReduced(), speeds[None], given, 8, "time")
+    scaled = np.asarray(begun.h * speeds**2)
+    np.testing.assert_allclose(scaled, scaled[0], rtol=1e-9)
+    later = lanes.advance(begun, given.rtol, given.max_steps, diffrax.Dopri8(), "time")
+    growth = np.asarray(later.h / begun.h)
+    assert np.all((growth > 1) & (growth < 4)), growth
+    assert np.all(np.asarray(later.t) > 0)
+
+
 @both
 def test_budget_is_counted_in_steps(engine):
     ends = engine.integrate(
