@@ -221,6 +221,21 @@ def test_a_runaway_is_failed_in_bounded_work(engine):
     assert int(one.outcome) == dt.Outcome.FAILED
 
 
+class Wall(Explosion):
+    """y′ = −1, which ends at y = ½: no step leads further."""
+
+    def __call__(self, t, y, args=None):
+        return jnp.where(y > 0.5, -jnp.ones_like(y), jnp.nan)
+
+
+@both
+def test_a_step_that_shrinks_to_nothing_is_failed_in_bounded_work(engine):
+    found = dt.classify_many(Wall(jnp.ones(4)), jnp.ones((4, 3)), engine=engine.NAME)
+    assert np.all(found.outcome == dt.Outcome.FAILED)
+    assert found.steps.max() < 200
+    np.testing.assert_allclose(found.time, 0.5, rtol=1e-12)
+
+
 def test_a_second_call_with_other_values_compiles_nothing():
     def run(shift):
         start = STARTS + shift

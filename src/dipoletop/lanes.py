@@ -205,9 +205,9 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     y = jnp.where(accept[None], new, at.y)
     f = jnp.where(accept[None], slope, at.f)
     steps = at.steps + running.astype(at.steps.dtype)
-    # A rejected step that would hardly have moved the state is the end of the line.
-    eps = jnp.finfo(h.dtype).eps
-    stuck = largest(jnp.abs(h[None] * at.f)) < 1e-3 * eps * largest(jnp.abs(at.y))
+    # A rejected step that moves no number by more than its rounding is the end of the line.
+    rounding = 4 * jnp.finfo(h.dtype).eps * jnp.abs(at.y)
+    stuck = jnp.all(jnp.abs(h[None] * at.f) <= rounding, axis=0)
     gain = h + at.rest
     later = jnp.where(last, at.t1, at.t + gain)
     t = jnp.where(accept, later, at.t)
