@@ -178,4 +178,4 @@ def _after(
     device = next(iter(y0.devices()))
     engine = engine_for(settings.get("engine", "auto"), block, device, "time")
     ends = engine.integrate(block, y0, limits, until="time")
-    return np.asarray(block.omega(ends.y)).T.reshape(len(ts), 2, 3)
+    return np.asarray(block.omega(jnp.asarray(ends.y))).T.reshape(len(ts), 2, 3)

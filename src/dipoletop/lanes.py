@@ -54,13 +54,13 @@ class Limits(eqx.Module):
 class Ends(eqx.Module):
     """Where the runs ended, one entry for each start."""
 
-    y: Float[Array, "n N"]
-    t: Float[Array, "N"]
-    steps: Int[Array, "N"]
+    y: Float[Array, "n N"] | Float[np.ndarray, "n N"]
+    t: Float[Array, "N"] | Float[np.ndarray, "N"]
+    steps: Int[Array, "N"] | Int[np.ndarray, "N"]
     """Steps tried, rejected ones included."""
-    status: Int[Array, "N"]
+    status: Int[Array, "N"] | Int[np.ndarray, "N"]
     """FINISHED, EXHAUSTED (no steps left) or BROKEN (not finite, a runaway, a step too small)."""
-    sweeps: Int[Array, "2"]
+    sweeps: Int[Array, "2"] | Int[np.ndarray, "2"]
     """Steps of the wide and of the narrow block."""
 
 

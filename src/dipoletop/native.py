@@ -321,7 +321,7 @@ def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
 
 def integrate(
     equation: Equation,
-    y0: Float[Array, "n N"],
+    y0: Float[Array, "n N"] | Float[np.ndarray, "n N"],
     limits: lanes.Limits,
     *,
     solver: diffrax.AbstractERK | None = None,
@@ -337,7 +337,7 @@ def integrate(
         until: when a lane is finished.
 
     Returns:
-        The end states, in the order of the starts. Steps and outcomes are those of
+        The end states, in NumPy, in the order of the starts. Steps and outcomes are those of
         `lanes.integrate` but for rounding.
 
     Raises:
@@ -345,10 +345,11 @@ def integrate(
     """
     program = prepare(equation, until, n=y0.shape[0], solver=solver)
     at, size = program.rows.at, y0.shape[1]
-    y, (t, *whole) = np.empty(y0.shape), (np.empty(size, k) for k in ("float64", "int32", "int32"))
-    ends = list(zip((at.y, at.t, at.steps, at.status), (y, t, *whole), strict=True))
+    y, t = np.empty(y0.shape), np.empty(size)
+    steps, status = np.empty(size, "int32"), np.empty(size, "int32")
+    ends = [(at.y, y), (at.t, t), (at.steps, steps), (at.status, status)]
     sweeps = program.run(equation, limits, (at.y, y0), ends, 1)
-    return lanes.Ends(*jax.device_put((y, t, *whole, np.array([sweeps, 0]))))
+    return lanes.Ends(y, t, steps, status, np.array([sweeps, 0]))
 
 
 def judged(
