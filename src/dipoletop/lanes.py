@@ -32,7 +32,7 @@ arrays with the lanes behind."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
-FIRST = 2.5  # of the first step: the ideal one is 2.5 to 6 times as long, seldom shorter
+FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
 LARGE = 200  # operations of a right-hand side from which the stages become a loop
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
 

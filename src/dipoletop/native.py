@@ -237,14 +237,18 @@ class _Program:
         at, size = self.rows.at, limits.t1.shape[0]
         parameters = map(jax.tree.leaves, (at.equation, eqx.filter(equation, _is_array)))
         pairs = begun, (at.atol, limits.atol), (at.t1, limits.t1), *zip(*parameters, strict=True)
-        # Addresses do not keep the arrays that they belong to.
         held = [(rows, np.asarray(values, float).reshape(-1, size)) for rows, values in pairs]
         given = np.array([place for pair in held for place in _places(*pair)])
         kept = np.array([p for rows, out in ends for p in _places(rows, out.reshape(-1, size))])
         shared = np.array([limits.rtol, limits.max_steps], float)
         queue = np.zeros(1, np.intp)
         sizes = size, *self._sizes
-        work = functools.partial(_work, self._codes, sizes, queue, given, kept, shared)
+
+        def work(*_arrays: Any) -> int:
+            return _work(self._codes, sizes, queue, given, kept, shared)
+
+        # Addresses do not keep their arrays: every thread holds them until it ends.
+        work = functools.partial(work, held, ends)
         threads = min(threads, -(-size // SHARE))
         return _in_threads(work, threads, queue, size) if threads > 1 else work()
 
