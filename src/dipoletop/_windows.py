@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from . import radiation
+from . import _dense, radiation
 from ._chebyshev import rule
 
 NODES, ELEMENTS = 16, 4
@@ -170,7 +170,7 @@ class _Problem(NamedTuple):
         matrix = matrix + jnp.eye(nodes * n, dtype=states.dtype)[None]
         entering = jnp.broadcast_to(jnp.tile(eye, (nodes, 1)), (count, nodes * n, n))
         sides = jnp.concatenate([residual.reshape(count, -1, 1), entering], axis=-1)
-        solved = jnp.linalg.solve(matrix, sides).reshape(count, nodes, n, 1 + n)
+        solved = jax.vmap(_dense.solve)(matrix, sides).reshape(count, nodes, n, 1 + n)
         own, response = solved[..., 0], solved[..., 1:]
 
         # What enters an element: ω at the end of the one before, a at the start of the one behind.
@@ -191,7 +191,7 @@ class _Problem(NamedTuple):
             else:
                 whole = whole.at[high, e * n : (e + 1) * n].add(-slope @ response[e, -1, :3])
                 known = known.at[e, 3:].set(slope @ own[e, -1, :3])
-        enter = jnp.linalg.solve(whole, known.reshape(-1)).reshape(count, n)
+        enter = _dense.solve(whole, known.reshape(-1, 1)).reshape(count, n)
         return own + jnp.einsum("ekil,el->eki", response, enter, precision="highest")
 
 
