@@ -18,12 +18,13 @@ import dipoletop as dt
 import measure
 import problem
 from bench_basin import RTOL
-from bench_derivatives import TRUTH, body, differences, top
+from differences import differences
 from dipoletop._levels import equation
+from families import TRUTH, body, top
 
 NAMES = ("delta", "w3", "w1")  # that a sweep differentiates by: the first, the first two, …
 POINT = np.append(-0.2, dt.cylindrical(0.2, 0.15, 0.1))  # δ and ω₀ of the single start
-BODY = np.array([0.7, 1.1, 0.9, 0.0, 0.9, 0.2, 0.02, 0.1])  # a row of `bench_derivatives.body`
+BODY = np.array([0.7, 1.1, 0.9, 0.0, 0.9, 0.2, 0.02, 0.1])  # a row of `families.body`
 CALLS = 20  # of a program for one start, on the clock at once
 TIME = 1000.0  # of the end states that are differentiated
 LENGTHS = (0.3, 0.03, 0.003)  # |ω₀| of runs of different length, δ = 0.3

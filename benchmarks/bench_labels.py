@@ -13,8 +13,6 @@ import itertools
 import json
 import multiprocessing
 import pathlib
-import shlex
-import sys
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -168,8 +166,7 @@ def main() -> None:
         text = "".join(path.read_text(encoding="utf-8") for path in args.merge)
         lines = [json.loads(line) for line in text.splitlines()]
     else:
-        command = shlex.join(["python", "benchmarks/bench_labels.py", *sys.argv[1:]])
-        run = {"command": command, "seed": args.seed, **measure.machine()}
+        run = {"command": measure.command(), "seed": args.seed, **measure.machine()}
         for line in itertools.chain([run], results(pieces(args), args.jobs)):
             lines.append(line)
             if args.into:

@@ -38,9 +38,9 @@ class Sizes(NamedTuple):
     amplitudes: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-3, 1e-4)
     deltas: tuple[float, ...] = (-0.9, -0.7, -0.51, -0.45, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9)
     starts: int = 16384
-    batches: tuple[int, ...] = (1, 10, 100, 1_000, 10_000, 100_000)
+    batches: tuple[int, ...] = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
     cores: tuple[int, ...] = (1, measure.cores())
-    shared: int = 65536
+    shared: int = 262_144
     """Starts that the cores share."""
     maps: tuple[tuple[int, str, bool], ...] = (
         *((n, engine, False) for n in (64, 256, 512, 1024) for engine in bench_map.ENGINES),

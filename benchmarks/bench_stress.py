@@ -10,8 +10,6 @@ The wall stands at the separatrix, which 80-bit Taylor series find without any c
 
 import argparse
 import itertools
-import shlex
-import sys
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -279,7 +277,7 @@ def main() -> None:
         parser.error("--small measures nothing that is worth keeping, so it takes no --write")
     n = 5000 if args.small else args.n
     found: Row = {
-        "command": shlex.join(["python", "benchmarks/bench_stress.py", *sys.argv[1:]]),
+        "command": measure.command(),
         "seed": args.seed,
         **measure.machine(),
         "tolerances": tolerances(args.small),

@@ -3,7 +3,9 @@
 import contextlib
 import os
 import platform
+import shlex
 import statistics
+import sys
 from collections.abc import Callable, Iterator
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
@@ -96,6 +98,17 @@ def machine() -> Record:
         "system": f"{platform.system()} {platform.machine()}",
         "versions": {"python": platform.python_version()} | _versions(),
     }
+
+
+def command() -> str:
+    """The one that runs."""
+    script, *options = sys.argv
+    return shlex.join(["python", f"benchmarks/{Path(script).name}", *options])
+
+
+def this_run() -> str:
+    """The command, when, and on how much."""
+    return f"`{command()}`, {date.today().isoformat()}, {cores()} cores"
 
 
 def load() -> float | None:

@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#000000", "#F0E442")
 
 
-def keep(name: str, text: str, numbers: dict[str, Any]) -> None:
+def keep(name: str, text: str, numbers: Any) -> None:
     """The text into the README between the marks of that name, the numbers into a JSON file."""
     readme = HERE / "README.md"
     begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
@@ -25,6 +25,12 @@ def keep(name: str, text: str, numbers: dict[str, Any]) -> None:
     folder.mkdir(exist_ok=True)
     kept = json.dumps(numbers, indent=1, ensure_ascii=False)
     (folder / f"{name}.json").write_text(kept + "\n", encoding="utf-8")
+
+
+def kept(name: str) -> Any:
+    """The numbers that were kept before, or nothing."""
+    path = HERE / "results" / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
 
 
 def markdown(results: dict[str, Any]) -> str:

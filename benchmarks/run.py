@@ -23,15 +23,13 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     import bench_scaling
     import measure
 
-    sizes = bench_basin.Sizes((4096, 32768), slow=1024, truth=1024, repeats=5)
+    sizes = bench_basin.Sizes((4096, 32768, 262_144), slow=1024, truth=1024, repeats=5)
     points = [512, 1024] if large else [512]
     precision: dict[str, Any] = {"n": 16384, "repeats": 7}
     savings, scaling = bench_savings.Sizes(), bench_scaling.Sizes()
     gradients = bench_gradients.Sizes()
     if large:
-        scaling = scaling._replace(
-            batches=(*scaling.batches, 1_000_000), maps=(*scaling.maps, (2048, "native", False))
-        )
+        scaling = scaling._replace(maps=(*scaling.maps, (2048, "native", False)))
         gradients = gradients._replace(body=True)
     if small:
         few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
@@ -63,7 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--small", action="store_true", help="small sizes: does everything work?")
-    size.add_argument("--large", action="store_true", help="larger maps and batches too")
+    size.add_argument("--large", action="store_true", help="larger maps too")
     parser.add_argument("--write", action="store_true", help="keep the results")
     args = parser.parse_args()
     if args.small and args.write:
