@@ -146,12 +146,12 @@ def compared(
     found: dict[float, list[Float[np.ndarray, "n c"]]],
 ) -> dict[str, Any]:
     """Errors over the largest component, where the differences tell; of two ways the worse."""
-    size = largest(exact)
-    sure = largest(apart) < CERTAIN * size
-    line = {"shown": int(np.sum(sure)), "apart": spread((largest(apart) / size)[sure])}
+    sure = largest(apart) < CERTAIN * largest(exact)
+    size = largest(exact[sure])
+    line = {"shown": int(np.sum(sure)), "apart": spread(largest(apart[sure]) / size)}
     for rtol, ways in found.items():
-        errors = np.max([largest(numbers - exact) / size for numbers in ways], axis=0)
-        line[f"{rtol:.0e}"] = spread(errors[sure])
+        errors = [largest((numbers - exact)[sure]) / size for numbers in ways]
+        line[f"{rtol:.0e}"] = spread(np.max(errors, axis=0))
     return line
 
 

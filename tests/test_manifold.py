@@ -356,8 +356,13 @@ def test_where_there_is_no_branch():
     needle, start = dt.TransverseFull(0.95), jnp.array([3.0, 2.0, 4.0])
     with pytest.raises(RuntimeError, match="could not be followed"):
         dt.simulate(needle, start, TIMES)
-    run = dt.simulate(needle, start, TIMES, throw=False)
-    assert jnp.all(jnp.isnan(run.omega))
+
+    def last(delta):
+        return dt.simulate(dt.TransverseFull(delta), start, TIMES, throw=False).omega[-1]
+
+    found, slope = jax.jvp(last, (jnp.asarray(0.95),), (jnp.ones(()),))
+    assert jnp.all(jnp.isnan(found))
+    assert jnp.all(jnp.isnan(slope))
 
 
 def test_refusals():

@@ -263,3 +263,13 @@ def test_decay_time_and_its_slope():
     value, slope = jax.jit(jax.value_and_grad(time, 1))(0.5, 0.75)
     assert float(value) == pytest.approx(6.0, rel=1e-9)
     assert float(slope) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
+
+
+def test_decay_time_that_there_is_not_has_no_derivative():
+    def time(delta, start):
+        return decay_time(dt.TransverseReduced(delta), start)
+
+    spin = jnp.array([0.2, 0.0, 0.0])  # about the dipole, for ever
+    value, slopes = jax.jit(jax.value_and_grad(time, (0, 1)))(jnp.asarray(0.3), spin)
+    assert np.isnan(value)
+    assert all(np.all(np.isnan(slope)) for slope in slopes)

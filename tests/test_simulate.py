@@ -206,4 +206,20 @@ def test_failure_raises_unless_told_otherwise():
     with pytest.raises(Exception, match="max"):
         dt.simulate(EQUATION, start, times, max_steps=5)
     run = dt.simulate(EQUATION, start, times, max_steps=5, throw=False)
-    assert not bool(jnp.isfinite(run.omega[-1]).all())
+    assert jnp.all(jnp.isnan(run.omega[-1]))
+    assert jnp.all(run.omega[0] == start)
+
+
+def test_what_was_not_reached_has_no_derivative():
+    times = jnp.array([0.0, 1e-3, 1e3])
+
+    def states(delta, start, adjoint):
+        settings = {"max_steps": 5, "throw": False, "adjoint": adjoint}
+        return dt.simulate(dt.TransverseReduced(delta), start, times, **settings).omega
+
+    at = jnp.asarray(-0.2), jnp.array([0.2, 0.1, 0.2])
+    for slopes in jax.jacfwd(states, (0, 1))(*at, diffrax.ForwardMode()):
+        assert jnp.all(jnp.isfinite(slopes[:2]))
+        assert jnp.all(jnp.isnan(slopes[2]))
+    for slope in jax.grad(lambda *at: jnp.sum(states(*at, None)[2]), (0, 1))(*at):
+        assert jnp.all(jnp.isnan(slope))

@@ -215,7 +215,8 @@ def follow(equation: Any, omega0: Array, times: Array, rtol: Array, max_windows:
         return new, jnp.where(wanted[:, None], here, found), total
 
     n = jax.eval_shape(equation.lift, omega0).shape[0]
-    found = jnp.full((times.shape[0], n + 1), jnp.nan, omega0.dtype)
+    # What is not found has no derivative, either: a constant would have the derivative 0.
+    found = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + 1))
     begun = set_out(equation, omega0, times[0]), found, jnp.zeros((), omega0.dtype)
     at, found, _ = jax.lax.while_loop(going, on, begun)
     return Motion(found[:, :n], found[:, n], at.windows, at.time)
@@ -339,7 +340,7 @@ def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windo
         y = state(time)
         value, slope = jax.jvp(function, (y,), (equation(0.0, y),))
         time = time - value / slope
-    return jnp.where(jnp.any(below), before + time, jnp.nan)
+    return jnp.where(jnp.any(below), before + time, jnp.nan * omega0[0])  # no derivative, either
 
 
 def _varied(equation: Tangent, start: Array, limits: Any, until: _endings.Until) -> Any:

@@ -157,7 +157,8 @@ def decay_time(
         max_steps: budget.
 
     Returns:
-        τ in units of τ₀; NaN where ω∞ is not known, and if the top has nothing to lose.
+        τ in units of τ₀; NaN, as are its derivatives, where ω∞ is not known, and if the top has
+        nothing to lose.
 
     Raises:
         ValueError: bad arguments.
@@ -219,7 +220,7 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
     end, late = step.ys[-1], step.ts[-1]
     found = _solve(field, 1.0, jnp.append(end, 1.0), limits)
     good = falls & diffrax.is_successful(found.result)
-    return jnp.where(good, late * found.ys[-1, -1], jnp.nan)
+    return jnp.where(good, late * found.ys[-1, -1], jnp.nan * first)  # no derivative, either
 
 
 def _solve(field: Any, t1: Any, y0: Array, limits: Any, event: Any = None) -> Any:

@@ -142,9 +142,10 @@ def simulate(
         max_steps: budget.
         options: `solver` (`diffrax.Dopri8()`), `stepsize_controller`
             (`diffrax.PIDController(rtol, atol)` with the largest component as the norm) and
-            `adjoint` are passed to diffrax; `throw=False` returns what there is instead of
-            raising; `dense=True` keeps the interpolation; `balance=True` integrates the radiated
-            energy beside the state.
+            `adjoint` are passed to diffrax; `throw=False` returns what there is, and NaN
+            for the rest, instead of raising (then there are no derivatives in reverse);
+            `dense=True` keeps the interpolation; `balance=True` integrates the radiated energy
+            beside the state.
 
     Returns:
         A `Trajectory`.
@@ -258,4 +259,8 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
         throw=options.get("throw", True),
     )
     ys: Any = solution.ys
+    # What was not reached has no derivative, either: diffrax's constant inf would have 0. (A factor
+    # of what depends on everything: `where` would spoil derivatives in reverse of whole runs, too.)
+    everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
+    ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
     return Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)
