@@ -38,16 +38,18 @@ def test_agrees_with_numpy_in_every_batch(batched, twice):
 
 
 def test_differentiates_twice_in_a_batch():
-    def cubed(t, matrix, side):
+    def moved(t, matrix, side):
         return solve(matrix + t * jnp.eye(6), side)
 
-    def second(matrix, side):
-        return jax.jacfwd(jax.jacfwd(cubed))(0.0, matrix, side)
+    def both(matrix, side):
+        first = jax.jacfwd(moved)
+        return first(0.0, matrix, side), jax.jacfwd(first)(0.0, matrix, side)
 
-    found = jax.vmap(second)(jnp.asarray(MATRICES[0]), jnp.asarray(SIDES[0]))
+    first, second = jax.vmap(both)(jnp.asarray(MATRICES[0]), jnp.asarray(SIDES[0]))
     inverse = np.linalg.inv(MATRICES[0])
-    exact = 2 * inverse @ inverse @ inverse @ SIDES[0]  # d²/dt² (M + t)⁻¹ = 2 (M + t)⁻³
-    np.testing.assert_allclose(found, exact, rtol=1e-11, atol=1e-12)
+    slope = -inverse @ inverse @ SIDES[0]  # d/dt (M + t)⁻¹ = −(M + t)⁻²
+    np.testing.assert_allclose(first, slope, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(second, -2 * inverse @ slope, rtol=1e-11, atol=1e-12)
 
 
 def test_batches_that_one_program_solves_side_by_side_come_to_an_end():
