@@ -26,6 +26,16 @@ TILE, TILES = 128, 6
 WAYS = np.random.default_rng(8).normal(size=(32, 3))
 GRID = dt.Grid(rate=np.linspace(0.5, 2.0, 24), omega0=0.3 * WAYS)
 
+FORKED = """
+import os
+from dipoletop._workers import pool
+assert pool(2).submit(int).result() == 0
+child = os.fork()
+if not child:
+    os._exit(pool(2).submit(int).result(timeout=30))
+assert os.waitpid(child, 0)[1] == 0
+"""
+
 
 class Braked(eqx.Module):
     """ω′ = −r ω²ω: short, since every device compiles it anew; it ends on a small sphere."""
@@ -134,6 +144,11 @@ def test_every_device_works_and_finds_the_same_bits(runs, engine):
         "sweep on one": [bits, [1] * TILES],
         "starts on one": many,
     }
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_forked_process_has_threads_of_its_own():
+    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=120)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """All cores and all devices: one thread for each, with its own dispatch."""
 
+import functools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -28,6 +29,16 @@ def workers(devices: Sequence[Any] | None = None) -> list[Any]:
     return others + [hosts[i % len(hosts)] for i in range(threads)]
 
 
+@functools.cache
+def pool(threads: int) -> ThreadPoolExecutor:
+    """So many threads, which stay: to start one takes as long as thousands of starts."""
+    return ThreadPoolExecutor(threads, "dipoletop")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=pool.cache_clear)  # a child has none of these threads
+
+
 def in_parallel(
     task: Callable[[int, Any], T], jobs: Iterable[int], devices: Sequence[Any]
 ) -> Iterator[tuple[int, T]]:
@@ -43,17 +54,17 @@ def in_parallel(
             free.append(device)
 
     jobs = iter(jobs)
-    with ThreadPoolExecutor(len(devices)) as pool:
-        pending: set[Future[tuple[int, T]]] = set()
-        try:
-            while True:
-                while len(pending) < 2 * len(devices) and (job := next(jobs, None)) is not None:
-                    pending.add(pool.submit(run, job))
-                if not pending:
-                    return
-                done, pending = wait(pending, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
-        finally:
-            for future in pending:
-                future.cancel()
+    pending: set[Future[tuple[int, T]]] = set()
+    try:
+        while True:
+            while len(pending) < 2 * len(devices) and (job := next(jobs, None)) is not None:
+                pending.add(pool(len(devices)).submit(run, job))
+            if not pending:
+                return
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        for future in pending:
+            future.cancel()
+        wait(pending)

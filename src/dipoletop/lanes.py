@@ -224,10 +224,11 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
 
 def _in_front(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
     """The order in which the chosen come first, as it was otherwise; and how many they are."""
-    count = jnp.sum(chosen)
-    place = jnp.where(chosen, jnp.cumsum(chosen) - 1, count + jnp.cumsum(~chosen) - 1)
+    every, so_far = jnp.arange(chosen.size), jnp.cumsum(chosen)
+    count = so_far[-1]
+    place = jnp.where(chosen, so_far - 1, count + every - so_far)
     # A scatter: XLA:CPU takes thirty times as long to sort.
-    order = jnp.zeros(chosen.size, int).at[place].set(jnp.arange(chosen.size), unique_indices=True)
+    order = jnp.zeros(chosen.size, int).at[place].set(every, unique_indices=True)
     return order, count
 
 

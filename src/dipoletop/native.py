@@ -8,7 +8,7 @@ It needs numba.
 
 import functools
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import wait
 from typing import Any, NamedTuple, no_type_check
 
 import diffrax
@@ -28,6 +28,7 @@ from ._llvm import compiled
 from ._monitoring import compiling
 from ._simd import Unsupported
 from ._types import Equation
+from ._workers import pool
 
 NAME = "native"  # of the engine
 WIDTH = 8  # lanes stepped together
@@ -254,11 +255,12 @@ class _Program:
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            return sum(found.result() for found in [pool.submit(work) for _ in range(threads)])
-        finally:
-            queue[0] = size  # after an interruption nobody takes any more
+    parts = [pool(threads).submit(work) for _ in range(threads)]
+    try:
+        return sum(part.result() for part in parts)
+    finally:
+        queue[0] = size  # after an interruption nobody takes any more
+        wait(parts)
 
 
 def _places(rows: slice, values: np.ndarray) -> list[tuple[int, ...]]:
