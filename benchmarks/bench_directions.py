@@ -29,7 +29,6 @@ UNTIL = 20.0  # τ of the end states
 SHARE = 0.5  # of the energy to be lost
 SMALLEST, LARGEST = 0.1, 0.3  # |ω₀|: what does not take long, and where all levels hold
 PATIENCE = 1000.0  # τ before which ω∞ and its derivatives are certain
-SIDE_BY_SIDE = 128  # starts
 LONG = 5  # of the steps of differences: those for starts that are not next to the boundary
 FORWARDS = diffrax.ForwardMode()
 ORDERS = {"first": ("value", ("forwards", "backwards")), "second": ("forwards", ("second",))}
@@ -105,14 +104,13 @@ def derivatives(family: Family, function: Function) -> dict[str, Callable[..., n
         return jax.jvp(lambda x: forwards(x, way, rtol), (x,), (way,))[1]
 
     def of_rows(one: Callable[[Any, Any, Any], Any]) -> Callable[..., np.ndarray]:
+        # One after another: most of the time is compilation, and of batches it takes longer.
         @jax.jit
-        def compiled(rows: Any, rtol: Any) -> Any:
-            def split(row: Any) -> Any:
-                return one(*jnp.split(row, 2), rtol)
+        def compiled(row: Any, rtol: Any) -> Any:
+            x, way = jnp.split(row, 2)
+            return one(x, way, rtol)
 
-            return jax.lax.map(split, rows, batch_size=SIDE_BY_SIDE)
-
-        return lambda rows, rtol=TRUTH: np.asarray(compiled(jnp.asarray(rows), jnp.asarray(rtol)))
+        return lambda rows, rtol=TRUTH: np.stack([compiled(row, rtol) for row in rows])
 
     def plain(x: Any, _: Any, rtol: Any) -> Any:
         return value(x, rtol)
@@ -128,7 +126,8 @@ def held(name: str, quantity: Quantity, count: int) -> list[dict[str, Any]]:
     rows = cases(guide, count // FRACTION if costly else count)
     ways = np.roll(rows, rows.shape[1] // 2, axis=1)[:, None]
     ways[..., rows.shape[1] // 2 :] = 0
-    find, quick = (derivatives(of, quantity.function) for of in (family, guide))
+    find = derivatives(family, quantity.function)
+    quick = derivatives(guide, quantity.function) if name in COSTLY else find
     lines = [{"of": name, "what": part, "starts": len(rows)} for part in quantity.parts]
     for order, (of, asked) in ORDERS.items():
         steps = chosen_steps(quick[of], rows, ways, STEPS[:LONG])
