@@ -47,6 +47,14 @@ def real(
     return array.astype(jnp.result_type(float))
 
 
+def or_nan(value: Any, valid: Any) -> Any:
+    """`value` where `valid`, else NaN, as are its derivatives.
+
+    (Of `jnp.where(valid, value, nan)` those backwards are 0.)
+    """
+    return value * jnp.where(valid, 1.0, jnp.nan)
+
+
 def where_valid(
     name: str,
     value: Float[Array, "*s"],
@@ -60,7 +68,7 @@ def where_valid(
             bad = np.asarray(value)[~np.broadcast_to(np.asarray(valid), value.shape)]
             refuse(name, must, f"is {bad.flat[0]}" if value.ndim == 0 else f"has {_some(bad)}")
         return value
-    return jnp.where(valid, value, jnp.nan)
+    return or_nan(value, valid)
 
 
 def _some(values: np.ndarray) -> str:

@@ -245,7 +245,7 @@ def normal(
         thinner than `distance`.
 
     Raises:
-        ValueError: a name that is no coordinate.
+        ValueError: a name that is no coordinate; a distance that is not positive.
     """
     gradient = gradient_inwards(crossings, names, distance)
     return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -260,6 +260,8 @@ def gradient_inwards(
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
     if distance is None:
         distance = DISTANCE * float(crossings.settings["rtol"])
+    if not 0 < distance < np.inf:
+        refuse("distance", "be positive and finite, or None", f"is {distance!r}")
     first = backed(crossings)
     s = np.where(first, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)
     basin = _swept(crossings, np.nan_to_num(s), derivatives=tuple(names))
@@ -290,7 +292,7 @@ def derivative(
         `normal`.
 
     Raises:
-        ValueError: a name that is no coordinate.
+        ValueError: a name that is no coordinate; a distance that is not positive.
 
     Example:
         The universal boundary of slow tops moves by dz_s/dδ = 32.6859 at φ = 0:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ._checks import refuse
 from ._types import Outcome
 from .outcomes import Classification
 
@@ -133,9 +134,16 @@ class Basin:
     def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
         """∂ω∞/∂axis (sweeps with `derivatives`): 0 where the top stops as its neighbours do.
 
-        NaN where ω∞ is not known or not differentiable; infinite where a change turns the dipole
-        of a general body off its principal axis, which ends all residual rotation.
+        NaN where ω∞ is not known or not differentiable, as at a boundary; infinite where a change
+        turns the dipole of a general body off its principal axis, which ends all residual rotation.
+
+        Raises:
+            ValueError: the sweep was not asked for this derivative.
         """
+        if SLOPE + axis not in self.columns:
+            has = [name.removeprefix(SLOPE) for name in self.columns if name.startswith(SLOPE)]
+            must = f"be among the `derivatives` of the sweep, {', '.join(has) or 'which had none'}"
+            refuse("axis", must, f"is {axis!r}")
         return self.column(SLOPE + axis)
 
     @property

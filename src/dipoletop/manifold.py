@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _endings, _windows, lanes, radiation
-from ._checks import finite, refuse
+from ._checks import finite, or_nan, refuse
 from ._forward import differentiable
 from ._settings import tolerance
 from ._windows import Window
@@ -92,7 +92,7 @@ def _known_branch(equation: Any, omega: Array, wanted: Array) -> tuple[Array, Ar
     y = branch.lift(omega)
     rate = jax.jvp(branch.omega, (y,), (branch(0.0, y),))[1]
     error = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
-    return jnp.where(error <= wanted * jnp.max(jnp.abs(rate)), rate, jnp.nan), error
+    return or_nan(rate, error <= wanted * jnp.max(jnp.abs(rate))), error
 
 
 @eqx.filter_jit
@@ -112,7 +112,7 @@ def _slow_manifold(equation: Any, omega: Array, wanted: Array) -> tuple[Array, A
     lacking = jnp.max(felt) * jnp.max(jnp.abs(omega))
     error = 3 * far + 10 * (lacking + jnp.finfo(omega.dtype).eps * size)
     good = window.converged & ((error <= wanted * size) | (wanted >= 1))
-    return jnp.where(good, rate, jnp.nan), jnp.where(window.converged, error, jnp.nan)
+    return or_nan(rate, good), or_nan(error, window.converged)
 
 
 class Pace(NamedTuple):

@@ -59,6 +59,7 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     slopes = None
     if isinstance(equation, Tangent):
         sure = settled & _endings.smooth(verdict, scale[0])
+        sure = sure & ~((verdict.outcome == Outcome.STOP) & equation.astray(y, scale))
         slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
@@ -101,7 +102,8 @@ def classify(
 
     Integrates with diffrax (order 8) until the equation's own `verdict` is certain; a full
     equation is followed along its physical branch, whose windows count as steps. May be jitted
-    and vmapped; for many starts `classify_many` is far faster.
+    and vmapped; for many starts `classify_many` is far faster. Its derivatives are NaN: those of
+    ω∞ are had from `residual_rotation`, and a label, or the time of the last step, has none.
 
     Args:
         equation: an equation with a `verdict`.
@@ -123,6 +125,30 @@ def classify(
         >>> dt.Outcome(int(verdict.outcome)).name, bool(verdict.certified)
         ('RESIDUAL', True)
     """
+    arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
+    still = eqx.combine(jax.lax.stop_gradient(arrays), rest)
+    found = classified(*still, rtol=rtol, atol=atol, max_steps=max_steps, value=value)
+    none = _no_derivative(jax.tree.leaves(arrays))
+    return eqx.tree_at(
+        lambda c: (c.omega_inf, c.time), found, (found.omega_inf + none, found.time + none)
+    )
+
+
+@jax.custom_jvp
+def _no_derivative(_: Any) -> float:
+    """0, whose derivatives are NaN."""
+    return 0.0
+
+
+@_no_derivative.defjvp
+def _(primals: Any, tangents: Any) -> tuple[float, Any]:
+    return 0.0, jnp.nan * sum(jnp.sum(change) for change in tangents[0])
+
+
+def classified(
+    equation: Any, omega0: Any, *, rtol: Any, atol: Any, max_steps: Any, value: bool = True
+) -> Classification:
+    """What `classify` finds, with the derivatives of the state that ended the run."""
     check_verdict(equation)
     if np.shape(omega0) == (3,):
         equation = manifold.physical(equation)

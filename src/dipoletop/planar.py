@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._checks import finite, refuse
+from ._checks import finite, or_nan, refuse
 from ._types import Real
 from .equations._base import order_label, shape_parameter
 from .equations._regions import WOBBLING_FROM
@@ -130,7 +130,7 @@ def saddle(system: Planar) -> Saddle:
         -(unstable + cosine) / d,
         -(stable + cosine) / d,
     )
-    return Saddle(*(jnp.where(exists, x, jnp.nan) for x in found))
+    return Saddle(*(or_nan(x, exists) for x in found))
 
 
 def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
@@ -172,7 +172,7 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
     stable, sides = jnp.array([True, True]), jnp.array([-1.0, 1.0])
     left, right = _branches(system, stable, sides, jnp.stack([angles.ravel()] * 2))
     z = jnp.where(jnp.isfinite(left), left, right).reshape(angles.shape)
-    return jnp.where(system.delta < 0, z, jnp.nan)
+    return or_nan(z, system.delta < 0)
 
 
 @eqx.filter_jit
@@ -204,7 +204,7 @@ def _branch(system: Planar, stable: Any, side: Any, phi: Array) -> Array:
     start = at.z + side * slope * near
     found = _solve(rate, (near, jnp.maximum(distance, near)), near, start)
     z = jnp.where(distance > near, found.ys[-1], at.z + side * slope * distance)
-    return jnp.where(diffrax.is_successful(found.result), z, jnp.nan)
+    return or_nan(z, diffrax.is_successful(found.result))
 
 
 def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
@@ -287,10 +287,8 @@ def _wobble(delta: Float[Array, ""], edge: Float[Array, ""]) -> Wobble:
     z, swing, period, multiplier, step = jax.lax.fori_loop(0, ROUNDS, newton, start)
     # Close to δ_c2 orbits linger at the saddles, and Newton's method may leave the basin.
     good = exists & (step <= SETTLED * z) & (z < edge)
-    z, swing, period, multiplier = (
-        jnp.where(good, x, jnp.nan) for x in (z, swing, period, multiplier)
-    )
-    return Wobble(z, swing, period, multiplier, jnp.where(exists, edge, jnp.nan))
+    z, swing, period, multiplier = (or_nan(x, good) for x in (z, swing, period, multiplier))
+    return Wobble(z, swing, period, multiplier, or_nan(edge, exists))
 
 
 def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:

@@ -18,7 +18,7 @@ from ._linalg import dot, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
 from .equations.tangent import Together
-from .outcomes import classify
+from .outcomes import classified
 
 HUGE = 1e-6  # the part of the largest number that stands for infinity: 0 times it is 0
 
@@ -49,13 +49,14 @@ def residual_rotation(
     Returns:
         ω∞ in units of 1/τ₀, signed, along the dipole: 0 for a stop; NaN if the run failed or is
         undecided. Derivatives are 0 where the top stops as all its neighbours do, and NaN where
-        there are none: of what is undecided or failed, and on an axis of decaying spin (a
-        boundary) but for axis 3. A derivative with respect to one element of an inertia tensor
-        breaks its symmetry; only those along symmetric changes have a meaning. Along changes that
-        turn the dipole away from its principal axis, which ends all residual rotation, they are
-        infinite: 1e302, or the like, since that times 0 is 0. (Not so if the dipole lies along
-        the axis but for rounding: then they hold along changes that keep it there. A `sweep`,
-        which knows the change, tells these from others.)
+        there are none: of what is undecided or failed, so near to a boundary that a stop is not
+        sure within the tolerances, and on an axis of decaying spin (a boundary) but for axis 3. A
+        derivative with respect to one element of an inertia tensor breaks its symmetry; only those
+        along symmetric changes have a meaning. Along changes that turn the dipole away from its
+        principal axis, which ends all residual rotation, they are infinite: 1e302, or the like,
+        since that times 0 is 0. (Not so if the dipole lies along the axis but for rounding: then
+        they hold along changes that keep it there. A `sweep`, which knows the change, tells these
+        from others.)
 
     Raises:
         ValueError: bad arguments.
@@ -76,7 +77,7 @@ def residual_rotation(
 
     def ends(equation: Any, start: Any, limits: Any) -> Any:
         rtol, atol = limits
-        return classify(equation, start, rtol=rtol, atol=atol, max_steps=max_steps)
+        return classified(equation, start, rtol=rtol, atol=atol, max_steps=max_steps)
 
     def value(leaves: Any, limits: Any) -> Float[Array, ""]:
         arrays, start = jax.tree.unflatten(structure, leaves)

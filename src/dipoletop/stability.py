@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from ._checks import finite, refuse, where_valid
+from ._checks import finite, or_nan, refuse, where_valid
 from ._linalg import dot, scale
 from .equations._general import SAME, seen_from_dipole
 from .equations.transverse import TransverseAveraged
@@ -205,7 +205,7 @@ def _body(equation: Any) -> Any:
 @eqx.filter_jit
 def _direction(equation: Any) -> Float[Array, "3"]:
     frame = seen_from_dipole(_body(equation), jnp.eye(3))
-    return jnp.where(frame.principal, frame.w, jnp.nan)
+    return or_nan(frame.w, frame.principal)
 
 
 @eqx.filter_jit
@@ -216,7 +216,7 @@ def _spectrum(equation: Any, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[A
     table = jnp.stack([frame.w, frame.xa, frame.xb])
     axes, w, off = table[:, :3], table[0, 3], table[1:, 3]
     fixed = jnp.all(omega == 0) | (frame.principal & jnp.all(_negligible(off, w)))
-    w = jnp.where(fixed, w, jnp.nan)
+    w = or_nan(w, fixed)
     zero = jax.lax.complex(w - w, w - w)
     if is_full(equation):
         slow, runaway = _slow_and_fast(*_balance(equation, axes, w))
@@ -280,7 +280,7 @@ def _slow_and_fast(c: Two, d: Two) -> tuple[Two, Two]:
     before = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros_like(c))
     s = sweep(None, before)
     settled = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
-    s = jnp.where(settled, s, jnp.nan)
+    s = or_nan(s, settled)
     return s, d - s
 
 

@@ -27,6 +27,8 @@ from ._line import Form, Two, balancing, extremes, guarded, line, lyapunov, quad
 
 Flag = Bool[Array, "*#lanes"]
 Nodes = Float[Array, "#nodes *#lanes"]
+Found = tuple[Flag, Real, Real, Real]
+"""Whether the line attracts a state; ω∞, its relative error, and that of its derivatives."""
 
 REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law well enough
 # |odd terms of x′_i| ≤ 3 |d|²|x|²|x_i|/J_i at order 1, because J_a ≤ J_b + J_d and so on; sampled,
@@ -58,6 +60,8 @@ class Frame(NamedTuple):
     """a·Ia."""
     jb: Real
     """b·Ib."""
+    jab: Real
+    """a·Ib, which is 0; but where J_a = J_b, and no directions a and b are special, it may vary."""
     principal: Flag
     """Whether n is a principal axis, to rounding."""
 
@@ -80,17 +84,22 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
     same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
     round_about_n = jnp.abs(frame.ja - frame.jb) <= same
     touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
-    general = _general(frame, order, reach, round_about_n)
+    found = _residual(frame, order, reach)
+    general = _general(frame, order, reach, round_about_n, found)
     degenerate = frame.principal & touches & ~round_about_n
     return jax.tree.map(
-        lambda one, two: jnp.where(degenerate, one, two), _transverse(frame, order), general
+        lambda one, two: jnp.where(degenerate, one, two),
+        _transverse(frame, order, found),
+        general,
     )
 
 
-def _general(frame: Frame, order: int | None, reach: Real, round_about_n: Flag) -> Verdict:
+def _general(
+    frame: Frame, order: int | None, reach: Real, round_about_n: Flag, found: Found
+) -> Verdict:
     """The verdict but for an axisymmetric body with its dipole across the axis."""
     near = reach <= 1
-    caught, value, error, slope = _residual(frame, order, reach)
+    caught, value, error, slope = found
     spin = _on_other_axis(frame, round_about_n)
     keeps = round_about_n & (frame.w != 0)  # then w is constant
     if order is not None and order > 1:  # at large amplitude these levels run away
@@ -143,6 +152,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
         jd,
         dot(e, ie) + gain,
         dot(f, jf) - gain,
+        jnp.where(done, mixed, 0.0),
         dot(off, off) <= rounding**2,
     )
 
@@ -157,8 +167,8 @@ def _reach(body: Body, frame: Frame) -> Real:
     return frame.strength * frame.size * jnp.sqrt(sum(dot(back[i], back[i]) for i in range(3)))
 
 
-def _residual(frame: Frame, order: int | None, reach: Real) -> tuple[Flag, Real, Real, Real]:
-    """Whether the line attracts the state; ω∞, its relative error, and that of its derivatives.
+def _residual(frame: Frame, order: int | None, reach: Real) -> Found:
+    """Whether a Lyapunov function shows that the line attracts the state.
 
     With V = yᵀPy, ℓᵀP + Pℓ = −1 at the present w, let V₀ be its present value. As long as
     V ≤ V₀ and w has changed by no more than a part η: V′ ≤ −½|y|². Then ∫|y|² ≤ 2V₀, which
@@ -188,7 +198,10 @@ def _residual(frame: Frame, order: int | None, reach: Real) -> tuple[Flag, Real,
     # What the fourth power of y adds, and its derivatives with respect to y and to g.
     quartic = v * (eta * s / 2 + size * odd)
     slope = (4 * jnp.abs(g) / jnp.sqrt(guarded(square)) + 1) * quartic
-    value = frame.w * (1 + g * quadratic(form, y))
+    # With J_ab ≠ 0, w′/w = g y_a y_b − (y_a² − y_b²) J_ab/J_d, but for the sign of w.
+    tilt = jnp.sign(frame.w) * frame.jab / frame.jd
+    tilted = lyapunov(now, (-tilt, none, tilt * s**2))
+    value = frame.w * (1 + g * quadratic(form, y) + quadratic(tilted, y))
     return held & (frame.w != 0), value, jnp.abs(g) * quartic, slope
 
 
@@ -284,8 +297,12 @@ def _ratio_e_k(m: Nodes) -> Nodes:
 # --- axisymmetric body, dipole across the axis ------------------------------------------------
 
 
-def _transverse(frame: Frame, order: int | None) -> Verdict:
-    """The regions of the transverse top, in its units: ω = |d|²Ω/J_d, δ = 1 − J₃/J_d."""
+def _transverse(frame: Frame, order: int | None, found: Found) -> Verdict:
+    """The regions of the transverse top, in its units: ω = |d|²Ω/J_d, δ = 1 − J₃/J_d.
+
+    Its ω∞ is more exact than that of `found` but knows of no J_a ≠ J_d: the derivatives are
+    those of `found`, where that is at hand.
+    """
     first = jnp.abs(frame.ja - frame.jd) <= jnp.abs(frame.jb - frame.jd)
     third = jnp.where(first, frame.jb, frame.ja)
     delta = jnp.maximum(1 - third / frame.jd, -1.0)
@@ -293,12 +310,16 @@ def _transverse(frame: Frame, order: int | None) -> Verdict:
     omega = jnp.stack(
         [frame.w, jnp.where(first, frame.xa, frame.xb), jnp.where(first, frame.xb, -frame.xa)]
     )
-    found = _regions.of_level(delta, scale(unit, omega), order)
+    top = _regions.of_level(delta, scale(unit, omega), order)
+    caught, value, _, slope = found
+    residual = top.outcome == Outcome.RESIDUAL
+    still = jax.lax.stop_gradient
+    varied = still(top.omega_inf / unit) + (value - still(value))
     return Verdict(
-        found.outcome,
-        found.omega_inf / unit,
-        jnp.zeros_like(found.certified),
-        jnp.broadcast_to(found.stop, found.outcome.shape),
-        jnp.broadcast_to(found.error, found.outcome.shape),
-        jnp.broadcast_to(found.slope, found.outcome.shape),
+        top.outcome,
+        jnp.where(residual & caught, varied, top.omega_inf / unit),
+        jnp.zeros_like(top.certified),
+        jnp.broadcast_to(top.stop, top.outcome.shape),
+        jnp.broadcast_to(top.error, top.outcome.shape),
+        jnp.where(residual, jnp.where(caught, slope, jnp.inf), top.slope),
     )

@@ -108,6 +108,21 @@ class Tangent(eqx.Module):
             changes = [jnp.where(fall, jnp.inf, change) for fall, change in pairs]
         return jnp.stack(changes)
 
+    def astray(self, y: State, scale: Any) -> Bool[Array, "*lanes"]:
+        """Whether the variations are so large that a run within the tolerances may end elsewhere.
+
+        Changes of the start count as far as `scale`, (rtol, atol), those of parameters, taken to
+        be of the order of 1, as far as rtol.
+        """
+        rtol, atol = scale
+        state, *variations = (largest(jnp.abs(part)) for part in self._split(y))
+        starts = largest(jnp.abs(jnp.moveaxis(self.starts, 1, 0)))
+        away = [
+            size * jnp.where(start > 0, atol / jnp.where(start > 0, start, 1.0), rtol)
+            for size, start in zip(variations, starts, strict=True)
+        ]
+        return jnp.any(jnp.stack(away) >= state[None], axis=0)
+
     def _turned(self, body: Body, variations: list[Any]) -> list[Bool[Array, "*lanes"]]:
         """Which variations take the dipole off its principal axis: they move d × Id from 0."""
         return self._apply(functools.partial(_turns, body), variations)
