@@ -194,6 +194,8 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.bisect(slow, point, {"z": 4.5}), "`b` must name"),
         (lambda: boundary.bisect(slow, point, point | {"z": [4.0, np.nan]}), "`z` must be finite"),
         (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
+        (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be positive"),
+        (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),
         (lambda: boundary.trace(found, {"phi": (0.0, 1.0)}), "`bounds` must name two"),
         (lambda: boundary.trace(found, box | {"z": (1.0, 1.0)}), "`bounds` must be pairs"),
         (lambda: boundary.trace(found, box, step=0.0), "`step` must be"),

@@ -292,7 +292,7 @@ def derivative(
         `normal`.
 
     Raises:
-        ValueError: a name that is no coordinate; a distance that is not positive.
+        ValueError: a name that is no coordinate, or twice the same; a distance not positive.
 
     Example:
         The universal boundary of slow tops moves by dz_s/dδ = 32.6859 at φ = 0:
@@ -306,6 +306,8 @@ def derivative(
         array([32.69])
     """
     several = (by,) if isinstance(by, str) else tuple(by)
+    if len({of, *several}) <= len(several):
+        refuse("by", f"name coordinates other than {of!r}, each once", f"is {by!r}")
     across, *along = normal(crossings, (of, *several), distance=distance).T
     slopes = -np.stack(along, axis=1) / across[:, None]
     return slopes[:, 0] if isinstance(by, str) else slopes
