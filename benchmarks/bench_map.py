@@ -71,15 +71,17 @@ def _equation(level: str, delta: Any) -> Any:
     return dt.TransverseSemi(delta) if level == "semi" else dt.TransverseReduced(delta)
 
 
+def tops(level: str, delta: float) -> Callable[..., Any]:
+    """The starts of a map over φ and ω₃, ω⊥ = 0.2."""
+    return lambda w3, phi: (_equation(level, delta), dt.cylindrical(0.2, w3, phi))
+
+
 def sweep(
     level: str, grid: dt.Grid, delta: float, rtol: float, engine: str, store: Any = None
 ) -> dt.Basin:
     """A map over a grid of φ and ω₃, ω⊥ = 0.2."""
-
-    def tops(w3: Any, phi: Any) -> Any:
-        return _equation(level, delta), dt.cylindrical(0.2, w3, phi)
-
-    return dt.sweep(tops, grid, rtol=rtol, progress=False, engine=engine, store=store)
+    settings = {"rtol": rtol, "engine": engine, "store": store}
+    return dt.sweep(tops(level, delta), grid, progress=False, **settings)
 
 
 def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:

@@ -18,7 +18,7 @@ import bench_precision
 import dipoletop as dt
 import measure
 import problem
-from dipoletop import lanes, native
+from dipoletop import adaptive, lanes, native
 from dipoletop._endings import Until
 from dipoletop.symmetry import unfold
 
@@ -39,6 +39,8 @@ class Sizes(NamedTuple):
     starts: int = 32768
     points: int = 128
     """Points on each axis of the map's symmetry cell."""
+    fine: int = 4096
+    """Points on each axis of the map that is refined."""
     precise: int = 256
     """Starts of the comparison of methods."""
     tolerances: tuple[float, ...] = TOLERANCES
@@ -50,6 +52,7 @@ class Sizes(NamedTuple):
 FEW = Sizes(
     starts=64,
     points=8,
+    fine=512,
     precise=16,
     tolerances=(1e-3, 1e-6),
     solvers=(diffrax.Tsit5(), diffrax.Dopri8()),
@@ -99,6 +102,20 @@ def by_symmetry(points: int) -> dict[str, Any]:
     note = f"the default map with value, {differ} of {whole.outcome.size} labels differ"
     sizes = part.outcome.size, whole.outcome.size
     return _row("one symmetry cell, not the whole plane", part.steps, whole.steps, sizes, note)
+
+
+def by_refinement(points: int) -> dict[str, Any]:
+    """A fine map from runs next to its boundaries only, beside all of its runs."""
+    grid = dt.symmetry_cell(points, points)
+    whole = bench_map.sweep("order-1", grid, -0.2, RTOL, "native")
+    few = adaptive.refine(bench_map.tops("order-1", -0.2), grid, rtol=RTOL, engine="native")
+    runs, size = few.attrs["computed"], whole.outcome.size
+    differ = int(np.sum(few.outcome != whole.outcome))
+    off = np.nanmax(np.abs(few.omega_inf - whole.omega_inf)) / np.nanmax(np.abs(whole.omega_inf))
+    fewer = f"{runs} of {size} starts, {size / runs:.0f} times fewer"
+    note = f"{fewer}; {differ} labels differ, ω∞ by {off:.1e} of the largest at most"
+    name = f"refined next to the boundaries only, {points} × {points}"
+    return _row(name, few.steps, whole.steps, (runs, size), note)
 
 
 def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
@@ -228,7 +245,7 @@ def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
 def compare(sizes: Sizes) -> dict[str, Any]:
     """All savings, and which method is the cheapest."""
     deltas, omegas = problem.mixed_basin(sizes.starts)
-    rows = [by_symmetry(sizes.points), *by_ending(deltas, omegas)]
+    rows = [by_symmetry(sizes.points), by_refinement(sizes.fine), *by_ending(deltas, omegas)]
     for engine in sizes.engines:
         rows += by_refill(deltas, omegas, engine)
     if sizes.dense:
