@@ -183,6 +183,28 @@ def test_a_kick_along_one_component_is_a_bisection():
     assert kick.defect == 0
 
 
+def test_the_residual_share_moves_as_its_differences_say():
+    def problem(delta, w3, phi):
+        return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
+
+    def share(delta, by=(), higher=0.0):
+        both = {"delta": delta, "w3": np.linspace(0.02, 0.35, 4) + higher}
+        ends = (both | {"phi": 0.03}, both | {"phi": 0.03 + np.pi})
+        return boundary.residual_share(problem, *ends, by=by, parts=32)
+
+    found, step = share(DELTA, ("delta", "w3")), 2e-4
+    shifts, weights = np.array([-3, -2, -1, 1, 2, 3]), np.array([-1, 9, -45, 45, -9, 1]) / 60
+    by_delta = [share(DELTA + step * k).share for k in shifts]
+    by_w3 = [share(DELTA, higher=step * k).share for k in shifts]
+    exact = np.array([weights @ by_delta, weights @ by_w3]) / step
+    np.testing.assert_allclose([*found.slopes.values()], exact, rtol=1e-7)
+    # The whole plane by counting, in which a residual share is that of area.
+    grid = dt.Grid(w3=np.linspace(0.02, 0.35, 4), phi=0.03 + np.pi * (np.arange(512) + 0.5) / 512)
+    counted = dt.sweep(lambda w3, phi: problem(DELTA, w3, phi), grid, progress=False)
+    assert found.share == pytest.approx(counted.fractions()["RESIDUAL"].share, abs=2e-3)
+    assert found.undecided == 0
+
+
 def test_bad_input_is_one_sentence():
     found = across()
     point = {"z": 4.0, "phi": 0.0, "delta": DELTA, "w": 1e-3}
@@ -196,6 +218,8 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
         (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be positive"),
         (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),
+        (lambda: boundary.residual_share(slow, point, point, by="x"), "`by` must name"),
+        (lambda: boundary.residual_share(slow, point, point, parts=0), "`parts` must be"),
         (lambda: boundary.trace(found, {"phi": (0.0, 1.0)}), "`bounds` must name two"),
         (lambda: boundary.trace(found, box | {"z": (1.0, 1.0)}), "`bounds` must be pairs"),
         (lambda: boundary.trace(found, box, step=0.0), "`step` must be"),

@@ -2,24 +2,28 @@
 
 `fate` numbers the ways to end, `bisect` finds the boundary on segments to rounding, `normal` and
 `derivative` say how it lies and moves, `trace` follows its curve in a plane, `edge_state` the
-motion on it to its saddle, and `minimal_kick` finds its distance from a start.
+motion on it to its saddle, `minimal_kick` finds its distance from a start, and `residual_share`
+tells how much lies inside and how that moves.
 """
 
 from ._crossings import Crossings, bisect, derivative, fate, normal
 from ._curve import Curve, trace
 from ._edge import Edge, edge_state
 from ._kick import Kick, minimal_kick
+from ._share import ResidualShare, residual_share
 
 __all__ = [
     "Crossings",
     "Curve",
     "Edge",
     "Kick",
+    "ResidualShare",
     "bisect",
     "derivative",
     "edge_state",
     "fate",
     "minimal_kick",
     "normal",
+    "residual_share",
     "trace",
 ]
