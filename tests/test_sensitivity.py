@@ -282,8 +282,10 @@ def test_a_verdict_has_no_derivatives():
     spin = dt.cylindrical(0.2, 0.2, np.pi / 30)
 
     def verdict(delta):
-        found = dt.classify(dt.TransverseReduced(delta), spin)
-        return found.omega_inf, found.time
+        equation = dt.TransverseReduced(delta)
+        parameters = jax.tree.map(lambda x: jnp.zeros((1, *jnp.shape(x))), equation)
+        found = dt.classify(Tangent(equation, parameters, jnp.eye(3)[:1]), spin)
+        return found.omega_inf, found.time, found.slopes[0]
 
     assert all(np.isfinite(verdict(-0.2)))
     assert all(np.isnan(jax.jacfwd(verdict)(-0.2)))

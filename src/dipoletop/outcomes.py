@@ -129,9 +129,7 @@ def classify(
     still = eqx.combine(jax.lax.stop_gradient(arrays), rest)
     found = classified(*still, rtol=rtol, atol=atol, max_steps=max_steps, value=value)
     none = _no_derivative(jax.tree.leaves(arrays))
-    return eqx.tree_at(
-        lambda c: (c.omega_inf, c.time), found, (found.omega_inf + none, found.time + none)
-    )
+    return jax.tree.map(lambda x: x + none if eqx.is_inexact_array(x) else x, found)
 
 
 @jax.custom_jvp
