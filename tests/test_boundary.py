@@ -205,16 +205,30 @@ def test_the_residual_share_moves_as_its_differences_say():
     assert found.undecided == 0
 
 
+def test_a_share_is_not_known_of_segments_where_nothing_is():
+    point = {"delta": DELTA, "phi": 0.0, "w": 1e-3}
+    ends = {"z": [4.0, 4.0], **point, "delta": [DELTA, 2.0]}, {"z": 4.5, **point}
+    found = boundary.residual_share(slow, *ends, by="delta", parts=8)
+    assert 0 < found.undecided < 1  # δ = 2 and others between that are too large
+    assert np.isfinite([found.share, found.slopes["delta"]]).all()
+    ends[1]["delta"] = [DELTA, 3.0]
+    found = boundary.residual_share(slow, *ends, by="delta", parts=8)
+    assert found.undecided == 0.5
+    assert np.isnan([found.share, found.slopes["delta"]]).all()
+
+
 def test_bad_input_is_one_sentence():
     found = across()
     point = {"z": 4.0, "phi": 0.0, "delta": DELTA, "w": 1e-3}
     start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
     box = {"phi": (-1.0, 1.0), "z": (0.0, 8.0)}
+    several = dt.TransverseReduced(jnp.array([DELTA, 0.1]))
     for call, words in [
         (lambda: boundary.bisect(slow, point, point | {"z": 4.1}), "`b` must end otherwise"),
         (lambda: boundary.bisect(slow, {}, {}), "`a` must map"),
         (lambda: boundary.bisect(slow, point, {"z": 4.5}), "`b` must name"),
         (lambda: boundary.bisect(slow, point, point | {"z": [4.0, np.nan]}), "`z` must be finite"),
+        (lambda: boundary.bisect(slow, point, point | {"delta": 2.0}), r"`delta` must lie in"),
         (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
         (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be positive"),
         (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),
@@ -225,6 +239,7 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.trace(found, box, step=0.0), "`step` must be"),
         (lambda: boundary.trace(found, box, by="z"), "`by` must name"),
         (lambda: boundary.minimal_kick(equation, start, along=[4]), "`along` must hold"),
+        (lambda: boundary.minimal_kick(several, start), "`equation` must be a single one"),
         (lambda: boundary.minimal_kick(equation, start, largest=-1.0), "`largest` must be"),
     ]:
         with pytest.raises(ValueError, match=words):

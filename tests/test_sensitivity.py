@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop._types import Verdict
+from dipoletop.equations._regions import STEEP_FROM
 from dipoletop.equations.tangent import Tangent
 from dipoletop.sensitivity import decay_time
 
@@ -230,18 +231,88 @@ def test_slopes_where_the_value_is_known_at_once():
 
 
 def test_no_derivative_no_number():
-    def slope(delta, omega, **settings):
+    def slope(delta, omega, level=dt.TransverseReduced, **settings):
         columns = {f"w{k}": [w] for k, w in enumerate(omega, 1)}
         points = dt.Points(delta=[delta], **columns)
-        basin = dt.sweep(cartesian, points, derivatives=("delta", "w2", "w3"), **settings)
+
+        def problem(delta, w1, w2, w3):
+            return level(delta), jnp.stack([w1, w2, w3])
+
+        basin = dt.sweep(problem, points, derivatives=("delta", "w2", "w3"), **settings)
         return basin.derivative("delta")[0]
 
     assert slope(-0.2, [0.1, 0.1, 0.9]) == 0.0  # turns to its stop
     assert slope(0.2, [0.0, 0.0, 0.5]) == 0.0  # axis 3: neighbours stop, or nearly
-    assert np.isnan(slope(0.2, [0.0, 0.5, 0.0]))  # axis 2: a boundary
-    assert np.isnan(slope(-0.6, [0.3, 0.4, 0.0]))  # neighbours with ω₃ ≠ 0 stop
+    assert np.isnan(slope(0.2, [0.0, 0.5, 0.0], dt.TransverseSemi))  # axis 2: a boundary
     assert np.isnan(slope(0.2, [0.01, 0.3, 0.3], max_steps=3))  # undecided
     assert np.isnan(slope(0.2, [1e200, 0.3, 0.3]))  # failed
+
+
+INF = np.inf
+
+
+@pytest.mark.parametrize(
+    ("x", "gradient", "infinite"),
+    [
+        # Of order 1, x = (δ, ω): first derivatives, and where second ones are infinite.
+        ((-0.6, 0.3, 0.4, 0.0), [0, 1, 0, INF], [(0, 3), (1, 3), (2, 3), (3, 3)]),  # others stop
+        ((-0.5, 0.3, 0.4, 0.0), [0, 1, 0, INF], [(0, 3), (1, 3), (2, 3), (3, 3)]),
+        ((0.2, 0.0, 0.5, 0.0), [0, 1, 0, INF], [(0, 3), (1, 3), (2, 3), (3, 3)]),  # axis 2
+        # The sphere keeps ω₁; else ω₁ grows by δ∫ω₂ω₃dτ, which diverges if ω₁ = 0.
+        ((0.0, 0.0, 0.5, 0.4), [INF, 1, 0, 0], [(0, 0), (0, 1), (0, 2), (0, 3)]),
+        ((0.0, 0.0, 0.0, 0.5), [0, 1, 0, 0], [(0, 2)]),
+        # By (4.16) |ω∞| ~ (distance from axis 3)^1.2 at δ = 0.9, ^5.2 at 0.3.
+        ((0.9, 0.0, 0.0, 0.5), [0, 0, 0, 0], [(1, 1), (1, 2), (2, 2)]),
+        ((0.3, 0.0, 0.0, 0.5), [0, 0, 0, 0], []),
+    ],
+)
+def test_infinite_only_along_changes_that_leave_what_keeps_the_residual_rotation(
+    x, gradient, infinite
+):
+    np.testing.assert_array_equal(edges(x)[0], gradient)
+    expected = np.zeros((4, 4), bool)
+    for i, j in infinite:
+        expected[i, j] = expected[j, i] = True
+    by_hand = np.isinf(gradient)
+    first, second = (np.asarray(each) for each in both_orders(jnp.array(x)))
+    np.testing.assert_array_equal(first > 1e290, by_hand)
+    np.testing.assert_array_equal(first[~by_hand], np.array(gradient)[~by_hand])
+    # Of what is infinite, the derivatives are, too: nothing is known of them.
+    np.testing.assert_array_equal(np.abs(second[~by_hand]) > 1e290, expected[~by_hand])
+    assert np.all(second[by_hand] > 1e290)
+    assert not np.any(second[~by_hand][~expected[~by_hand]])
+
+
+def edges(x):
+    """First derivatives of a sweep."""
+    names = ("delta", "w1", "w2", "w3")
+    points = dt.Points(**{name: [value] for name, value in zip(names, x, strict=True)})
+    basin = dt.sweep(cartesian, points, derivatives=names)
+    return np.stack([basin.derivative(name) for name in names], axis=1)
+
+
+@jax.jit
+def both_orders(x):
+    def value(x):
+        return dt.residual_rotation(*cartesian(*x))
+
+    return jax.grad(value)(x), jax.hessian(value)(x)
+
+
+def test_the_power_beside_axis_3():
+    """|ω∞| ~ ε^(q/(2 − q + p)) by (4.16): at `STEEP_FROM` it is ε²."""
+    d = STEEP_FROM
+    q, p = 2 / (1 + d**3), d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * (1 + d**3))
+    assert q / (2 - q + p) == pytest.approx(2, abs=1e-12)
+    phi = np.linspace(0, np.pi, 60, endpoint=False)
+
+    def problem(w_perp, phi):
+        return dt.TransverseReduced(0.9), dt.cylindrical(w_perp, 0.5, phi)
+
+    axes = {"w_perp": np.array([1e-2, 1e-3]), "phi": phi}
+    basin = dt.sweep(problem, dt.Grid(**axes), rtol=1e-9, max_steps=100_000)
+    far, near = np.max(np.abs(basin.omega_inf), axis=1)
+    assert np.log10(far / near) == pytest.approx(1.2, abs=0.1)
 
 
 def test_on_the_boundary_there_is_no_derivative():

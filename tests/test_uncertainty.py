@@ -110,6 +110,7 @@ def test_what_is_not_known_at_the_mean_is_not_told():
     found = propagate(lost, mean, np.diag([0.25, 0.0]), n=1000, max_steps=5)
     assert np.isnan([found.omega_inf, found.gradient["a"], found.linear_std]).all()
     assert not found.trusted
+    assert found.other.share == 1  # also of the draws that end as the mean does, unknown
     assert found.shares["UNDECIDED"].low < norm.cdf(2) < found.shares["UNDECIDED"].high
     certain = propagate(lost, mean, np.zeros((2, 2)), n=10, max_steps=5)
     assert np.isnan([*certain.mean, *certain.std]).all()

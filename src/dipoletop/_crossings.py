@@ -143,14 +143,22 @@ def bisect(
         >>> cross.fates.tolist(), cross.before["z"].round(3).tolist()
         ([[1, 5]], [4.255])
     """
-    if not callable(problem):
-        refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
-    start, end = columns_of_ends(a, b)
-    crossings = cut(segments(jax.jit(problem), start, end, settings))
+    crossings = cut(asked(problem, a, b, settings))
     if not crossings.found.any():
+        for end in (crossings.a, crossings.b):
+            problem(**{name: x[0] for name, x in end.items()})  # says why, if it cannot be made
         fates = crossings.fates[0].tolist()
         refuse("b", "end otherwise than `a` in some segment", f"the fates are {fates} in the first")
     return crossings
+
+
+def asked(
+    problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], settings: dict[str, Any]
+) -> Crossings:
+    """Segments as a user asks for them, that nothing is known of yet."""
+    if not callable(problem):
+        refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
+    return segments(jax.jit(problem), *columns_of_ends(a, b), settings)
 
 
 def columns_of_ends(

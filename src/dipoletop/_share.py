@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -13,7 +12,7 @@ from ._crossings import (
     POSITIVE,
     UNDECIDED,
     Crossings,
-    columns_of_ends,
+    asked,
     cut,
     fates_at,
     gradient_inwards,
@@ -30,11 +29,12 @@ class ResidualShare(NamedTuple):
     error: float
     """Standard error of `share` if the segments are independent random ones; NaN of one alone."""
     slopes: dict[str, float]
-    """∂share/∂p for each p of `by`; NaN where a normal of the boundary is not known."""
+    """∂share/∂p for each p of `by`; NaN if a normal of the boundary is not known."""
     errors: dict[str, float]
     """Standard errors of `slopes`, likewise."""
     undecided: float
-    """Share of the points looked at that are undecided or failed; each counts as the one before."""
+    """Share of the points looked at that are undecided or failed. Each counts as the one before;
+    if a segment has no others, nothing is known, and all but this is NaN."""
 
 
 def residual_share(
@@ -84,16 +84,14 @@ def residual_share(
         >>> round(found.share, 3), round(found.slopes["delta"], 3)
         (0.515, 4.745)
     """
-    if not callable(problem):
-        refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
-    start, end = columns_of_ends(a, b)
+    whole = asked(problem, a, b, settings)
     names = (by,) if isinstance(by, str) else tuple(by)
-    if not set(names) <= set(start) or len(set(names)) < len(names):
-        refuse("by", f"name coordinates among {', '.join(start)}, each once", f"is {by!r}")
-    whole = segments(jax.jit(problem), start, end, settings)
+    if not set(names) <= set(whole.a) or len(set(names)) < len(names):
+        refuse("by", f"name coordinates among {', '.join(whole.a)}, each once", f"is {by!r}")
     s = np.tile(np.linspace(0, 1, budget("parts", parts) + 1), (len(whole.bracket), 1))
     fates = fates_at(whole, s)
-    residual = _carried(np.isin(fates, (POSITIVE, NEGATIVE)), fates > UNDECIDED)
+    known = fates > UNDECIDED
+    residual = _carried(np.isin(fates, (POSITIVE, NEGATIVE)), known)
     rows, places = np.nonzero(residual[:, 1:] != residual[:, :-1])
     share, slopes = residual[:, -1].astype(float), np.zeros((len(s), len(names)))
     if len(rows):
@@ -101,6 +99,8 @@ def residual_share(
         sign = np.where(residual[rows, places], 1.0, -1.0)
         np.add.at(share, rows, sign * found.s)
         np.add.at(slopes, rows, sign[:, None] * _moves(found, names))
+    unknown = ~known.any(axis=1)
+    share[unknown], slopes[unknown] = np.nan, np.nan
     (mean, *means), (error, *errors) = _means(np.column_stack([share, slopes]))
     return ResidualShare(
         mean,
@@ -114,9 +114,10 @@ def residual_share(
 def _carried(
     flags: Bool[np.ndarray, "N m"], known: Bool[np.ndarray, "N m"]
 ) -> Bool[np.ndarray, "N m"]:
-    """The flags, those that are not known replaced by the last known ones before."""
-    last = np.maximum.accumulate(np.where(known, np.arange(flags.shape[1]), 0), axis=1)
-    return np.take_along_axis(flags & known, last, axis=1)
+    """The flags, those that are not known replaced by the last known ones before, or the first."""
+    first = np.argmax(known, axis=1)[:, None]
+    last = np.maximum.accumulate(np.where(known, np.arange(flags.shape[1]), first), axis=1)
+    return np.take_along_axis(flags, last, axis=1)
 
 
 def _between(

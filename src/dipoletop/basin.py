@@ -135,7 +135,8 @@ class Basin:
         """∂ω∞/∂axis (sweeps with `derivatives`): 0 where the top stops as its neighbours do.
 
         NaN where ω∞ is not known or not differentiable, as at a boundary; infinite where a change
-        turns the dipole of a general body off its principal axis, which ends all residual rotation.
+        turns the dipole of a general body off its principal axis, which ends all residual rotation,
+        or leaves a plane to which residual rotation is confined (see `residual_rotation`).
 
         Raises:
             ValueError: the sweep was not asked for this derivative.

@@ -45,7 +45,8 @@ class Classification(eqx.Module):
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
     """The variations of ω∞ along the m ones of a `Tangent` equation: 0 where the top stops as its
     neighbours do; infinite along a change that turns the dipole of a general body off its
-    principal axis; NaN where ω∞ is not known, or has no derivatives. Else None."""
+    principal axis, or leaves a plane of residual rotation; NaN where ω∞ is not known, or has no
+    derivatives. Else None."""
 
 
 def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
@@ -261,7 +262,7 @@ def classify_many(
     scale = absolute(atol, rtol, starts, axis=-1)
     steps = jnp.asarray(budget("max_steps", max_steps))
     whole = _Runs(equations, np.asarray(starts), np.asarray(scale), rtol, steps)
-    single = _is_single(equations)
+    single = is_single(equations)
     if not single:
         _check_batch(equations, size)
     until = goal(equations, value)
@@ -336,7 +337,7 @@ def _check_batch(equations: Any, size: int) -> None:
             )
 
 
-def _is_single(equation: Any) -> bool:
+def is_single(equation: Any) -> bool:
     """Whether the equation maps one state to one rate of the same shape."""
     leaves, structure = jax.tree.flatten(equation)
     kinds = (jax.ShapeDtypeStruct(x.shape, x.dtype) if eqx.is_array(x) else x for x in leaves)

@@ -17,10 +17,9 @@ from ._forward import differentiable
 from ._linalg import dot, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
+from .equations._invariant import infinity
 from .equations.tangent import Together
 from .outcomes import classified
-
-HUGE = 1e-6  # the part of the largest number that stands for infinity: 0 times it is 0
 
 
 def residual_rotation(
@@ -52,11 +51,12 @@ def residual_rotation(
         there are none: of what is undecided or failed, so near to a boundary that a stop is not
         sure within the tolerances, and on an axis of decaying spin (a boundary) but for axis 3. A
         derivative with respect to one element of an inertia tensor breaks its symmetry; only those
-        along symmetric changes have a meaning. Along changes that turn the dipole away from its
-        principal axis, which ends all residual rotation, they are infinite: 1e302, or the like,
-        since that times 0 is 0. (Not so if the dipole lies along the axis but for rounding: then
-        they hold along changes that keep it there. A `sweep`, which knows the change, tells these
-        from others.)
+        along symmetric changes have a meaning. Derivatives are infinite (1e302, or the like, since
+        that times 0 is 0) along changes that turn the dipole away from its principal axis, which
+        ends all residual rotation, and along those from where ω₁ is constant to where it is not,
+        if ω∞ has a jump or a kink there: δ = 0 with ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or
+        δ ≤ −1/2. (If the dipole lies along the axis but for rounding, they hold along changes that
+        keep it there. A `sweep`, which knows the change, tells these from others.)
 
     Raises:
         ValueError: bad arguments.
@@ -89,7 +89,8 @@ def residual_rotation(
         _, push = jax.linearize(back, x)
         units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
         found = ends(Together(eqx.combine(arrays, rest), *units), start, limits)
-        slopes = jnp.minimum(found.slopes, HUGE * jnp.finfo(start.dtype).max)
+        endless = infinity(x.dtype) * (1 + jnp.sum(x - jax.lax.stop_gradient(x)))
+        slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
         return jnp.append(found.omega_inf, slopes)
 
     return _with_gradient(value, with_slopes)(leaves, limits)

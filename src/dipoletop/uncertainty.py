@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._checks import finite, refuse
+from ._crossings import UNDECIDED, fate
 from ._problems import Problem
 from ._types import Outcome
 from .basin import Basin, Share, wilson
-from .boundary import fate
 from .grids import Points, Sample
 from .sweep import sweep
 
@@ -46,7 +46,7 @@ class Propagation:
         linear_std: √(gᵀCg), the standard deviation of ω∞ to first order.
         shares: probability of every outcome that occurs, with 95 % intervals (Wilson).
         other: probability of another fate than that of the mean: another outcome, ω∞ of the
-            other sign, another kind of stop.
+            other sign, another kind of stop. One that is not known is another.
         mean: mean of the signed ω∞ of the draws that end RESIDUAL; NaN if none does.
         std: their standard deviation; NaN for fewer than two.
     """
@@ -148,7 +148,7 @@ def propagate(
         dict(zip(names, gradient.tolist(), strict=True)),
         float(linear),
         many.fractions(),
-        _share(fate(many) != fate(one)),
+        _share((fate(many) != fate(one)) | (fate(one) <= UNDECIDED)),
         mean_found,
         std_found,
     )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from .._types import Outcome, Real, Stop, Vector, Verdict
+from ._invariant import invariant
 from ._line import EXACT
 from ._residual import (
     Series,
@@ -23,6 +24,11 @@ Flag = Bool[Array, "*#lanes"]
 
 WOBBLING_FROM = 0.7532357993909
 """δ above which the consistent levels have a stable wobbling cycle in the small-amplitude limit."""
+STEEP_FROM = 0.6031006366136
+"""δ above which |ω∞| beside axis 3 is a power below 2 of the distance from it.
+
+By (4.16) C = v ξ^q with ξ = u/v, so |ω∞|² ~ C^{1/(2−q+p)}: the power of √u is q/(2 − q + p).
+"""
 BESIDE = 1e-4
 """T² + Z² up to which motions of the full equation beside the residual line decay."""
 
@@ -67,20 +73,21 @@ def _kept(exact: Flag, w1: Real, series: Series) -> Series:
     return *kept, jnp.where(far, jnp.inf, slope)
 
 
-def _on_axis(axis: Flag, d: Real, w: Vector, value: Series) -> Series:
+def _on_axis(axis: Flag, d: Real, w: Vector, value: Series, plane: Flag | bool = False) -> Series:
     """ω∞ = 0 on an axis of decaying spin; but neighbours may keep rotating.
 
-    Its derivatives are those of ω₁ where that is constant (δ = 0), and 0 on axis 3. On other axes
-    there are none.
+    Its derivatives are those of ω₁ where that is constant, at δ = 0 and in an invariant `plane`
+    ω₃ = 0, and 0 on axis 3. On other axes there are none.
     """
     w1, w2, w3 = w
-    regular = (w2 == 0) & (w3 != 0) | (d == 0) & ((w2 == 0) | (w3 == 0))
+    constant = (d == 0) | plane
+    off = jnp.where(plane, w3, jnp.where(d > STEEP_FROM, w1**2 + w1 * w2 + w2**2, 0.0))
+    at_rest = invariant(jnp.where(constant, w1, 0.0), jnp.where(d == 0, d * w2 * w3, off))
     omega_inf, error, slope = value
-    at_rest = jnp.where(d == 0, w1, 0.0)
     return (
         jnp.where(axis, at_rest, omega_inf),
         jnp.where(axis, 0.0, error),
-        jnp.where(axis, jnp.where(regular, 0.0, jnp.inf), slope),
+        jnp.where(axis, jnp.where(constant | (w2 == 0) & (w3 != 0), 0.0, jnp.inf), slope),
     )
 
 
@@ -108,8 +115,8 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     turning = (d < 0) & ~keeps & (spins | (d <= -0.5))
 
     value = _kept(keeps, w1, residual_first_order(d, w))
-    value = _on_axis(axis, d, w, value)
-    value = *value[:2], jnp.where((d <= -0.5) & (w3 == 0), jnp.inf, value[2])  # others stop
+    alone = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
+    value = _on_axis(axis, d, w, (invariant(value[0], alone), *value[1:]), w3 == 0)
     stop, residual = (axis | turning) & finite, (residual | keeps) & finite
     return _verdict(
         residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, value

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
+from ._invariant import infinite
 
 SLACK = 3.0  # variations may be so many times as far off, relative to their largest component
 ROUNDING = 1e-6  # a sum smaller by this factor than its terms is taken for 0
@@ -95,7 +96,8 @@ class Tangent(eqx.Module):
     def slopes(self, y: State) -> Float[Array, "m *lanes"]:
         """The variations of ω∞, where the verdict on a state says that they are certain.
 
-        Infinite where a variation takes the dipole off its principal axis: then ω∞ falls to 0.
+        Infinite where a variation takes the dipole off its principal axis (then ω∞ falls to 0), or
+        the state from where alone ω∞ is what the verdict says.
         """
         state, *variations = self._split(y)
         value, changes = self._push(
@@ -106,7 +108,8 @@ class Tangent(eqx.Module):
             falls = [(value != 0) & turned for turned in self._turned(body, variations)]
             pairs = zip(falls, changes, strict=True)
             changes = [jnp.where(fall, jnp.inf, change) for fall, change in pairs]
-        return jnp.stack(changes)
+        slopes = jnp.stack(changes)
+        return jnp.where(infinite(slopes), jnp.inf, slopes)
 
     def astray(self, y: State, scale: Any) -> Bool[Array, "*lanes"]:
         """Whether the variations are so large that a run within the tolerances may end elsewhere.
