@@ -5,6 +5,7 @@ Shorthand of the regions: u = ω₁² + ω₂², M = 1 + δ + δ², U = u + Mω�
 S = sgn(ω₃)·2ω₁ω₂/u. On the residual side T = ω₂/ω₁, Z = ω₃/ω₁² and v = ω₁².
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -82,7 +83,8 @@ def _on_axis(axis: Flag, d: Real, w: Vector, value: Series, plane: Flag | bool =
     w1, w2, w3 = w
     constant = (d == 0) | plane
     off = jnp.where(plane, w3, jnp.where(d > STEEP_FROM, w1**2 + w1 * w2 + w2**2, 0.0))
-    at_rest = invariant(jnp.where(constant, w1, 0.0), jnp.where(d == 0, d * w2 * w3, off))
+    zero = w1 - jax.lax.stop_gradient(w1)  # not −0
+    at_rest = invariant(jnp.where(constant, zero, 0.0), jnp.where(d == 0, d * w2 * w3, off))
     omega_inf, error, slope = value
     return (
         jnp.where(axis, at_rest, omega_inf),
