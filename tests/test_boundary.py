@@ -217,6 +217,29 @@ def test_a_share_is_not_known_of_segments_where_nothing_is():
     assert np.isnan([found.share, found.slopes["delta"]]).all()
 
 
+def test_what_is_not_known_beside_a_boundary_does_not_hide_it():
+    """A hole next to the boundary, and one at the beginning, change nothing."""
+    known = {"phi": 0.0}, {"phi": 0.464}
+
+    def problem(phi):
+        return dt.TransverseReduced(DELTA), dt.cylindrical(0.2, 0.2, phi)
+
+    whole = boundary.residual_share(problem, *known, by="phi", parts=10)
+    edge = whole.share * known[1]["phi"]
+
+    def holed(phi):
+        hole = (phi < 0.01) | ((phi > edge - 0.02) & (phi < edge - 0.01))
+        equation, omega0 = problem(phi)
+        return equation, omega0 * jnp.where(hole, jnp.nan, 1.0)
+
+    for ends in (known, known[::-1]):
+        exact = boundary.residual_share(problem, *ends, by="phi", parts=10)
+        found = boundary.residual_share(holed, *ends, by="phi", parts=10)
+        assert found.undecided == pytest.approx(2 / 11)
+        assert found.share == pytest.approx(exact.share, abs=1e-13)
+        assert found.slopes["phi"] == pytest.approx(exact.slopes["phi"], rel=1e-6)
+
+
 def test_bad_input_is_one_sentence():
     found = across()
     point = {"z": 4.0, "phi": 0.0, "delta": DELTA, "w": 1e-3}
@@ -239,6 +262,8 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.trace(found, box, step=0.0), "`step` must be"),
         (lambda: boundary.trace(found, box, by="z"), "`by` must name"),
         (lambda: boundary.minimal_kick(equation, start, along=[4]), "`along` must hold"),
+        (lambda: boundary.bisect(slow, point, point, value=False), "`settings` must be among"),
+        (lambda: boundary.edge_state(equation, start, start, tol=-1.0), "`tol` must lie between"),
         (lambda: boundary.minimal_kick(several, start), "`equation` must be a single one"),
         (lambda: boundary.minimal_kick(equation, start, largest=-1.0), "`largest` must be"),
     ]:

@@ -179,6 +179,7 @@ def test_a_curve_ends_where_too_little_is_decided(found, monkeypatch):
         (lambda: continuation([0.1, 0.2], n=0), "`n` must be a positive whole number"),
         (lambda: continuation([0.1, 0.2], levels="order-5"), "`levels` must name some of order-1"),
         (lambda: follow_spectrum([0.1, 0.2], levels=("semi", "semi")), "`levels` must name"),
+        (lambda: follow_spectrum([0.1, 0.2], levels=()), "`levels` must name"),
         (lambda: follow_spectrum([0.1, 0.2], 0.0), "`w` must not be 0"),
         (lambda: follow_spectrum(0.1), "`delta` must hold two or more values that rise"),
     ],

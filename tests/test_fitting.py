@@ -205,6 +205,7 @@ def test_a_design_of_ones_own():
         ({"bounds": BOX | {"s": (2.0, 1.0)}}, r"`bounds\['s'\]` must be a pair low < high"),
         ({"n": 0}, r"`n` must be a positive whole number"),
         ({"starts": 0}, r"`starts` must be a positive whole number"),
+        ({"seed": "a"}, r"`seed` must be a whole number, not negative"),
         ({"n": 8, "max_steps": 1}, r"`bounds` must hold parameters whose fate is known"),
     ],
 )

@@ -283,6 +283,25 @@ def test_infinite_only_along_changes_that_leave_what_keeps_the_residual_rotation
     assert not np.any(second[~by_hand][~expected[~by_hand]])
 
 
+@pytest.mark.parametrize("start", [(0.3, 0.4, 0.0), (-0.3, 0.0, 0.0)])
+def test_a_body_whose_line_attracts_nothing_keeps_its_value_beside_derivatives(start):
+    """At order 1 and δ ≤ −1/2 nothing comes to the line: what is in the plane ω₃ = 0 stays there.
+
+    Nothing is known of its derivatives, and later states would not know more.
+    """
+
+    def problem(delta, w1):
+        return dt.Reduced(dt.axisymmetric(delta)), jnp.stack([w1, 0 * w1 + start[1], 0 * w1])
+
+    points = dt.Points(delta=[-0.6, -0.5], w1=[start[0]] * 2)
+    for engine in ("native", "jax"):
+        basin = dt.sweep(problem, points, derivatives=("w1",), engine=engine)
+        np.testing.assert_array_equal(basin.outcome, dt.Outcome.RESIDUAL)
+        np.testing.assert_array_equal(basin.omega_inf, start[0])
+        assert basin.steps.max() == 0
+        assert np.all(np.isnan(basin.derivative("w1")))
+
+
 def edges(x):
     """First derivatives of a sweep."""
     names = ("delta", "w1", "w2", "w3")

@@ -188,6 +188,13 @@ def test_indices_are_variances_of_conditional_means():
             assert abs(found.total[name].value - (1 - f.mean(across).var() / f.var())) < 0.02
 
 
+def test_a_single_parameter_explains_all():
+    found = sobol(lambda x: (Told(1 + x), START), {"x": (0.0, 1.0)}, n=1024)
+    assert found.runs == 3 * 1024
+    assert found.first["x"].value == pytest.approx(1, abs=0.02)
+    assert found.total["x"].value == pytest.approx(1, abs=0.02)
+
+
 def test_few_unknown_runs_are_replaced_and_many_refused():
     def problem(x, y):
         return Told(jnp.where(x > 0.99, jnp.nan, 1 + y)), START
@@ -206,6 +213,7 @@ def test_few_unknown_runs_are_replaced_and_many_refused():
     [
         ({"n": 100}, r"`n` must be a power of two, but is 100"),
         ({"seed": -1}, r"`seed` must be a whole number, not negative"),
+        ({"most_unknown": np.nan}, r"`most_unknown` must be finite"),
         ({"target": "time"}, r"`target` must be 'omega_inf' or 'residual'"),
         ({"ranges": {}}, r"`ranges` must be a dict of pairs"),
         ({"ranges": {"a": (0.0, 1.0), "b": (1.0, 1.0)}}, r"`ranges\['b'\]` must be a pair low <"),

@@ -21,6 +21,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ._checks import finite, refuse
+from ._problems import check_problem
+from ._settings import check_settings
 from ._types import Outcome
 from .basin import Basin
 from .grids import Points
@@ -125,8 +127,8 @@ def bisect(
         problem: a problem as for `sweep`.
         a: coordinates of one end, name = a number or shape (N,): the arguments of `problem`.
         b: those of the other end.
-        settings: of the sweeps, as `max_steps` or `rtol`, here 1e-10. The computed boundary is
-            itself uncertain by about `rtol`.
+        settings: rtol, here 1e-10, atol, max_steps, devices and engine, as in `sweep`. The
+            computed boundary is itself uncertain by about `rtol`.
 
     Returns:
         `Crossings`; NaN where the ends have the same fate or one has none.
@@ -156,8 +158,7 @@ def asked(
     problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], settings: dict[str, Any]
 ) -> Crossings:
     """Segments as a user asks for them, that nothing is known of yet."""
-    if not callable(problem):
-        refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
+    check_problem(problem)
     return segments(jax.jit(problem), *columns_of_ends(a, b), settings)
 
 
@@ -181,6 +182,7 @@ def columns_of_ends(
 
 def segments(problem: Problem, a: dict, b: dict, settings: dict[str, Any]) -> Crossings:
     """Segments that nothing is known of yet."""
+    check_settings(settings)
     length = len(next(iter(a.values())))
     bracket = np.tile([0.0, 1.0], (length, 1))
     fates = np.full((length, 2), UNDECIDED)

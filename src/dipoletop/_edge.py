@@ -103,10 +103,10 @@ def edge_state(
         >>> edge.settled, edge.shape[-1].round(3).tolist()
         (True, [0.615, 2.357])
     """
-    problem = starts_of(equation)
+    problem, settling = starts_of(equation), float(tolerance("tol", tol))
     ends = (np.asarray(finite(k, x, (3,), batch=False)) for k, x in (("a", a), ("b", b)))
     found = bisect(problem, *(named(end[None]) for end in ends), **settings)
-    track, settled = _follow(equation, found, lambda w: np.asarray(shape(w)), tol, rounds)
+    track, settled = _follow(equation, found, lambda w: np.asarray(shape(w)), settling, rounds)
     pairs = np.stack([pair for _, pair in track])
     omega = pairs.mean(axis=1)
     width = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1) / np.linalg.norm(omega, axis=1)

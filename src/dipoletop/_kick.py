@@ -111,7 +111,8 @@ def _checked(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The start, the unit vectors of the components that may change, and the largest kick."""
     start = np.asarray(finite("omega0", omega0, (3,), batch=False))
-    if not (0 < len(set(along)) == len(along) and set(along) <= {1, 2, 3}):
+    some = isinstance(along, Sequence) and len(along) > 0
+    if not (some and len(set(along)) == len(along) and set(along) <= {1, 2, 3}):
         refuse("along", "hold different numbers among 1, 2 and 3", f"is {along!r}")
     size = np.linalg.norm(start) if largest is None else finite("largest", largest, batch=False)
     if not size > 0:

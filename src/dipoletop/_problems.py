@@ -29,6 +29,7 @@ def builder(
 
     With `derivatives` the equation is a `Tangent`, whose variations are along these arguments.
     """
+    check_problem(problem)
     if not isinstance(over, Grid | Points | Sample):
         refuse("over", "be a Grid, Points or a Sample", f"is {type(over).__name__}")
     if not isinstance(over, Sample):
@@ -56,6 +57,12 @@ def builder(
             return jax.vmap(varied if derivatives else at, out_axes=-1)(points)
 
     return build
+
+
+def check_problem(problem: Any) -> None:
+    """Refuse what cannot be called."""
+    if not callable(problem):
+        refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
 
 
 def _varied(at: Any, point: dict[str, Array], derivatives: tuple[str, ...]) -> Any:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from ._checks import concrete, real, refuse
 
 MAX_STEPS = 50_000
+SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:
@@ -61,7 +62,19 @@ def _scaled(rtol: Float[Array, ""], start: Float[Array, "..."], axis: int) -> Fl
 
 
 def budget(name: str, value: Any) -> int:
-    """A whole number of steps."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        refuse(name, "be a positive whole number", f"is {value!r}")
+    """A whole number of steps, or of other things."""
+    return whole(name, value, 1, "be a positive whole number")
+
+
+def whole(name: str, value: Any, least: int, must: str = "be a whole number, not negative") -> int:
+    """A whole number from `least` on."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        refuse(name, must, f"is {value!r}")
     return int(value)
+
+
+def check_settings(settings: dict[str, Any]) -> None:
+    """Refuse what is no setting of the runs; ω∞ is always wanted, its sign is part of the fate."""
+    for name in settings:
+        if name not in SETTINGS:
+            refuse("settings", f"be among {', '.join(SETTINGS)}", f"hold {name!r}")

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ._checks import refuse
 from ._crossings import (
@@ -91,11 +91,12 @@ def residual_share(
     s = np.tile(np.linspace(0, 1, budget("parts", parts) + 1), (len(whole.bracket), 1))
     fates = fates_at(whole, s)
     known = fates > UNDECIDED
-    residual = _carried(np.isin(fates, (POSITIVE, NEGATIVE)), known)
+    last = _last_known(known)
+    residual = np.take_along_axis(np.isin(fates, (POSITIVE, NEGATIVE)), last, axis=1)
     rows, places = np.nonzero(residual[:, 1:] != residual[:, :-1])
     share, slopes = residual[:, -1].astype(float), np.zeros((len(s), len(names)))
     if len(rows):
-        found = cut(_between(whole, rows, s[rows, places], s[rows, places + 1]))
+        found = cut(_between(whole, rows, s[rows, last[rows, places]], s[rows, places + 1]))
         sign = np.where(residual[rows, places], 1.0, -1.0)
         np.add.at(share, rows, sign * found.s)
         np.add.at(slopes, rows, sign[:, None] * _moves(found, names))
@@ -111,13 +112,10 @@ def residual_share(
     )
 
 
-def _carried(
-    flags: Bool[np.ndarray, "N m"], known: Bool[np.ndarray, "N m"]
-) -> Bool[np.ndarray, "N m"]:
-    """The flags, those that are not known replaced by the last known ones before, or the first."""
+def _last_known(known: Bool[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
+    """For each place that itself or the last known one before it; before the first, that one."""
     first = np.argmax(known, axis=1)[:, None]
-    last = np.maximum.accumulate(np.where(known, np.arange(flags.shape[1]), first), axis=1)
-    return np.take_along_axis(flags, last, axis=1)
+    return np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), first), axis=1)
 
 
 def _between(

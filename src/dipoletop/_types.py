@@ -57,7 +57,9 @@ class Verdict(NamedTuple):
     error: Real | float = 0.0
     """Estimated error of `omega_inf`, relative to it."""
     slope: Real | float = 0.0
-    """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
+    """Estimated error of the derivatives of `omega_inf` with respect to state and parameters.
+
+    Negative: there are none that a later state could know."""
 
 
 @runtime_checkable

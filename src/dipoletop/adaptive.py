@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ._checks import finite, refuse
+from ._settings import budget, check_settings
 from .basin import FIELDS, Basin
 from .boundary import fate
 from .grids import Grid, Points
@@ -16,7 +17,6 @@ from .sweep import Problem, sweep
 Cells = Int[np.ndarray, "_ 2"]
 """Cells of a lattice by the numbers of their first row and column."""
 
-SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
 PARTS = (65536, 8192, 1024)  # points in one sweep, at most; at least half of it but for the last
 PIXELS = 1 << 20  # filled in at once, at most: what bounds the memory
 
@@ -68,25 +68,17 @@ def refine(
     began = time.perf_counter()
     check_settings(settings)
     picture = _Picture(problem, grid, settings)
-    if isinstance(coarse, bool) or not isinstance(coarse, int | np.integer) or coarse < 1:
-        refuse("coarse", "be a positive whole number", f"is {coarse!r}")
+    coarse = budget("coarse", coarse)
     if omega_tol is not None and (omega_tol := float(finite("omega_tol", omega_tol))) <= 0:
         refuse("omega_tol", "be positive", f"is {omega_tol:g}")
 
-    sizes = [1 << max(0, ((n - 1) // int(coarse)).bit_length() - 1) for n in picture.shape]
+    sizes = [1 << max(0, ((n - 1) // coarse).bit_length() - 1) for n in picture.shape]
     lattice = _Lattice(picture.shape, sizes)
     split = _examine(picture, lattice, lattice.all(), omega_tol)
     while max(lattice.sizes) > 1:
         lattice, cells = lattice.halved(split)
         split = _examine(picture, lattice, cells, omega_tol)
     return picture.basin(sizes, time.perf_counter() - began)
-
-
-def check_settings(settings: dict[str, Any]) -> None:
-    """Refuse what is no setting of the runs; ω∞ is always wanted, its sign is part of the fate."""
-    for name in settings:
-        if name not in SETTINGS:
-            refuse("settings", f"be among {', '.join(SETTINGS)}", f"hold {name!r}")
 
 
 def _examine(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
 from ._checks import finite, refuse
-from .adaptive import check_settings
+from ._settings import budget, check_settings, whole
 from .basin import Basin
 from .boundary import fate
 from .grids import Grid, Points
@@ -87,7 +87,7 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
         (16, 4, True)
     """
     plane = _plane(labels)
-    side = _whole("box", box, 2)
+    side = whole("box", box, 2, "be a whole number from 2 on")
     if side > min(plane.shape):
         refuse("box", f"fit into labels of shape {plane.shape}", f"is {side}")
     rows, columns = (n // side for n in plane.shape)
@@ -129,7 +129,7 @@ def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
     plane = _plane(labels)
     if scales is None:
         scales = [1 << k for k in range((min(plane.shape) // 16).bit_length())]
-    sides = np.unique([_whole("scales", side, 1) for side in scales])
+    sides = np.unique([budget("scales", side) for side in np.ravel(np.asarray(scales, object))])
     if len(sides) < 3 or sides[-1] >= min(plane.shape):
         must = f"hold three different sides or more, all below {min(plane.shape)}"
         refuse("scales", must, f"holds {sides.tolist()}")
@@ -191,7 +191,7 @@ def uncertainty_exponent(
     steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
     if len(np.unique(steps)) < 2 or np.any(steps <= 0):
         refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
-    count, start = _whole("n", n, 1), _whole("seed", seed, 0)
+    count, start = budget("n", n), whole("seed", seed, 0)
     low, high, along = _box(region, along)
     drawn = np.random.default_rng(start).random((len(low), len(steps), count, 1))
     points = {}
@@ -231,19 +231,17 @@ def _box(region: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any]
 
 def _plane(labels: Any) -> Integer[np.ndarray, "n m"]:
     """The labels, or the fates of a basin over two axes."""
-    array = fate(labels).squeeze() if isinstance(labels, Basin) else np.asarray(labels)
+    must = "be whole numbers over two axes"
+    try:
+        array = fate(labels).squeeze() if isinstance(labels, Basin) else np.asarray(labels)
+    except ValueError:  # rows of different lengths
+        refuse("labels", must, "are not")
     if array.dtype == bool:
         array = array.view(np.uint8)
     if array.ndim != 2 or array.dtype.kind not in "iu":
         was = f"have shape {array.shape} and dtype {array.dtype}"
-        refuse("labels", "be whole numbers over two axes", was)
+        refuse("labels", must, was)
     return array
-
-
-def _whole(name: str, value: Any, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        refuse(name, f"be a whole number from {least} on", f"is {value!r}")
-    return int(value)
 
 
 def _mean(values: Float[np.ndarray, "n"]) -> tuple[float, float]:

@@ -5,7 +5,7 @@ same isotropic starts are taken at every value and at every level of the equatio
 numbers), so that curves differ by physics, not by chance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -378,7 +378,8 @@ def _mark(ax: "matplotlib.axes.Axes", marks: list[Threshold], label: bool = True
 
 
 def _chosen(levels: Levels) -> tuple[str, ...]:
-    chosen = (levels,) if isinstance(levels, str) else tuple(levels)
+    several = tuple(levels) if isinstance(levels, Iterable) else ()
+    chosen = (levels,) if isinstance(levels, str) else several
     if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= set(LEVELS):
         refuse("levels", f"name some of {', '.join(LEVELS)}, each once", f"is {levels!r}")
     return chosen

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from . import manifold
 from ._checks import finite, refuse, where_valid
 from ._problems import Problem
-from ._settings import budget, tolerance
+from ._settings import budget, tolerance, whole
 from .grids import Points
 from .simulate import Trajectory, simulate
 from .sweep import sweep
@@ -333,7 +333,7 @@ def design(
         return omega_inf, value, slope * side
 
     many = budget("n", n)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(whole("seed", seed, 0))
     units = qmc.Halton(len(names), seed=generator).random(many)  # pyright: ignore[reportCallIssue]
     _, values, _ = at(units)
     if np.all(np.isnan(values)):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from ._checks import finite, refuse
 from ._crossings import UNDECIDED, fate
 from ._problems import Problem
+from ._settings import whole
 from ._types import Outcome
 from .basin import Basin, Share, wilson
 from .grids import Points, Sample
@@ -258,11 +259,10 @@ def sobol(
     names, m = tuple(ranges), len(ranges)
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 2 or n & (n - 1):
         refuse("n", "be a power of two", f"is {n!r}")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        refuse("seed", "be a whole number, not negative", f"is {seed!r}")
     if target not in ("omega_inf", "residual"):
         refuse("target", "be 'omega_inf' or 'residual'", f"is {target!r}")
-    n, seed = int(n), int(seed)
+    n, seed = int(n), whole("seed", seed, 0)
+    most_unknown = float(finite("most_unknown", most_unknown))
     rows = low + (high - low) * _rows(n, m, seed)
     points = Points(**dict(zip(names, rows.reshape(-1, m).T, strict=True)))
     values = _values(sweep(problem, points, **options), target).reshape(m + 2, n)
@@ -308,14 +308,15 @@ def _with_intervals(
     """First-order and total indices, each with its percentile interval."""
     from scipy.stats import sobol_indices
 
-    n = values.shape[1]
+    m, n = values.shape[0] - 2, values.shape[1]
     if np.ptp(values[:2]) == 0:
         refuse("ranges", "make the target vary", f"it is {values[0, 0]:g} everywhere")
 
     def indices(rows: Any) -> Float[np.ndarray, "2 m"]:
         f = values[:, None, rows]
-        found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=n)
-        return np.reshape([found.first_order, found.total_order], (2, -1))
+        pages = f[2:] if m > 1 else np.repeat(f[2:], 2, axis=0)  # SciPy squeezes a single one
+        found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": pages}, n=n)
+        return np.reshape([found.first_order, found.total_order], (2, -1))[:, :m]
 
     found = indices(slice(None))
     again = [indices(generator.integers(n, size=n)) for _ in range(resamples)]

@@ -313,6 +313,8 @@ def _transverse(frame: Frame, order: int | None, found: Found) -> Verdict:
     top = _regions.of_level(delta, scale(unit, omega), order)
     caught, value, _, slope = found
     residual = top.outcome == Outcome.RESIDUAL
+    # Where only the plane ω₃ = 0 keeps rotating, the line never attracts: no state is caught.
+    unknown = jnp.where((delta <= -0.5) & (order == 1), -1.0, jnp.inf)
     still = jax.lax.stop_gradient
     varied = still(top.omega_inf / unit) + (value - still(value))
     return Verdict(
@@ -321,5 +323,5 @@ def _transverse(frame: Frame, order: int | None, found: Found) -> Verdict:
         jnp.zeros_like(top.certified),
         jnp.broadcast_to(top.stop, top.outcome.shape),
         jnp.broadcast_to(top.error, top.outcome.shape),
-        jnp.where(residual, jnp.where(caught, slope, jnp.inf), top.slope),
+        jnp.where(residual, jnp.where(caught, slope, unknown), top.slope),
     )
