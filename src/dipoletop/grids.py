@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ._checks import finite, real, refuse
+from ._settings import budget
 
 Draw = Callable[[Array], Any]
 """From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
@@ -153,11 +154,9 @@ class Sample:
     def __init__(
         self, n: Any, amplitude: Any = 1.0, *, seed: Any = 0, draw: Draw | None = None
     ) -> None:
-        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-            refuse("n", "be a positive whole number", f"is {n!r}")
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
             refuse("seed", "be a whole number", f"is {seed!r}")
-        self.n, self.seed = int(n), int(seed)
+        self.n, self.seed = budget("n", n), int(seed)
         self.amplitude = None if draw else amplitude
         self._draw = draw if draw else isotropic(amplitude)
 
