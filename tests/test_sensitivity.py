@@ -287,7 +287,7 @@ def test_infinite_only_along_changes_that_leave_what_keeps_the_residual_rotation
 def test_a_body_whose_line_attracts_nothing_keeps_its_value_beside_derivatives(start):
     """At order 1 and δ ≤ −1/2 nothing comes to the line: what is in the plane ω₃ = 0 stays there.
 
-    Nothing is known of its derivatives, and later states would not know more.
+    Rounding would take a longer run off the plane.
     """
 
     def problem(delta, w1):
@@ -298,7 +298,63 @@ def test_a_body_whose_line_attracts_nothing_keeps_its_value_beside_derivatives(s
     np.testing.assert_array_equal(basin.outcome, dt.Outcome.RESIDUAL)
     np.testing.assert_array_equal(basin.omega_inf, start[0])
     assert basin.steps.max() == 0
-    assert np.all(np.isnan(basin.derivative("w1")))
+    np.testing.assert_array_equal(basin.derivative("w1"), 1.0)
+
+
+WHOLE = ("w1", "w2", "w3", "j1", "j2", "j3", "j23", "d2", "size")
+HELD = [  # moments, start, angle by which all is turned, derivatives by these
+    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.0, [1, 0, 0, 0, INF, INF, INF, 0.3, 0]),
+    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, INF, 0.3, 0]),
+    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, INF, INF, 0]),
+    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.0), 0.0, [1, 0, 0, 0, 0, 0, INF, INF, 0]),
+    ((1.0, 1.0, 1.6), (0.3, 0.4, 0.0), 0.0, [1, 0, INF, INF, INF, 0, INF, 0.4, 0]),
+    ((1.0, 1.0, 1.5), (0.3, 0.0, 0.0), 0.0, [1, 0, INF, 0, 0, 0, 0, 0, 0]),
+]
+
+
+def test_infinite_only_along_changes_that_leave_what_keeps_a_body_rotating():
+    """Where J_a = J_b alone keeps w = 0, and where the plane of the paper's order does."""
+
+    def problem(moments, start, turn, j1, j2, j3, j23, d2, size):
+        q = rotation(turn)
+        across = jnp.zeros((3, 3)).at[1, 2].set(j23).at[2, 1].set(j23)
+        inertia = jnp.diag(moments + jnp.stack([j1, j2, j3])) + across
+        body = dt.Body(q @ ((1 + size) * inertia) @ q.T, q @ jnp.stack([1 + 0 * d2, d2, 0 * d2]))
+        return dt.Reduced(body), q @ start
+
+    def by_name(a, b, c, turn, w1, w2, w3, **others):
+        return problem(jnp.stack([a, b, c]), jnp.stack([w1, w2, w3]), turn, **others)
+
+    @jax.jit
+    def gradient(moments, start, turn, changes):
+        def value(start, changes):
+            return dt.residual_rotation(*problem(moments, start, turn, *changes))
+
+        return jnp.concatenate(jax.grad(value, (0, 1))(start, changes))
+
+    rows = np.array([[*moments, turn, *start, *[0] * 6] for moments, start, turn, _ in HELD])
+    names = ("a", "b", "c", "turn", *WHOLE)
+    basin = dt.sweep(by_name, dt.Points(**dict(zip(names, rows.T, strict=True))), derivatives=WHOLE)
+    found = np.stack([basin.derivative(name) for name in WHOLE], axis=1)
+    np.testing.assert_allclose(found, [row[-1] for row in HELD], rtol=1e-14, atol=1e-16)
+    assert basin.steps.max() == 0
+    for moments, start, turn, expected in HELD:
+        alone = gradient(jnp.array(moments), jnp.array(start), turn, jnp.zeros(6))
+        alone = np.where(np.abs(alone) > 1e290, np.inf, alone)
+        if turn == 0:  # else it knows of no change whether it takes the dipole off its axis
+            np.testing.assert_allclose(alone[:-1], expected[:-1], rtol=1e-14, atol=1e-16)
+        else:
+            known = np.isfinite(expected)
+            np.testing.assert_allclose(alone[known], np.array(expected)[known], atol=1e-15)
+
+
+def rotation(angle):
+    """About (1, 1, 1)."""
+    n = jnp.full(3, 3**-0.5)
+    along, zero = n[:, None] * n[None], jnp.zeros(())
+    across = jnp.stack([zero, -n[2], n[1], n[2], zero, -n[0], -n[1], n[0], zero]).reshape(3, 3)
+    turned = jnp.cos(angle) * (jnp.eye(3) - along) + jnp.sin(angle) * across + along
+    return jnp.where(angle == 0, jnp.eye(3), turned)
 
 
 def edges(x):

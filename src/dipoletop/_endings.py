@@ -28,8 +28,7 @@ def decided(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*
     certain = certain & settled(verdict, scale, VALUE_MARGIN)
     if until == "value":
         return certain
-    never = (verdict.outcome == Outcome.STOP) | (verdict.slope < 0)
-    return certain & (smooth(verdict, scale[0]) | never)
+    return certain & (smooth(verdict, scale[0]) | (verdict.outcome == Outcome.STOP))
 
 
 def settled(verdict: Verdict, scale: Any, margin: float) -> Bool[Array, "*lanes"]:
@@ -42,7 +41,7 @@ def settled(verdict: Verdict, scale: Any, margin: float) -> Bool[Array, "*lanes"
 
 def smooth(verdict: Verdict, rtol: Real) -> Bool[Array, "*lanes"]:
     """Whether the derivatives of ω∞ are known to the tolerance, by an estimate that is high."""
-    return (verdict.slope >= 0) & (verdict.slope <= rtol)
+    return verdict.slope <= rtol
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:

@@ -57,9 +57,7 @@ class Verdict(NamedTuple):
     error: Real | float = 0.0
     """Estimated error of `omega_inf`, relative to it."""
     slope: Real | float = 0.0
-    """Estimated error of the derivatives of `omega_inf` with respect to state and parameters.
-
-    Negative: there are none that a later state could know."""
+    """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
 
 
 @runtime_checkable

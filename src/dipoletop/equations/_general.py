@@ -81,17 +81,39 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
     """
     frame = seen_from_dipole(body, y)
     reach = _reach(body, frame) / REACH
-    same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
-    round_about_n = jnp.abs(frame.ja - frame.jb) <= same
-    touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
+    round_about_n, round_across = _symmetry(frame)
     found = _residual(frame, order, reach)
     general = _general(frame, order, reach, round_about_n, found)
-    degenerate = frame.principal & touches & ~round_about_n
     return jax.tree.map(
-        lambda one, two: jnp.where(degenerate, one, two),
+        lambda one, two: jnp.where(round_across, one, two),
         _transverse(frame, order, found),
         general,
     )
+
+
+def constraints(
+    body: Body, omega: Vector, order: int | None, value: Real
+) -> tuple[Vector, Vector]:
+    """What is 0 and has to stay so: else ω∞, of this value, has a jump or a kink.
+
+    In units of the body and of |Ω|. First d × Id: with the dipole off its principal axis there is
+    no residual rotation. Then what takes a state away from where alone w is constant, from w = 0
+    with J_a = J_b, and from the plane of `_stays_in_plane`.
+    """
+    frame = seen_from_dipole(body, omega)
+    round_about_n, round_across = _symmetry(frame)
+    spin = round_about_n & frame.principal & _on_other_axis(frame, round_about_n)
+    delta, _, top = _top(frame)
+    plane = round_across & _stays_in_plane(delta, top, order)
+    d, size = body.dipole, guarded(frame.size)
+    length = guarded(jnp.sqrt(frame.strength))
+    lean = scale(1 / (frame.strength * frame.jd), cross(d, matvec(body.inertia, d)))
+    across = scale(1 / size, cross(d, omega))  # in the plane, along its normal
+    axis = jax.lax.stop_gradient(jnp.where(spin, d, jnp.where(plane, across, 0.0)))
+    torque = dot(axis, cross(matvec(body.inertia, omega), omega)) / (length * frame.jd * size**2)
+    third = jnp.where(plane, top[2] / size, 0.0)
+    lean = jnp.where(spin | (value != 0), lean, 0.0)
+    return lean, jnp.stack([torque, third, jnp.zeros_like(torque)])
 
 
 def _general(
@@ -101,23 +123,25 @@ def _general(
     near = reach <= 1
     caught, value, error, slope = found
     spin = _on_other_axis(frame, round_about_n)
-    keeps = round_about_n & (frame.w != 0)  # then w is constant
+    steady = round_about_n  # then w is constant
     if order is not None and order > 1:  # at large amplitude these levels run away
-        keeps = keeps & near
+        steady = steady & near
+    keeps = steady & (frame.w != 0)
     middle = near & _no_stable_line(frame, order)
     held = near & _behind_barrier(frame)
     stop = jnp.where(frame.principal, spin | (~keeps & (middle | held)), near)
     residual = frame.principal & ~stop & (keeps | caught)
     axis = frame.principal & (spin | (middle & _ends_on_axis(frame)))
+    zero = jnp.where(steady & spin, frame.w - jax.lax.stop_gradient(frame.w), 0.0)  # not −0
     sound = jnp.isfinite(frame.size + frame.jd + frame.ja + frame.jb + frame.strength)
     stop, residual = stop & sound, residual & sound
     return Verdict(
         jnp.where(stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)),
-        jnp.where(stop, 0.0, jnp.where(residual, jnp.where(caught, value, frame.w), jnp.nan)),
+        jnp.where(stop, zero, jnp.where(residual, jnp.where(caught, value, frame.w), jnp.nan)),
         jnp.zeros_like(stop),
         jnp.where(stop, jnp.where(axis, Stop.AXIS, Stop.TUMBLING), Stop.NONE),
         jnp.where(stop | keeps, 0.0, error),
-        jnp.where(stop, jnp.where(spin, jnp.inf, 0.0), jnp.where(caught, slope, jnp.inf)),
+        jnp.where(stop, jnp.where(spin & ~steady, jnp.inf, 0.0), jnp.where(caught, slope, jnp.inf)),
     )
 
 
@@ -155,6 +179,14 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
         jnp.where(done, mixed, 0.0),
         dot(off, off) <= rounding**2,
     )
+
+
+def _symmetry(frame: Frame) -> tuple[Flag, Flag]:
+    """Whether J_a = J_b, and else whether the body is a top whose dipole lies across its axis."""
+    same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
+    round_about_n = jnp.abs(frame.ja - frame.jb) <= same
+    touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
+    return round_about_n, frame.principal & touches & ~round_about_n
 
 
 def _rounding(like: Real) -> float:
@@ -303,25 +335,34 @@ def _transverse(frame: Frame, order: int | None, found: Found) -> Verdict:
     Its ω∞ is more exact than that of `found` but knows of no J_a ≠ J_d: the derivatives are
     those of `found`, where that is at hand.
     """
-    first = jnp.abs(frame.ja - frame.jd) <= jnp.abs(frame.jb - frame.jd)
-    third = jnp.where(first, frame.jb, frame.ja)
-    delta = jnp.maximum(1 - third / frame.jd, -1.0)
-    unit = frame.strength / frame.jd
-    omega = jnp.stack(
-        [frame.w, jnp.where(first, frame.xa, frame.xb), jnp.where(first, frame.xb, -frame.xa)]
-    )
+    delta, unit, omega = _top(frame)
     top = _regions.of_level(delta, scale(unit, omega), order)
     caught, value, _, slope = found
+    plane = _stays_in_plane(delta, omega, order)  # there no state is caught
     residual = top.outcome == Outcome.RESIDUAL
-    # Where only the plane ω₃ = 0 keeps rotating, the line never attracts: no state is caught.
-    unknown = jnp.where((delta <= -0.5) & (order == 1), -1.0, jnp.inf)
+    known = residual & (caught | plane)
+    value, slope = jnp.where(plane, frame.w, value), jnp.where(plane, 0.0, slope)
     still = jax.lax.stop_gradient
     varied = still(top.omega_inf / unit) + (value - still(value))
     return Verdict(
         top.outcome,
-        jnp.where(residual & caught, varied, top.omega_inf / unit),
+        jnp.where(known, varied, top.omega_inf / unit),
         jnp.zeros_like(top.certified),
         jnp.broadcast_to(top.stop, top.outcome.shape),
         jnp.broadcast_to(top.error, top.outcome.shape),
-        jnp.where(residual, jnp.where(caught, slope, unknown), top.slope),
+        jnp.where(residual, jnp.where(known, slope, jnp.inf), top.slope),
     )
+
+
+def _top(frame: Frame) -> tuple[Real, Real, Vector]:
+    """δ, the unit of ω over that of Ω, and Ω about the dipole, across, and about the axis."""
+    first = jnp.abs(frame.ja - frame.jd) <= jnp.abs(frame.jb - frame.jd)
+    third = jnp.where(first, frame.jb, frame.ja)
+    delta = jnp.maximum(1 - third / frame.jd, -1.0)
+    across = jnp.where(first, frame.xa, frame.xb), jnp.where(first, frame.xb, -frame.xa)
+    return delta, frame.strength / frame.jd, jnp.stack([frame.w, *across])
+
+
+def _stays_in_plane(delta: Real, omega: Vector, order: int | None) -> Flag:
+    """At order 1 and δ ≤ −1/2 only what is in the plane ω₃ = 0 keeps rotating: ω₁ is constant."""
+    return (delta <= -0.5) & (omega[2] == 0) & (omega[0] != 0) & (order == 1)

@@ -11,7 +11,9 @@ from jaxtyping import Array, Bool, Float
 from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
+from ._general import constraints
 from ._invariant import infinite
+from ._line import guarded
 
 SLACK = 3.0  # variations may be so many times as far off, relative to their largest component
 ROUNDING = 1e-6  # a sum smaller by this factor than its terms is taken for 0
@@ -97,17 +99,15 @@ class Tangent(eqx.Module):
         """The variations of ω∞, where the verdict on a state says that they are certain.
 
         Infinite where a variation takes the dipole off its principal axis (then ω∞ falls to 0), or
-        the state from where alone ω∞ is what the verdict says.
+        the state or the body from where alone ω∞ is what the verdict says.
         """
         state, *variations = self._split(y)
         value, changes = self._push(
             lambda equation, y: Verdict(*equation.verdict(y)).omega_inf, state, variations
         )
-        body = vars(self.equation).get("body")
-        if isinstance(body, Body):  # else the parameters keep the dipole where it is
-            falls = [(value != 0) & turned for turned in self._turned(body, variations)]
-            pairs = zip(falls, changes, strict=True)
-            changes = [jnp.where(fall, jnp.inf, change) for fall, change in pairs]
+        if isinstance(vars(self.equation).get("body"), Body):  # else the body is always a top
+            pairs = zip(self._leaving(state, variations, value), changes, strict=True)
+            changes = [jnp.where(leaves, jnp.inf, change) for leaves, change in pairs]
         slopes = jnp.stack(changes)
         return jnp.where(infinite(slopes), jnp.inf, slopes)
 
@@ -126,9 +126,19 @@ class Tangent(eqx.Module):
         ]
         return jnp.any(jnp.stack(away) >= state[None], axis=0)
 
-    def _turned(self, body: Body, variations: list[Any]) -> list[Bool[Array, "*lanes"]]:
-        """Which variations take the dipole off its principal axis: they move d × Id from 0."""
-        return self._apply(functools.partial(_turns, body), variations)
+    def _leaving(
+        self, state: State, variations: list[Any], value: Real
+    ) -> list[Bool[Array, "*lanes"]]:
+        """Which variations move what has to stay 0 for ω∞ to be this, but for rounding."""
+        order, value = getattr(self.equation, "order", None), jax.lax.stop_gradient(value)
+
+        def tied(equation: Any, y: State) -> Any:
+            return constraints(equation.body, equation.omega(y), order, value)
+
+        _, moved = self._push(tied, state, variations)
+        sizes = self._apply(functools.partial(_relative, self.equation, state), variations)
+        pairs = zip(moved, sizes, strict=True)
+        return [_beyond(lean, body) | _beyond(away, body + turn) for (lean, away), (body, turn) in pairs]
 
     @property
     def runaway_rate(self) -> Real:
@@ -146,21 +156,22 @@ class Tangent(eqx.Module):
         return getattr(self.equation, "level", type(self.equation).__name__)
 
 
-def _turns(body: Body, varied: Any, _: Any) -> Bool[Array, "*lanes"]:
-    """Whether a variation of the equation moves d × Id of its body, but for rounding."""
-    dipole, moment = body.dipole, matvec(body.inertia, body.dipole)
-    moved = matvec(varied.body.inertia, dipole) + matvec(body.inertia, varied.body.dipole)
-    off = cross(varied.body.dipole, moment) + cross(dipole, moved)
-    d, inertia, turn, change = (
-        jnp.max(jnp.abs(part), axis=axes)
-        for part, axes in (
-            (dipole, 0),
-            (body.inertia, (0, 1)),
-            (varied.body.dipole, 0),
-            (varied.body.inertia, (0, 1)),
-        )
+def _relative(equation: Any, state: State, varied: Any, change: State) -> tuple[Real, Real]:
+    """How large a variation is: of the body, and of its rotation."""
+    pairs = (
+        (equation.body.inertia, varied.body.inertia, (0, 1)),
+        (equation.body.dipole, varied.body.dipole, (0,)),
+        (equation.omega(state), equation.omega(change), (0,)),
     )
-    return jnp.max(jnp.abs(off), axis=0) > ROUNDING * d * (d * change + inertia * turn)
+    inertia, dipole, omega = (
+        jnp.max(jnp.abs(more), axis) / guarded(jnp.max(jnp.abs(of), axis)) for of, more, axis in pairs
+    )
+    return inertia + dipole, omega
+
+
+def _beyond(moved: Vector, size: Real) -> Bool[Array, "*lanes"]:
+    """Whether it is more than rounding of terms of that size."""
+    return jnp.max(jnp.abs(moved), axis=0) > ROUNDING * size
 
 
 class Together(Tangent):
@@ -171,11 +182,14 @@ class Together(Tangent):
     """
 
     def _apply(self, function: Any, variations: list[Any]) -> list[Any]:
-        return list(jax.vmap(function)(self.parameters, jnp.stack(variations)))
+        found = jax.vmap(function)(self.parameters, jnp.stack(variations))
+        return [jax.tree.map(lambda x, k=k: x[k], found) for k in range(self.m)]
 
-    def _turned(self, body: Body, variations: list[Any]) -> list[Bool[Array, "*lanes"]]:
+    def _leaving(
+        self, state: State, variations: list[Any], value: Real
+    ) -> list[Bool[Array, "*lanes"]]:
         # Of a body that lies askew, aligned but for rounding, nearly every number turns the
         # dipole, and only the sum of all of them may tell that it does not.
-        moment = matvec(body.inertia, body.dipole)
-        aligned = jnp.all(cross(body.dipole, moment) == 0, axis=0)
-        return [aligned & turned for turned in super()._turned(body, variations)]
+        body = self.equation.body
+        aligned = jnp.all(cross(body.dipole, matvec(body.inertia, body.dipole)) == 0, axis=0)
+        return [aligned & leaves for leaves in super()._leaving(state, variations, value)]
