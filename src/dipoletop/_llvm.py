@@ -94,6 +94,10 @@ def _placed(name: str, params: dict[str, Any], values: list[Value]) -> Value | N
     return None
 
 
+def _is_zero(entry: Any) -> bool:
+    return isinstance(entry, ir.Constant) and all(e.constant == 0 for e in entry.constant)
+
+
 def _dot(params: dict[str, Any], a: Value, b: Value, w: Writer) -> Value:
     """dot_general, written out."""
     (sum_a, sum_b), (batch_a, batch_b) = params["dimension_numbers"]
@@ -114,8 +118,10 @@ def _dot(params: dict[str, Any], a: Value, b: Value, w: Writer) -> Value:
         for s in np.ndindex(*(size[n] for n in summed)):
             place |= dict(zip(summed, s, strict=True))
             x, y = a[tuple(place[n] for n in name_a)], b[tuple(place[n] for n in name_b)]
-            terms.append(w.arithmetic("mul", x, y))
-        entries.append(functools.reduce(functools.partial(w.arithmetic, "add"), terms))
+            if not (_is_zero(x) or _is_zero(y)):  # a weight of a sum
+                terms.append(w.arithmetic("mul", x, y))
+        none = w.constant(0, params["preferred_element_type"] or "float64")
+        entries.append(functools.reduce(functools.partial(w.arithmetic, "add"), terms or [none]))
     return _array(entries, shape)
 
 

@@ -91,9 +91,7 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
     )
 
 
-def constraints(
-    body: Body, omega: Vector, order: int | None, value: Real
-) -> tuple[Vector, Vector]:
+def constraints(body: Body, omega: Vector, order: int | None, value: Real) -> tuple[Vector, Vector]:
     """What is 0 and has to stay so: else ω∞, of this value, has a jump or a kink.
 
     In units of the body and of |Ω|. First d × Id: with the dipole off its principal axis there is

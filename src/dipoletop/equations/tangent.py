@@ -1,7 +1,7 @@
 """An equation together with its first variations, as an equation of its own."""
 
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -15,7 +15,6 @@ from ._general import constraints
 from ._invariant import infinite
 from ._line import guarded
 
-SLACK = 3.0  # variations may be so many times as far off, relative to their largest component
 ROUNDING = 1e-6  # a sum smaller by this factor than its terms is taken for 0
 
 
@@ -31,6 +30,11 @@ class Tangent(eqx.Module):
         parameters: pₖ, the arrays of the equation (others None) with an axis of m in front.
         starts: the variations of ω₀, shape (m, 3).
     """
+
+    slack: ClassVar[float] = (
+        10.0  # then about as exact, relatively, as values of the equation alone
+    )
+    """How many times as far off a variation may be, relative to its largest component."""
 
     equation: Any
     parameters: Any
@@ -84,7 +88,7 @@ class Tangent(eqx.Module):
         Not by its own size in a variation: then a component that passes 0 costs many steps.
         """
         state, *variations = map(jnp.abs, self._split(y))
-        sizes = [SLACK * largest(each)[None] for each in variations]
+        sizes = [self.slack * largest(each)[None] for each in variations]
         return jnp.concatenate([state, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
 
     def omega(self, y: State) -> Vector:
@@ -138,7 +142,9 @@ class Tangent(eqx.Module):
         _, moved = self._push(tied, state, variations)
         sizes = self._apply(functools.partial(_relative, self.equation, state), variations)
         pairs = zip(moved, sizes, strict=True)
-        return [_beyond(lean, body) | _beyond(away, body + turn) for (lean, away), (body, turn) in pairs]
+        return [
+            _beyond(lean, body) | _beyond(away, body + turn) for (lean, away), (body, turn) in pairs
+        ]
 
     @property
     def runaway_rate(self) -> Real:
@@ -164,7 +170,8 @@ def _relative(equation: Any, state: State, varied: Any, change: State) -> tuple[
         (equation.omega(state), equation.omega(change), (0,)),
     )
     inertia, dipole, omega = (
-        jnp.max(jnp.abs(more), axis) / guarded(jnp.max(jnp.abs(of), axis)) for of, more, axis in pairs
+        jnp.max(jnp.abs(more), axis) / guarded(jnp.max(jnp.abs(of), axis))
+        for of, more, axis in pairs
     )
     return inertia + dipole, omega
 

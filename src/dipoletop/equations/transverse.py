@@ -20,7 +20,14 @@ from .._checks import finite, real
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
-from ._base import check_order, one_order_up, order_label, shape_parameter, unchanged
+from ._base import (
+    check_order,
+    one_order_up,
+    order_label,
+    reciprocal,
+    shape_parameter,
+    unchanged,
+)
 
 
 def top(self: Any) -> Body:
@@ -48,9 +55,26 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
         [
             delta * w2 * w3,
             second[1] - delta * w1 * w3 - square * w2 - p1 * w3 - 2 * w1 * p3,
-            (second[2] - square * w3 + p1 * w2 + 2 * w1 * p2) / (1 - delta),
+            (second[2] - square * w3 + p1 * w2 + 2 * w1 * p2) * reciprocal(1 - delta),
         ]
     )
+
+
+def _reduced(delta: Real, w: Vector, order: int) -> Vector:
+    """ω′ of a reduced level."""
+    if order > 1:
+
+        def lower(t: Any, w: Vector) -> Vector:
+            return _reduced(delta, w, order - 1)
+
+        return _balance(delta, w, *one_order_up(lower, 0.0, w))
+    # What depends on δ alone stands together: the stages of a step share it.
+    d, (w1, w2, w3) = delta, w
+    turn = d * w3
+    drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
+    light = reciprocal(1 - d)
+    axial = (1 + 2 * d) * light * w1**2 + w2**2 + light * w3**2
+    return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
 
 
 class TransverseReduced(eqx.Module):
@@ -83,17 +107,7 @@ class TransverseReduced(eqx.Module):
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dω/dτ, shape (3,) or (3, B)."""
-        d = self.delta
-        if self.order > 1:
-            lower = TransverseReduced(d, self.order - 1)
-            return _balance(d, y, *one_order_up(lower, t, y))
-        # What depends on δ alone stands together: the stages of a step share it.
-        w1, w2, w3 = y
-        turn = d * w3
-        drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
-        light = 1 / (1 - d)
-        axial = (1 + 2 * d) * light * w1**2 + w2**2 + light * w3**2
-        return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
+        return _reduced(self.delta, y, self.order)
 
     lift = omega = unchanged
 
@@ -133,7 +147,7 @@ class TransverseSemi(eqx.Module):
         square = w1**2 + w2**2 + w3**2
         r2 = -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2
         r3 = (d * w2**2 - square) * w3
-        inverse = 1 / (1 - d + 4 * w1**2)
+        inverse = reciprocal(1 - d + 4 * w1**2)
         p2 = ((1 - d) * r2 - 2 * w1 * r3) * inverse
         p3 = (r3 + 2 * w1 * r2) * inverse
         return jnp.stack([d * w2 * w3, p2, p3])
