@@ -136,7 +136,7 @@ class Basin:
 
         NaN where ω∞ is not known or not differentiable, as at a boundary; infinite where a change
         turns the dipole of a general body off its principal axis, which ends all residual rotation,
-        or leaves a plane to which residual rotation is confined (see `residual_rotation`).
+        or leaves what alone keeps ω₁ constant (see `residual_rotation`).
 
         Raises:
             ValueError: the sweep was not asked for this derivative.

@@ -45,7 +45,7 @@ class Classification(eqx.Module):
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
     """The variations of ω∞ along the m ones of a `Tangent` equation: 0 where the top stops as its
     neighbours do; infinite along a change that turns the dipole of a general body off its
-    principal axis, or leaves a plane of residual rotation; NaN where ω∞ is not known, or has no
+    principal axis, or leaves what alone keeps ω₁ constant; NaN where ω∞ is not known, or has no
     derivatives. Else None."""
 
 

@@ -54,9 +54,10 @@ def residual_rotation(
         along symmetric changes have a meaning. Derivatives are infinite (1e302, or the like, since
         that times 0 is 0) along changes that turn the dipole away from its principal axis, which
         ends all residual rotation, and along those from where ω₁ is constant to where it is not,
-        if ω∞ has a jump or a kink there: δ = 0 with ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or
-        δ ≤ −1/2. (If the dipole lies along the axis but for rounding, they hold along changes that
-        keep it there. A `sweep`, which knows the change, tells these from others.)
+        if ω∞ has a jump or a kink there: δ = 0 (of a body: equal moments across the dipole) with
+        ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or δ ≤ −1/2. (If the dipole lies along the axis
+        but for rounding, they hold along changes that keep it there. A `sweep`, which knows the
+        change, tells these from others.)
 
     Raises:
         ValueError: bad arguments.
