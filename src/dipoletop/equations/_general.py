@@ -103,12 +103,12 @@ def constraints(body: Body, omega: Vector, order: int | None, value: Real) -> tu
     spin = round_about_n & frame.principal & _on_other_axis(frame, round_about_n)
     delta, _, top = _top(frame)
     plane = round_across & _stays_in_plane(delta, top, order)
-    d, size = body.dipole, guarded(frame.size)
-    length = guarded(jnp.sqrt(frame.strength))
+    size = guarded(frame.size)
+    d, unit, length = body.dipole, scale(1 / size, omega), jnp.sqrt(frame.strength)
     lean = scale(1 / (frame.strength * frame.jd), cross(d, matvec(body.inertia, d)))
-    across = scale(1 / size, cross(d, omega))  # in the plane, along its normal
-    axis = jax.lax.stop_gradient(jnp.where(spin, d, jnp.where(plane, across, 0.0)))
-    torque = dot(axis, cross(matvec(body.inertia, omega), omega)) / (length * frame.jd * size**2)
+    axis = jnp.where(spin, d, jnp.where(plane, cross(d, unit), 0.0))  # n, or normal to the plane
+    gyroscopic = cross(matvec(body.inertia, unit), unit)
+    torque = dot(jax.lax.stop_gradient(axis), gyroscopic) / (length * frame.jd)
     third = jnp.where(plane, top[2] / size, 0.0)
     lean = jnp.where(spin | (value != 0), lean, 0.0)
     return lean, jnp.stack([torque, third, jnp.zeros_like(torque)])

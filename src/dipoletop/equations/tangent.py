@@ -31,10 +31,9 @@ class Tangent(eqx.Module):
         starts: the variations of ω₀, shape (m, 3).
     """
 
-    slack: ClassVar[float] = (
-        10.0  # then about as exact, relatively, as values of the equation alone
-    )
-    """How many times as far off a variation may be, relative to its largest component."""
+    slack: ClassVar[float] = 10.0
+    """How many times as far off a variation may be, relative to its largest component. Derivatives
+    are then about as exact, relatively, as values of the equation alone."""
 
     equation: Any
     parameters: Any
