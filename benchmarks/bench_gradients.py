@@ -39,7 +39,7 @@ class Sizes(NamedTuple):
     levels: tuple[str, ...] = ("order-1", "semi", *HIGHER)
     names: int = len(NAMES)
     engines: tuple[str, ...] = ("native", "jax")
-    """The JAX engine takes minutes to compile levels above `order-2`, which the native one has."""
+    """Orders 3 and 4 only with the native one: JAX takes long to compile them."""
     single: tuple[str, ...] = ("order-1", "order-2", "semi", "full")
     """Levels at which one start is differentiated."""
     by_start: bool = True
