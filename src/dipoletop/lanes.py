@@ -33,7 +33,7 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
 FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
-LARGE = 200  # operations of a right-hand side from which the stages become a loop
+LARGE, WIDE = 500, 10  # operations and numbers of a rate beyond which the stages become a loop
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
 
 RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1  # states of a lane
@@ -136,7 +136,7 @@ def _combine(weights: np.ndarray, slopes: list[State]) -> State:
 def _runge_kutta(solver: Any, equation: Equation, at: Lanes, h: Real) -> tuple[State, ...]:
     """One step of the tableau: y_new, its rate, and the error."""
     tableau = solver.tableau
-    if _operations(equation, at.y) > LARGE:
+    if len(at.y) > WIDE or _operations(equation, at.y) > LARGE:
         slopes = _rolled_stages(tableau, equation, at, h)
     else:
         slopes = [at.f]
