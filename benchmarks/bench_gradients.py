@@ -30,6 +30,8 @@ TIME = 1000.0  # of the end states that are differentiated
 HIGHER = ("order-2", "order-3", "order-4")
 SMALLER = 0.25  # of the amplitudes of the mixed basin, at these levels: in others they run away
 LENGTHS = (0.3, 0.03, 0.003)  # |ω₀| of runs of different length, δ = 0.3
+LONG = (1.3, 0.8, 1.0)  # principal moments of the body of long runs, |ω₀| = 1
+TURNING, PATIENCE = 16, 4_000_000  # how many such runs, and their steps at most
 
 
 class Sizes(NamedTuple):
@@ -48,6 +50,8 @@ class Sizes(NamedTuple):
     """… and differentiated twice, which takes long to compile."""
     body: bool = False
     """Whether a general body is among them, whose gradient takes minutes to compile."""
+    weak: tuple[float, ...] = (0.1, 0.01, 0.001)
+    """|d|² of bodies that turn ever more often before they are slow."""
     budgets: tuple[int, ...] = (1_000, 100_000)
     """Largest numbers of steps of the programs whose memory is compared."""
     together: int = 256
@@ -65,6 +69,7 @@ FEW = Sizes(
     single=("order-1",),
     by_start=False,
     twice=(),
+    weak=(0.1,),
     budgets=(1_000,),
     together=0,
     backwards=False,
@@ -234,6 +239,38 @@ def _of_a_body() -> dict[str, Any]:
     return cases
 
 
+def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
+    """Errors of general bodies that radiate weakly, at order 1.
+
+    A unit of time shorter by 1 + a makes ω₀ (1 + a) times as large, |d|² as small, and ω∞ as
+    large: ∂ω∞/∂a = ω∞ at a = 0.
+    """
+
+    def made(a: Any, strength: Any, w1: Any, w2: Any, w3: Any) -> Any:
+        dipole = jnp.stack([jnp.sqrt(strength / (1 + a)), 0 * a, 0 * a])
+        rigid = dt.Body(jnp.diag(jnp.array(LONG)), dipole)
+        return dt.Reduced(rigid), (1 + a) * jnp.stack([w1, w2, w3])
+
+    way = np.random.default_rng(5).normal(size=(TURNING, 3))
+    way[:, 0] = abs(way[:, 0])
+    omegas = dict(zip(("w1", "w2", "w3"), way.T / np.linalg.norm(way, axis=1), strict=True))
+    rows = []
+    for strength in sizes.weak:
+        points = dt.Points(a=np.zeros(TURNING), strength=np.full(TURNING, strength), **omegas)
+        sweep = partial(dt.sweep, made, points, max_steps=PATIENCE, progress=False)
+        exact = sweep(rtol=TRUTH).omega_inf
+        for rtol in (RTOL, 1e-10):
+            plain, basin = sweep(rtol=rtol), sweep(rtol=rtol, derivatives=("a",))
+            pairs = {"value": plain.omega_inf, "slope": basin.derivative("a")}
+            off = {name: np.abs(found / exact - 1) for name, found in pairs.items()}
+            errors = {name: [float(np.median(e)), float(e.max())] for name, e in off.items()}
+            rows.append(
+                {"strength": strength, "rtol": rtol, "starts": TURNING, "errors": errors}
+                | {"steps": [float(each.steps.mean()) for each in (plain, basin)]}
+            )
+    return rows
+
+
 def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
     """Temporary memory of compiled gradients by δ, and which lengths of run they serve."""
     adjoint = diffrax.RecursiveCheckpointAdjoint()
@@ -339,6 +376,7 @@ def compare(sizes: Sizes) -> dict[str, Any]:
         "rtol": RTOL,
         "sweeps": in_sweeps(sizes),
         "single": of_one_start(sizes),
+        "turns": over_many_turns(sizes),
         "memory": in_memory(sizes),
         "end": of_end_states(sizes),
     }

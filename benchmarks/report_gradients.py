@@ -13,7 +13,12 @@ def gradients(found: dict[str, Any]) -> str:
     title = f"### Derivatives in sweeps: mixed basin, {starts} starts, rtol {found['rtol']:.0e}"
     parts = [title, layout(_sweeps(found["sweeps"]), text=2)]
     parts += ["### Derivatives of one start, rtol 1e-10", layout(_single(found["single"]), text=2)]
-    parts += ["### Temporary memory of a gradient by δ", layout(_memory(found["memory"]))]
+    parts += [f"### Over many turns: {found['turns'][0]['starts']} starts of a general body"]
+    parts += [
+        layout(_turns(found["turns"])),
+        "### Temporary memory of a gradient by δ",
+        layout(_memory(found["memory"])),
+    ]
     return "\n\n".join(parts + _end(found["end"]))
 
 
@@ -45,6 +50,16 @@ def _single(rows: list[dict[str, Any]]) -> Table:
         costs = [wall, number(per_start(row, "processor_seconds")), number(row["over_plain"])]
         compiled = number(row["compile_seconds"])
         table.append([row["of"], row["name"], *costs, f"{row['error']:.1e}", compiled])
+    return table
+
+
+def _turns(rows: list[dict[str, Any]]) -> Table:
+    head = ["\\|d\\|²", "rtol", "steps/start, plain / by a"]
+    table = [[*head, "error of ω∞, median / largest", "of ∂ω∞/∂a, median / largest"]]
+    for row in rows:
+        steps = " / ".join(f"{count:.0f}" for count in row["steps"])
+        errors = [" / ".join(f"{e:.1e}" for e in row["errors"][k]) for k in ("value", "slope")]
+        table.append([f"{row['strength']:g}", f"{row['rtol']:.0e}", steps, *errors])
     return table
 
 

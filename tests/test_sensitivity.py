@@ -181,11 +181,13 @@ def test_no_derivative_along_changes_that_turn_the_dipole_off_its_axis():
         return jax.grad(value)(jnp.zeros(4)), jax.jvp(value, (jnp.zeros(4),), (along,))[1]
 
     kept, turning = jnp.array([2.0, 0.0, 1.0, 0.0]), jnp.array([0.0, 1.0, 0.0, 0.0])
+    both = jnp.array([0.0, 1.0, 0.0, -1.0])  # the axis by 1/(J₁ − J₂), the dipole by −1
     gradient, slope = slopes(0.0, kept)
     np.testing.assert_allclose(gradient[::2], [0.2, 0.0], rtol=1e-14)
     assert np.all(gradient[1::2] > 1e290)
     assert float(slope) == pytest.approx(0.4, rel=1e-14)
     assert slopes(0.0, turning)[1] > 1e290
+    assert abs(slopes(0.0, both)[1]) > 1e290
     # Of a body that lies askew, and so is aligned but for rounding.
     assert float(slopes(0.3, kept)[1]) == pytest.approx(0.4 * np.cos(0.3) ** 2, rel=1e-9)
     whole = 0.2 * (1.1 - 0.7) * np.sin(0.6)  # I₁₁ of the body as a whole turned further
@@ -301,49 +303,73 @@ def test_a_body_whose_line_attracts_nothing_keeps_its_value_beside_derivatives(s
     np.testing.assert_array_equal(basin.derivative("w1"), 1.0)
 
 
-WHOLE = ("w1", "w2", "w3", "j1", "j2", "j3", "j23", "d2", "size")
+WHOLE = ("w1", "w2", "w3", "j1", "j2", "j3", "j12", "j23", "d2", "size", "turn")
 HELD = [  # moments, start, angle by which all is turned, derivatives by these
-    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.0, [1, 0, 0, 0, INF, INF, INF, 0.3, 0]),
-    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, INF, 0.3, 0]),
-    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, INF, INF, 0]),
-    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.0), 0.0, [1, 0, 0, 0, 0, 0, INF, INF, 0]),
-    ((1.0, 1.0, 1.6), (0.3, 0.4, 0.0), 0.0, [1, 0, INF, INF, INF, 0, INF, 0.4, 0]),
-    ((1.0, 1.0, 1.5), (0.3, 0.0, 0.0), 0.0, [1, 0, INF, 0, 0, 0, 0, 0, 0]),
+    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.0, [1, 0, 0, 0, INF, INF, 0, INF, 0.3, 0, 0]),
+    ((1.0, 1.0, 1.0), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, 0, INF, 0.3, 0, 0]),
+    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.4), 0.4, [1, 0, 0, 0, INF, INF, 0, INF, 0, 0, 0]),
+    ((1.0, 0.8, 0.8), (0.0, 0.3, 0.0), 0.0, [1, 0, 0, 0, 0, 0, 0, INF, 0, 0, 0]),
+    ((1.0, 1.0, 1.6), (0.3, 0.4, 0.0), 0.0, [1, 0, INF, INF, INF, 0, INF, INF, 0.4, 0, 0]),
+    ((1.0, 1.0, 1.5), (0.3, 0.0, 0.0), 0.0, [1, 0, INF, 0, 0, 0, INF, 0, 0, 0, 0]),
+    ((1.0, 1.0, 0.7), (0.0, 0.2, 0.0), 0.0, [1, 0, INF, 0, 0, 0, 0, INF, 0.2, 0, 0]),
+    ((1.0, 1 + 1e-9, 0.7), (0.2, 0.0, 0.0), 0.0, [1, 0, 0, 0, 0, 0, INF, 0, INF, 0, 0]),
+    ((0.1, 1.0, 1.05), (0.2, 0.0, 0.0), 0.9, [1, 0, 0, 0, 0, 0, INF, 0, INF, 0, 0]),
 ]
 
 
 def test_infinite_only_along_changes_that_leave_what_keeps_a_body_rotating():
-    """Where J_a = J_b alone keeps w = 0, and where the plane of the paper's order does."""
+    """Where J_a = J_b alone keeps w = 0, and where the plane of the paper's order does.
 
-    def problem(start, j1, j2, j3, j23, d2, size, moments, turn):
-        q = rotation(turn)
+    A leaning dipole ends every residual rotation; where there is none, nothing changes.
+    """
+
+    def problem(start, j1, j2, j3, j12, j23, d2, size, turn, moments):
         across = jnp.zeros((3, 3)).at[1, 2].set(j23).at[2, 1].set(j23)
+        across = across.at[0, 1].set(j12).at[1, 0].set(j12)
+        q = rotation(turn)
         inertia = jnp.diag(moments + jnp.stack([j1, j2, j3])) + across
         body = dt.Body(q @ ((1 + size) * inertia) @ q.T, q @ jnp.stack([1 + 0 * d2, d2, 0 * d2]))
         return dt.Reduced(body), q @ start
 
     @jax.jit
-    def known(moments, start, turn):
+    def known(moments, start, turn, directions):
         def of_all(x):
-            return problem(x[:3], *x[3:], moments, turn)
+            return problem(x[:3], *x[3:], moments)
 
-        x = jnp.concatenate([start, jnp.zeros(6)])
+        x = jnp.concatenate([start, jnp.zeros(7), turn[None]])
         (equation, omega), push = jax.linearize(of_all, x)
-        along = jax.vmap(push)(jnp.eye(9))
+        along = jax.vmap(push)(directions)
         assert equation.lift(omega) is omega  # a state is ω, so their variations are the same
         slope = equation.verdict(omega).slope
         return slope, *(
-            kind(equation, *along).slopes(jnp.append(omega, along[1]))
+            kind(equation, *along).slopes(jnp.concatenate([omega, *along[1]]))
             for kind in (Tangent, Together)
         )
 
+    def along(**parts):
+        return sum(value * np.eye(11)[WHOLE.index(name)] for name, value in parts.items())
+
+    one, lean = np.eye(11), WHOLE.index("d2")
     for moments, start, turn, expected in HELD:
-        slope, found, alone = known(jnp.array(moments), jnp.array(start), turn)
-        assert float(slope) == 0
-        np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-16)
-        # One start: of a body askew nothing is known of what takes the dipole off its axis.
-        told = np.isfinite(expected) if turn else slice(None)
-        np.testing.assert_allclose(alone[told], np.array(expected)[told], rtol=1e-14, atol=1e-16)
+        given = np.array(moments), np.array(start), np.array(turn)
+        slope, found, alone = known(*given, one)
+        assert float(slope) < 1e-40
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+        # One start: of a body askew nothing is known of what takes the dipole off its axis, and
+        # nothing of what else may come together with that.
+        sure = np.array([name not in ("j12", "d2", "turn") for name in WHOLE])
+        np.testing.assert_allclose(alone[sure], np.array(expected)[sure], rtol=1e-9, atol=1e-15)
+        if not turn and moments[0] != moments[1]:
+            assert np.isinf(alone[lean])
+    # Together with a lean, ω₁ ends at 0, too; and 10⁻⁷ of one is a lean, rounding is not.
+    at = np.array([1.0, 1.0, 0.7]), np.array([0.0, 0.2, 0.0]), np.array(0.0)
+    ways = [along(w1=1, j12=1), along(w1=1, size=1), along(size=1, d2=1e-3)]
+    *_, found, _ = known(*at, np.concatenate([ways, one[3:]]))
+    np.testing.assert_allclose(found[:3], [0, 1, 2e-4], rtol=1e-14)
+    at = np.array([1.0, 0.8, 0.7]), np.array([0.2, 0.0, 0.0]), np.array(0.4)
+    ways = [along(size=1, d2=1e-7), along(size=1, d2=1e-15), along(w1=1, turn=3)]
+    *_, found, _ = known(*at, np.concatenate([ways, one[3:]]))
+    np.testing.assert_allclose(found[:3], [INF, 0, 1], rtol=1e-14, atol=1e-14)
 
 
 def rotation(angle):

@@ -55,9 +55,10 @@ def residual_rotation(
         that times 0 is 0) along changes that turn the dipole away from its principal axis, which
         ends all residual rotation, and along those from where ω₁ is constant to where it is not,
         if ω∞ has a jump or a kink there: δ = 0 (of a body: equal moments across the dipole) with
-        ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or δ ≤ −1/2. (If the dipole lies along the axis
-        but for rounding, they hold along changes that keep it there. A `sweep`, which knows the
-        change, tells these from others.)
+        ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or δ ≤ −1/2. Each number of the body is taken
+        alone: so also along changes that only together keep the dipole on its axis, as turning
+        all does. But if it lies there but for rounding, as in a body that lies askew, derivatives
+        hold along changes that keep it there. A `sweep`, which knows the change, tells them apart.
 
     Raises:
         ValueError: bad arguments.
@@ -89,8 +90,10 @@ def residual_rotation(
         arrays, start = jax.tree.unflatten(structure, back(x))
         _, push = jax.linearize(back, x)
         units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
+        # Else +s in one and −s in another would leave a plausible number of what is infinite.
+        irregular = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))  # independent numbers
         found = ends(Together(eqx.combine(arrays, rest), *units), start, limits)
-        endless = infinity(x.dtype) * (1 + jnp.sum(x - jax.lax.stop_gradient(x)))
+        endless = infinity(x.dtype) * (irregular + jnp.sum(x - jax.lax.stop_gradient(x)))
         slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
         return jnp.append(found.omega_inf, slopes)
 

@@ -47,7 +47,8 @@ def sweep(
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
         value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
         derivatives: arguments of the problem, numbers all; `basin.derivative(name)` is then
-            ∂ω∞/∂name, to `rtol`, from the equation's first variations.
+            ∂ω∞/∂name, from the equation's first variations, each step of which is held to ten
+            times `rtol`: over thousands of turns errors add up, and a smaller `rtol` tells.
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
         store: a folder for the result. Run the same sweep again and it goes on where it was
             stopped; a grid of any size then needs little memory.

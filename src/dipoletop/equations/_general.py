@@ -91,8 +91,8 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
     )
 
 
-def constraints(body: Body, omega: Vector, order: int | None, value: Real) -> tuple[Vector, Vector]:
-    """What is 0 and has to stay so: else ω∞, of this value, has a jump or a kink.
+def constraints(body: Body, omega: Vector, order: int | None) -> tuple[Vector, Vector]:
+    """What is 0, and has to stay so where the residual rotation depends on it.
 
     In units of the body and of |Ω|. First d × Id: with the dipole off its principal axis there is
     no residual rotation. Then what takes a state away from where alone w is constant, from w = 0
@@ -103,14 +103,13 @@ def constraints(body: Body, omega: Vector, order: int | None, value: Real) -> tu
     spin = round_about_n & frame.principal & _on_other_axis(frame, round_about_n)
     delta, _, top = _top(frame)
     plane = round_across & _stays_in_plane(delta, top, order)
-    size = guarded(frame.size)
+    size, moments = guarded(frame.size), _trace(body.inertia)
     d, unit, length = body.dipole, scale(1 / size, omega), jnp.sqrt(frame.strength)
-    lean = scale(1 / (frame.strength * frame.jd), cross(d, matvec(body.inertia, d)))
+    lean = scale(1 / (frame.strength * moments), cross(d, matvec(body.inertia, d)))
     axis = jnp.where(spin, d, jnp.where(plane, cross(d, unit), 0.0))  # n, or normal to the plane
     gyroscopic = cross(matvec(body.inertia, unit), unit)
-    torque = dot(jax.lax.stop_gradient(axis), gyroscopic) / (length * frame.jd)
+    torque = dot(jax.lax.stop_gradient(axis), gyroscopic) / (length * moments)
     third = jnp.where(plane, top[2] / size, 0.0)
-    lean = jnp.where(spin | (value != 0), lean, 0.0)
     return lean, jnp.stack([torque, third, jnp.zeros_like(torque)])
 
 
@@ -164,7 +163,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
     lever = matvec(inertia, n)
     jd, gain = dot(n, lever), mixed * jnp.tan(turn)
     off = lever - scale(jd, n)
-    rounding = _rounding(jd) * (inertia[0, 0] + inertia[1, 1] + inertia[2, 2])
+    same = rounding(jd) * _trace(inertia)
     return Frame(
         strength,
         root(dot(omega, omega)),
@@ -175,20 +174,25 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
         dot(e, ie) + gain,
         dot(f, jf) - gain,
         jnp.where(done, mixed, 0.0),
-        dot(off, off) <= rounding**2,
+        dot(off, off) <= same**2,
     )
 
 
 def _symmetry(frame: Frame) -> tuple[Flag, Flag]:
     """Whether J_a = J_b, and else whether the body is a top whose dipole lies across its axis."""
-    same = _rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
+    same = rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
     round_about_n = jnp.abs(frame.ja - frame.jb) <= same
     touches = (jnp.abs(frame.ja - frame.jd) <= same) | (jnp.abs(frame.jb - frame.jd) <= same)
     return round_about_n, frame.principal & touches & ~round_about_n
 
 
-def _rounding(like: Real) -> float:
+def rounding(like: Real) -> float:
+    """The relative size of what counts as rounding of numbers like these."""
     return SAME * float(jnp.finfo(like.dtype).eps)
+
+
+def _trace(inertia: Array) -> Real:
+    return inertia[0, 0] + inertia[1, 1] + inertia[2, 2]
 
 
 def _reach(body: Body, frame: Frame) -> Real:

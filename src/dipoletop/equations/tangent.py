@@ -11,11 +11,9 @@ from jaxtyping import Array, Bool, Float
 from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
-from ._general import constraints
+from ._general import constraints, rounding
 from ._invariant import infinite
 from ._line import guarded
-
-ROUNDING = 1e-6  # a sum smaller by this factor than its terms is taken for 0
 
 
 class Tangent(eqx.Module):
@@ -35,7 +33,8 @@ class Tangent(eqx.Module):
     """How many times as far off a variation may be, relative to its largest component.
 
     At the same tolerance derivatives are then less exact than values of the equation alone, but
-    not next to a boundary; those of bodies, whose precession gets out of phase, are the least."""
+    not next to a boundary. Those of bodies, whose precession gets out of phase, are the least:
+    their errors grow with the turns of a run about as the square of these does."""
 
     equation: Any
     parameters: Any
@@ -103,18 +102,26 @@ class Tangent(eqx.Module):
     def slopes(self, y: State) -> Float[Array, "m *lanes"]:
         """The variations of ω∞, where the verdict on a state says that they are certain.
 
-        Infinite where a variation takes the dipole off its principal axis (then ω∞ falls to 0), or
-        the state or the body from where alone ω∞ is what the verdict says.
+        A variation that takes the dipole off its principal axis ends all residual rotation: it is
+        infinite if there is any, and else 0, whatever else varies. Infinite, too, is one that
+        takes the state or the body from where alone ω∞ is what the verdict says.
         """
         state, *variations = self._split(y)
         value, changes = self._push(
             lambda equation, y: Verdict(*equation.verdict(y)).omega_inf, state, variations
         )
-        if isinstance(vars(self.equation).get("body"), Body):  # else the body is always a top
-            pairs = zip(self._leaving(state, variations, value), changes, strict=True)
-            changes = [jnp.where(leaves, jnp.inf, change) for leaves, change in pairs]
         slopes = jnp.stack(changes)
-        return jnp.where(infinite(slopes), jnp.inf, slopes)
+        slopes = jnp.where(infinite(slopes), jnp.inf, slopes)
+        if isinstance(vars(self.equation).get("body"), Body):  # else the body is always a top
+            lean, away = self._moved(state, variations)
+            slopes = jnp.where(away, jnp.inf, slopes)
+            ended = jnp.where(self._rotates(value, slopes), jnp.inf, 0.0)
+            slopes = jnp.where(lean, ended[None], slopes)
+        return slopes
+
+    def _rotates(self, value: Real, slopes: Array) -> Bool[Array, "*lanes"]:
+        """Whether there is a residual rotation that a leaning dipole ends."""
+        return value != 0
 
     def astray(self, y: State, scale: Any) -> Bool[Array, "*lanes"]:
         """Whether the variations are so large that a run within the tolerances may end elsewhere.
@@ -131,21 +138,22 @@ class Tangent(eqx.Module):
         ]
         return jnp.any(jnp.stack(away) >= state[None], axis=0)
 
-    def _leaving(
-        self, state: State, variations: list[Any], value: Real
-    ) -> list[Bool[Array, "*lanes"]]:
-        """Which variations move what has to stay 0 for ω∞ to be this, but for rounding."""
-        order, value = getattr(self.equation, "order", None), jax.lax.stop_gradient(value)
+    def _moved(self, state: State, variations: list[Any]) -> tuple[Array, Array]:
+        """Which variations move, by more than rounding, each of the two `constraints`."""
+        order = getattr(self.equation, "order", None)
 
         def tied(equation: Any, y: State) -> Any:
-            return constraints(equation.body, equation.omega(y), order, value)
+            return constraints(equation.body, equation.omega(y), order)
 
         _, moved = self._push(tied, state, variations)
         sizes = self._apply(functools.partial(_relative, self.equation, state), variations)
         pairs = zip(moved, sizes, strict=True)
-        return [
-            _beyond(lean, body) | _beyond(away, body + turn) for (lean, away), (body, turn) in pairs
+        found = [
+            (_beyond(lean, body), _beyond(away, body + turn))
+            for (lean, away), (body, turn) in pairs
         ]
+        lean, away = map(jnp.stack, zip(*found, strict=True))
+        return lean, away
 
     @property
     def runaway_rate(self) -> Real:
@@ -179,7 +187,7 @@ def _relative(equation: Any, state: State, varied: Any, change: State) -> tuple[
 
 def _beyond(moved: Vector, size: Real) -> Bool[Array, "*lanes"]:
     """Whether it is more than rounding of terms of that size."""
-    return jnp.max(jnp.abs(moved), axis=0) > ROUNDING * size
+    return jnp.max(jnp.abs(moved), axis=0) > rounding(size) * size
 
 
 class Together(Tangent):
@@ -195,11 +203,14 @@ class Together(Tangent):
         found = jax.vmap(function)(self.parameters, jnp.stack(variations))
         return [jax.tree.map(lambda x, k=k: x[k], found) for k in range(self.m)]
 
-    def _leaving(
-        self, state: State, variations: list[Any], value: Real
-    ) -> list[Bool[Array, "*lanes"]]:
+    def _rotates(self, value: Real, slopes: Array) -> Bool[Array, "*lanes"]:
+        # Or may do so: a variation may come together with others that make the dipole rotate.
+        return (value != 0) | jnp.any(slopes != 0, axis=0)
+
+    def _moved(self, state: State, variations: list[Any]) -> tuple[Array, Array]:
         # Of a body that lies askew, aligned but for rounding, nearly every number turns the
         # dipole, and only the sum of all of them may tell that it does not.
+        lean, away = super()._moved(state, variations)
         body = self.equation.body
         aligned = jnp.all(cross(body.dipole, matvec(body.inertia, body.dipole)) == 0, axis=0)
-        return [aligned & leaves for leaves in super()._leaving(state, variations, value)]
+        return aligned & lean, away
