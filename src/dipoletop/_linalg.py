@@ -41,6 +41,11 @@ def matvec(m: Mat, a: Vec) -> Vec:
     return jnp.stack([dot(m[0], a), dot(m[1], a), dot(m[2], a)])
 
 
+def trace(m: Mat) -> Scalar:
+    """Sum of the diagonal."""
+    return m[0, 0] + m[1, 1] + m[2, 2]
+
+
 def solve(m: Mat, b: Vec) -> Vec:
     """Solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
     r0, r1, r2 = cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._linalg import cross, dot, inverse, matvec, scale
+from .._linalg import cross, dot, inverse, matvec, scale, trace
 from .._types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body
 from . import _regions
@@ -103,7 +103,7 @@ def constraints(body: Body, omega: Vector, order: int | None) -> tuple[Vector, V
     spin = round_about_n & frame.principal & _on_other_axis(frame, round_about_n)
     delta, _, top = _top(frame)
     plane = round_across & _stays_in_plane(delta, top, order)
-    size, moments = guarded(frame.size), _trace(body.inertia)
+    size, moments = guarded(frame.size), trace(body.inertia)
     d, unit, length = body.dipole, scale(1 / size, omega), jnp.sqrt(frame.strength)
     lean = scale(1 / (frame.strength * moments), cross(d, matvec(body.inertia, d)))
     axis = jnp.where(spin, d, jnp.where(plane, cross(d, unit), 0.0))  # n, or normal to the plane
@@ -163,7 +163,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> Frame:
     lever = matvec(inertia, n)
     jd, gain = dot(n, lever), mixed * jnp.tan(turn)
     off = lever - scale(jd, n)
-    same = rounding(jd) * _trace(inertia)
+    same = rounding(jd) * trace(inertia)
     return Frame(
         strength,
         root(dot(omega, omega)),
@@ -189,10 +189,6 @@ def _symmetry(frame: Frame) -> tuple[Flag, Flag]:
 def rounding(like: Real) -> float:
     """The relative size of what counts as rounding of numbers like these."""
     return SAME * float(jnp.finfo(like.dtype).eps)
-
-
-def _trace(inertia: Array) -> Real:
-    return inertia[0, 0] + inertia[1, 1] + inertia[2, 2]
 
 
 def _reach(body: Body, frame: Frame) -> Real:

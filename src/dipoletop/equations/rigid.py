@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import dot, inverse, matvec, scale, solve
+from .._linalg import dot, inverse, matvec, scale, solve, trace
 from .._types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
@@ -172,7 +172,7 @@ class Full(eqx.Module):
         along = dot(lever, d)
         rest = jnp.stack([inertia[i] - scale(lever[i] / along, lever) for i in range(3)])
         # That matrix already annihilates n from both sides: trace and sum of the 2×2 minors.
-        total = rest[0, 0] + rest[1, 1] + rest[2, 2]
+        total = trace(rest)
         pairs = ((0, 1), (0, 2), (1, 2))
         minors = sum(rest[i, i] * rest[j, j] - rest[i, j] * rest[j, i] for i, j in pairs)
         root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
