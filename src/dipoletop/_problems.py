@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import refuse
+from ._linalg import length
 from ._types import Equation
 from .equations.tangent import Tangent
 from .grids import Grid, Points, Sample
@@ -77,7 +78,8 @@ def _varied(at: Any, point: dict[str, Array], derivatives: tuple[str, ...]) -> A
         made, tuple(point[name] for name in derivatives), has_aux=True
     )
     units = tuple(jnp.eye(len(derivatives)))
-    return Tangent(eqx.combine(arrays, rest), *jax.vmap(push)(units)), omega0
+    parameters, starts = jax.vmap(push)(units)
+    return Tangent(eqx.combine(arrays, rest), parameters, starts, length(omega0)), omega0
 
 
 def _check_derivatives(points: Any, derivatives: tuple[str, ...]) -> None:

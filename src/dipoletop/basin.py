@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 FIELDS: dict[str, tuple[str, str, str]] = {
     "outcome": ("int8", "1", "FAILED -1, UNDECIDED 0, RESIDUAL 1, STOP 2"),
     "omega_inf": ("float64", "1/tau_0", "residual angular velocity along the dipole, signed"),
+    "omega_inf_error": ("float64", "1/tau_0", "estimated absolute error of omega_inf"),
     "time": ("float64", "tau_0", "time at which the outcome was certain"),
     "steps": ("int32", "1", "integration steps tried"),
     "certified": ("bool", "1", "whether the region that ended the run is proven to decide"),
@@ -105,6 +106,11 @@ class Basin:
     def omega_inf(self) -> Float[np.ndarray, "*shape"]:
         """Residual angular velocity along the dipole, signed; 0 for STOP, NaN where not known."""
         return self.column("omega_inf")
+
+    @property
+    def omega_inf_error(self) -> Float[np.ndarray, "*shape"]:
+        """Estimated absolute error of ω∞; 0 for STOP, infinite where there is no estimate."""
+        return self.column("omega_inf_error")
 
     @property
     def time(self) -> Float[np.ndarray, "*shape"]:

@@ -18,7 +18,7 @@ from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._workers import in_parallel, workers
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
-from .outcomes import TILE, check_verdict, classify_block, engines_for, goal, power_of_two
+from .outcomes import TILE, Value, check_verdict, classify_block, engines_for, goal, power_of_two
 
 
 def sweep(
@@ -28,7 +28,7 @@ def sweep(
     rtol: Any = 1e-8,
     atol: Any = None,
     max_steps: Any = MAX_STEPS,
-    value: bool = True,
+    value: Value = True,
     derivatives: Sequence[str] = (),
     confirm: float | None = None,
     store: Any = None,
@@ -43,9 +43,12 @@ def sweep(
             equation and the start; pure JAX, since it is vectorised.
         over: a `Grid`, `Points` or a `Sample`.
         rtol: relative tolerance; also that of ω∞.
-        atol: absolute tolerance; None means rtol·|ω₀| for each start.
+        atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
+            rtol·|ω₀| for each start with `value=False`.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
-        value: whether to go on until ω∞ is known to `rtol`, not only its outcome.
+        value: whether to go on until ω∞ is known, not only its outcome: True, with an estimate of
+            its error from three neighbouring starts; "unchecked", without, for about a third of
+            the cost; or False.
         derivatives: arguments of the problem, numbers all; `basin.derivative(name)` is then
             ∂ω∞/∂name, from the equation's first variations, each step of which is held to ten
             times `rtol`: over thousands of turns errors add up, and a smaller `rtol` tells.
@@ -97,7 +100,7 @@ def sweep(
         atol=atol,
         max_steps=budget("max_steps", max_steps),
         derivatives=along,
-        until=until,
+        value=value,
         engines=engines,
     )
 
@@ -106,7 +109,7 @@ def sweep(
         "level": getattr(equation, "level", type(equation).__name__),
         **settings,
         "max_steps": int(max_steps),
-        "value": bool(value),
+        "value": value,
         "engine": engines[crew[0]].NAME,
         **({"derivatives": list(along)} if along else {}),
         **({} if confirm is None else {"confirm": float(confirm)}),
@@ -162,7 +165,7 @@ def _work(run, jobs, keep, crew, extent) -> None:
 
 
 def _run_tile(
-    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, derivatives, until, engines
+    build, job: int, device: Any, *, size, tile, rtols, atol, max_steps, derivatives, value, engines
 ) -> dict[str, Any]:
     """Classify the starts of one tile; the last tile is filled up with starts that take no step."""
     at = np.arange(job * tile, (job + 1) * tile)
@@ -171,8 +174,9 @@ def _run_tile(
     stops = np.where(real, np.inf, 0.0)
 
     def classified(rtol) -> dict[str, np.ndarray]:
-        limits = lanes.Limits(rtol, absolute(atol, rtol, omegas), stops, jnp.asarray(max_steps))
-        ends = classify_block(equation, omegas, limits, until, engines[device], device)
+        scale = absolute(atol, rtol, omegas, label_only=value is False)
+        limits = lanes.Limits(rtol, scale, stops, jnp.asarray(max_steps))
+        ends = classify_block(equation, omegas, limits, value, engines[device], device)
         found = columns_of(ends, derivatives)
         return {name: values[real] for name, values in found.items()}
 
@@ -187,7 +191,7 @@ def _versions() -> dict[str, str]:
     return {f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}
 
 
-def _names(derivatives: Any, value: bool) -> tuple[str, ...]:
+def _names(derivatives: Any, value: Value) -> tuple[str, ...]:
     """The arguments along which ω∞ is differentiated."""
     names = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
     if len(set(names)) < len(names):
