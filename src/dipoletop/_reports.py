@@ -31,7 +31,7 @@ def paper() -> Iterator[tuple[str, bool]]:
         yield columns.format(entry.verdict, entry.place, residual, limit, entry.claim), entry.holds
         if entry.printed:
             residual = f"{entry.printed_residual:.1e}"
-            yield columns.format("", "  printed there:", residual, "", entry.printed), True
+            yield columns.format("", "  the paper has:", residual, "", entry.printed), True
 
 
 def spectra(equations: list[Any], w: float) -> Iterator[str]:

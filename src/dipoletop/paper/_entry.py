@@ -34,7 +34,7 @@ class Entry(NamedTuple):
     def holds(self) -> bool:
         """Whether the claim holds, and what the paper prints in its place does not."""
         wrong = not self.printed or self.printed_residual > self.limit
-        return self.residual <= self.limit and wrong
+        return bool(self.residual <= self.limit and wrong)
 
     @property
     def verdict(self) -> str:

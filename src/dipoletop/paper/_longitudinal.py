@@ -16,7 +16,7 @@ from ._entry import LANES, Entry, gap, shapes, share, states, unsolved
 from ._rotator import LOGARITHM, ROOT, logarithm
 
 DELTA, W3 = -0.4, 0.3  # of the asymptotics: ζ = 1.4
-START = (0.5, 0.0, W3, 0.6, 0.1)  # of a runaway, ω⊥ and ω⊥′ of order 1
+START = np.array([0.5, 0.0, W3, 0.6, 0.1])  # of a runaway, ω⊥ and ω⊥′ of order 1
 
 
 def equations() -> Iterator[Entry]:
@@ -54,16 +54,16 @@ def changed_variables() -> Iterator[Entry]:
     flat = omega.at[2].set(0.0)
     for axial, place in ((flat, "(B.4)"), (omega, "(B.6)–(B.8)")):
         y = jnp.concatenate([axial, rates])
-        field = LongitudinalFull(deltas)(0.0, y)
+        field = np.asarray(LongitudinalFull(deltas)(0.0, y))
+        y, s = np.asarray(y), np.asarray((1 - deltas) * axial[2])
         w, rate, second = (x[0] + 1j * x[1] for x in (y, y[3:], field[3:]))
-        w3, s = axial[2], (1 - deltas) * axial[2]
         # z = w e^{iω₃τ}, whose angle turns at ν; its derivatives at τ = 0.
-        z1 = rate + 1j * w3 * w
-        z2 = second + 2j * w3 * rate - w3**2 * w
-        u, spin = jnp.abs(w) ** 2, jnp.imag(jnp.conj(w) * z1)  # ω⊥², ω⊥²ν
-        radial = jnp.real(jnp.conj(w) * (z2 - z1)) + spin**2 / u  # ω⊥·θ²d²ω⊥/dθ²
-        left = jnp.stack([radial, jnp.imag(jnp.conj(w) * z2)])
-        right = jnp.stack([u**2 + spin**2 / u, spin - u * s])
+        z1 = rate + 1j * y[2] * w
+        z2 = second + 2j * y[2] * rate - y[2] ** 2 * w
+        u, spin = np.abs(w) ** 2, np.imag(np.conj(w) * z1)  # ω⊥², ω⊥²ν
+        radial = np.real(np.conj(w) * (z2 - z1)) + spin**2 / u  # ω⊥·θ²d²ω⊥/dθ²
+        left = np.stack([radial, np.imag(np.conj(w) * z2)])
+        right = np.stack([u**2 + spin**2 / u, spin - u * s])
         claim = "θ²ω⊥_θθ = (ω⊥² + ν²)ω⊥, θ(ω⊥²ν)_θ = ω⊥²(ν − ζω₃), θ = e^τ, ν = φ′ + ω₃"
         if place == "(B.4)":
             claim = "ω₃ = 0: ω⊥²φ′ ~ e^τ; at constant φ the rotator's ω⊥″ = ω⊥′ + ω⊥³"

@@ -137,4 +137,4 @@ def logarithm(branch: Callable, start: float = 0.1) -> float:
         tau = float((high - low) / 2 * np.sum(weights * -np.exp(s) / rate))  # τ = −∫dω/ϖ
         late.append((tau * (w * np.sqrt(2 * tau) - 1), np.log(tau)))
     (one, log_one), (two, log_two) = late
-    return (two - one) / (log_two - log_one)
+    return float((two - one) / (log_two - log_one))
