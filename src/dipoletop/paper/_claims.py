@@ -29,6 +29,7 @@ SPECIAL = (
 )
 """Shapes and starts that the paper's claims leave out, or name."""
 STOPS = np.array([True, True, True, False, False, False])
+"""Which of them stop."""
 FULL_A = (0.13148744208692057915, 0.068501995595988332757, 0.029559231623915714665)
 """ω of figure 2a at τ = 60 by the full equation, from a shooting method."""
 FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.059353536931937492011)
@@ -36,7 +37,7 @@ FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.05935353693193749
 
 
 def figures() -> Iterator[Entry]:
-    """Figures 1 and 2, with what the full equation has in their place."""
+    """Figure 2, with what the full equation has in its place."""
     for part, checks in zip(
         "ab", np.array_split(np.array(figure_2(), dtype=object), [3]), strict=True
     ):
@@ -161,6 +162,8 @@ def asymmetric() -> Iterator[Entry]:
         claim = f"J = (0.6, 1, 1.2), dipole about {name}: not stable, and stop"
         yield Entry("closing statement", claim, share([~stop[i]]) + stable[i], 0.01)
     lasting = float(np.mean(kept[2]))
-    claim = f"J = (1, 1.3, 2.2), about the smallest: stable, residual in a basin ({lasting:.0%})"
+    claim = (
+        f"J = (1, 1.3, 2.2), dipole about the smallest: stable, residual in a basin, {lasting:.0%}"
+    )
     wrong = share([not stable[2], not kept[2].any(), not stop[2].any()])
     yield Entry("closing statement", claim, wrong, 0.0, "stable, so residual", 1 - lasting)
