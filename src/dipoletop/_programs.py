@@ -12,7 +12,12 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 SIZE = 16
 """Bytes of a digest."""
-NAMES = ("name", "debug_info", "source_info")  # parameters of primitives that compute nothing
+BESIDE = (
+    *("name", "debug_info", "inline", "keep_unused", "donated_invars", "compiler_options_kvs"),
+    *("sharding", "out_sharding", "in_shardings", "out_shardings", "in_layouts", "out_layouts"),
+    "ctx_mesh",
+)
+"""Parameters of primitives that do not say what is computed, but how it is called or where."""
 
 
 def digest(*parts: bytes) -> bytes:
@@ -65,29 +70,31 @@ class _Canonical:
         numbers: dict[Any, int] = {}
 
         def said(atom: Any) -> bytes:
-            kind = f"{atom.aval.dtype}{atom.aval.shape}" if hasattr(atom.aval, "dtype") else ""
+            kind, shape = getattr(atom.aval, "dtype", None), getattr(atom.aval, "shape", None)
             if isinstance(atom, Literal):
                 # 0, 0.0 and np.float64(0) may all stand for the same literal.
-                return b"literal " + array_digest(np.asarray(atom.val, atom.aval.dtype))
-            return f"{numbers.setdefault(atom, len(numbers))} {kind}".encode()
+                return b"literal " + array_digest(np.asarray(atom.val, kind))
+            return f"{numbers.setdefault(atom, len(numbers))} {kind} {shape}".encode()
 
         parts = [said(atom) for atom in (*program.constvars, *program.invars)]
         for equation in program.eqns:
             parts += [str(equation.primitive).encode(), *(said(atom) for atom in equation.invars)]
             parts += [said(atom) for atom in equation.outvars]
-            for name in sorted(set(equation.params) - set(NAMES)):
+            for name in sorted(set(equation.params) - set(BESIDE)):
                 parts += [name.encode(), self.value(equation.params[name])]
         return digest(*parts, *(said(atom) for atom in program.outvars))
 
     def value(self, value: Any) -> bytes:
-        """A parameter: a number, a text, a program, or a collection of such; else its type."""
+        """A parameter: a number, a text, a program, or a collection of such; else nothing."""
         if isinstance(value, ClosedJaxpr):
             return self.closed(value)
         if isinstance(value, Jaxpr):
             return self.plain(value)
         if isinstance(value, enum.Enum):
             return value.name.encode()
-        if value is None or isinstance(value, bool | str | bytes | np.dtype):
+        if isinstance(value, np.dtype):  # one type has several forms, dtype("<f8") among them
+            return str(value).encode()
+        if value is None or isinstance(value, bool | str | bytes):
             return repr(value).encode()
         if isinstance(value, int | np.integer):  # 3 and np.int64(3) are the same length
             return repr(int(value)).encode()
@@ -99,4 +106,4 @@ class _Canonical:
             return digest(*sorted(self.value(item) for item in value))
         if isinstance(value, tuple | list):
             return digest(*(self.value(item) for item in value))
-        return type(value).__name__.encode()
+        return b""
