@@ -182,7 +182,8 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     tiles = opened(path)
     attrs, axes = tiles.header["attrs"], tiles.header["axes"]
     level = [name for name in LEVELS if equation(name, 0.0).level == attrs["level"]]
-    if not level or not {name.replace("_", "-") for name in axes} <= {*QUANTITIES}:
+    names = {name.replace("_", "-") for name in axes}
+    if not level or names not in ({"delta", "phi", *ways} for ways in (CYLINDRICAL, SPHERICAL)):
         must = "be the store of a `dipoletop map`"
         refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
     settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
