@@ -307,7 +307,7 @@ def named(factor):
 
     class Top(dt.TransverseReduced):
         def __call__(self, t, y, args=None):
-            return factor * y * self.delta
+            return factor * y
 
     return lambda w3, phi: (Top(-0.2), dt.cylindrical(0.2, w3, phi))
 

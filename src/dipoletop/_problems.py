@@ -74,7 +74,6 @@ class Builder:
                 "problem": program_digest(self._mapped, self.over.points(one)),
                 "field": of(lambda equation, y: equation(0.0, y, None), state),
                 "lift": of(lambda equation, omega: equation.lift(omega), omegas),
-                "omega": of(lambda equation, y: equation.omega(y), state),
                 "verdict": of(lambda equation, y: equation.verdict(y), state),
             }
             if isinstance(self.over, Sample):
