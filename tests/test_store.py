@@ -79,13 +79,13 @@ class PowerCutError(Exception):
 
 
 def victims(good, kind):
-    """The files of a store that hold columns, axes, records, or metadata."""
+    """The files of a store that hold columns, axes, records, metadata of these, or the header."""
     every = sorted(p.relative_to(good) for p in good.rglob("*") if p.is_file())
-    sorts = {"columns": [], "axes": [], "records": [], "metadata": []}
+    sorts = {"columns": [], "axes": [], "records": [], "metadata": [], "header": []}
     for path in every:
         sort = "columns"
         if path.name == "zarr.json":
-            sort = "metadata"
+            sort = "metadata" if len(path.parts) > 1 else "header"
         elif path.parts[0].startswith("axis_"):
             sort = "axes"
         elif path.parts[0] == "done":
@@ -99,11 +99,15 @@ def damages(good):
     """364 of them: (file, what happens to it)."""
     generator = np.random.default_rng(22)
     found = []
-    for kind, count in (("columns", 120), ("axes", 60), ("records", 50), ("metadata", 74)):
+    for kind, count in (("columns", 120), ("axes", 60), ("records", 40), ("metadata", 44)):
         for path in generator.choice(victims(good, kind), count):
             bit = int(generator.integers(8 * (good / path).stat().st_size))
             found.append((path, lambda file, bit=bit: flip(file, bit)))
-    every = [p for kind in ("columns", "axes", "records", "metadata") for p in victims(good, kind)]
+    header = good / "zarr.json"
+    version = header.read_bytes().index(b'"version_jax"') + 17  # which identifies no sweep
+    bits = [8 * version, *generator.integers(8 * header.stat().st_size, size=39).tolist()]
+    found += [(header.relative_to(good), lambda file, bit=bit: flip(file, bit)) for bit in bits]
+    every = sorted(p.relative_to(good) for p in good.rglob("*") if p.is_file())
     for path in generator.choice(every, 364 - len(found) - len(every)):
         rest = (good / path).read_bytes()
         rest = rest[: int(generator.integers(len(rest)))]
@@ -165,6 +169,14 @@ def test_a_chunk_of_another_tile_or_column_is_a_damage(good, copy):
         dt.Basin.load(copy)
 
 
+def test_what_zarr_reads_past_is_damage_too(copy):
+    """The value of chunks that are missing, of which there are none."""
+    file = copy / "outcome" / "zarr.json"
+    file.write_text(file.read_text().replace('"fill_value": 0', '"fill_value": 1'))
+    with pytest.raises(dt.StoreDamaged, match="metadata: the metadata of outcome are not as writ"):
+        dt.Basin.load(copy)
+
+
 def test_metadata_are_not_repaired_over_the_tiles_of_another_sweep(copy):
     flip(copy / "zarr.json", 4000)
     before = files(copy)
@@ -215,7 +227,7 @@ def test_a_crash_between_any_two_writes_leaves_nothing_torn(good, tmp_path, monk
     place = tmp_path / "torn.zarr"
     chunks = len(victims(good, "columns")) + len(victims(good, "records"))
     assert chunks == 2 * (len(dt.Basin.load(good).columns) + 1)
-    for count in range(1, chunks, 2):  # 1, 3, …: after every column, in one tile or the other
+    for count in (1, chunks // 2 - 1, chunks // 2, chunks - 1):  # after a column, or a tile
         with monkeypatch.context() as patch:
             patch.setattr(zarr.storage.LocalStore, "set", failing)
             left[0] = count

@@ -217,7 +217,8 @@ class Tiles:
                 found[tile] = error.reason
         return found
 
-    def refuse_damaged(self, damaged: dict[int, str]) -> None:
+    def refuse_damaged(self, damaged: dict[int, str], way_out: str = "") -> None:
         """Raise what is wrong with them, if there are any."""
         if damaged:
-            raise StoreDamaged(self.place, tuple(damaged), next(iter(damaged.values())))
+            reason = next(iter(damaged.values())) + way_out
+            raise StoreDamaged(self.place, tuple(damaged), reason)

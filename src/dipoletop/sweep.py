@@ -54,7 +54,8 @@ def sweep(
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
         store: a folder for the result. Run the same sweep again and it goes on where it was
             stopped; a grid of any size then needs little memory. Before a tile is used again it
-            is read, and its equations and starts are compared with those it was computed from.
+            is read, and its equations and starts are compared with those it was computed from, to
+            the last bit: processors of another kind may compute others, and are then refused.
         repair: whether to compute damaged tiles of the store again, in place of `StoreDamaged`.
         progress: whether to show a progress bar; None shows it on a terminal, a text with that
             label.
@@ -185,7 +186,7 @@ def _to_do(kept: disk.Tiles, inputs: Any, crew: list[Any], repair: bool) -> list
     there = sorted(set(range(kept.count)) - set(left))
     damaged = kept.damaged(there)
     if not repair:
-        kept.refuse_damaged(damaged)
+        kept.refuse_damaged(damaged, " (`repair` computes it again)")
     good = [tile for tile in there if tile not in damaged]
     for tile, found in in_parallel(lambda job, _: inputs(job), good, crew):
         was = kept.record(tile).inputs
