@@ -167,6 +167,9 @@ def test_a_chunk_of_another_tile_or_column_is_a_damage(good, copy):
     shutil.copy(good / "done/c/0/0", copy / "done/c/1/0")
     with pytest.raises(dt.StoreDamaged, match="tile 1: its record is not what was written"):
         dt.Basin.load(copy)
+    zarr.open_group(copy, mode="r+")["axis_phi"][3] = 0.7
+    with pytest.raises(dt.StoreDamaged, match="metadata: the values of phi are not what was writ"):
+        dt.Basin.load(copy)
 
 
 def test_what_zarr_reads_past_is_damage_too(copy):
@@ -285,12 +288,12 @@ def test_a_refusal_names_what_differs_with_both_values(good, sweep, said):
 def test_one_edited_point_of_many_is_seen(tmp_path):
     """Between the points that a glance would look at; its value is named."""
     w3 = np.linspace(0.0, 0.4, 300)
-    dt.sweep(reduced, dt.Points(w3=w3, phi=w3), store=tmp_path / "a.zarr", value=False)
+    dt.sweep(reduced, dt.Points(w3=w3, phi=w3), store=tmp_path / "a.zarr")
     w3 = w3.copy()
     w3[101] = 0.25
     message = r"w3\[101\] is 0.135.* there and 0.25 here \(1 of 300 differ\), phi\[101\]"
     with pytest.raises(ValueError, match=message):
-        dt.sweep(reduced, dt.Points(w3=w3, phi=w3), store=tmp_path / "a.zarr", value=False)
+        dt.sweep(reduced, dt.Points(w3=w3, phi=w3), store=tmp_path / "a.zarr")
 
 
 def test_seed_and_draw_of_a_sample_are_seen(tmp_path):
@@ -298,7 +301,7 @@ def test_seed_and_draw_of_a_sample_are_seen(tmp_path):
         return dt.TransverseReduced(-0.2), omega0
 
     def sweep(**of):
-        dt.sweep(problem, dt.Sample(n=5, **of), store=tmp_path / "s.zarr", value=False)
+        dt.sweep(problem, dt.Sample(n=5, **of), store=tmp_path / "s.zarr")
 
     sweep(amplitude=0.2, seed=1)
     sweep(amplitude=0.2, seed=1)
@@ -324,6 +327,17 @@ def named(factor):
     return lambda w3, phi: (Top(-0.2), dt.cylindrical(0.2, w3, phi))
 
 
+def helped(name):
+    """A problem with a compiled helper of that name."""
+
+    def half(x):
+        return 0.5 * x
+
+    half.__name__ = name
+    compiled = jax.jit(half)
+    return lambda w3, phi: reduced(compiled(w3), phi)
+
+
 def test_a_program_is_known_by_what_it_computes_not_by_what_it_is_called():
     def another_name(w3, phi):
         azimuth = phi  # and another line
@@ -342,6 +356,7 @@ def test_a_program_is_known_by_what_it_computes_not_by_what_it_is_called():
     assert programs(another_name) == usual
     assert programs(banded(0.1)) == programs(banded(0.1))
     assert programs(banded(0.1))["problem"] != programs(banded(0.2))["problem"]
+    assert programs(helped("one")) == programs(helped("other")) != usual
     plain, again, slower = (programs(named(factor)) for factor in (1.0, 1.0, 0.5))
     assert plain == again
     assert [name for name in plain if plain[name] != slower[name]] == ["field"]

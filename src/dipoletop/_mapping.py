@@ -158,7 +158,7 @@ def run_level(level: str, grid: Grid, store: Path | None, **settings: Any) -> Ru
         at = {name.replace("_", "-"): value for name, value in point.items()}
         return equation(level, at["delta"]), start(at)
 
-    before = 0 if store is None else finished(store)
+    before = 0 if store is None else finished(store, settings.get("repair", False))
     try:
         with _compiling() as seconds:
             basin = sweep(problem, grid, store=store, **settings)

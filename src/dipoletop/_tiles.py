@@ -65,7 +65,9 @@ def lay_out(place: Path, header: dict[str, Any], values: Mapping[str, np.ndarray
         group.create_array(name, shape=(size,), chunks=(tile,), dtype=kind_of(name)[0], **packed)
     with zarr.config.set({"array.write_empty_chunks": True}):
         for name, array in values.items():
-            group.create_array(f"axis_{name}", data=array, chunks=array.shape, **packed)
+            rows = min(len(array), 1 << 20)  # codecs take no more than 2 GiB at once
+            chunks = (rows, *array.shape[1:])
+            group.create_array(f"axis_{name}", data=array, chunks=chunks, **packed)
     # As plain bytes: a record is its own checksum.
     shape = (-(-size // tile), SIZE * (3 + len(names)))
     group.create_array("done", shape=shape, chunks=(1, shape[1]), dtype="uint8", compressors=None)

@@ -214,11 +214,13 @@ def verify(path: Any) -> Report:
     return Report(tiles.count, left, damaged, tiles.checked)
 
 
-def finished(path: Any) -> int:
-    """How many starts are on disk already; 0 for what is no store."""
+def finished(path: Any, repair: bool = False) -> int:
+    """How many starts a sweep need not compute; 0 for what is no store."""
     try:
-        tiles = _open("store", absolute("store", path), "r")
+        tiles = opened(path)
         left = tiles.unfinished()
+        if repair:
+            left += tiles.damaged(sorted(set(range(tiles.count)) - set(left)))
     except ValueError:  # which is said when the sweep begins
         return 0
     return tiles.size - sum(tiles.length(tile) for tile in left)
