@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import zarr
+from click.testing import CliRunner
 
 import dipoletop as dt
 from dipoletop import _tiles as disk
+from dipoletop import cli
 from dipoletop._problems import builder
 
 SIZE = 12, 18  # two tiles, the second not full
@@ -578,13 +580,11 @@ def W(w3):
 # Command line
 
 
-def test_verify_lists_damaged_tiles_and_repair_mends_them(good, tmp_path):
-    from click.testing import CliRunner
-
-    from dipoletop.cli import main
-
+def test_verify_lists_damaged_tiles_and_repair_mends_them(good, tmp_path, monkeypatch):
     def invoke(*arguments):
-        return CliRunner().invoke(main, [str(x) for x in arguments])
+        return CliRunner().invoke(cli.main, [str(x) for x in arguments])
+
+    monkeypatch.setattr(cli, "_draw", lambda *_: None)
 
     made = invoke("map", "--level", "order-1", "--size", "12", "--output", tmp_path / "m.png")
     assert made.exit_code == 0, made.output
