@@ -8,6 +8,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from ._forks import refuse_orphan
+
 
 def concrete(*values: Any) -> bool:
     """Whether every leaf is a value, not a tracer."""
@@ -26,6 +28,7 @@ def real(
 
     A length of -1 in `shape` stands for any length.
     """
+    refuse_orphan()  # here, since whatever computes looks at its numbers first
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):

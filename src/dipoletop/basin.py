@@ -94,7 +94,14 @@ class Basin:
     seconds: float = field(default=np.nan, compare=False)
 
     def column(self, name: str) -> np.ndarray:
-        """One column, in the shape of the grid."""
+        """One column, in the shape of the grid.
+
+        Raises:
+            ValueError: the basin has no such column.
+            StoreDamaged: it is on disk, and is not what was written there.
+        """
+        if name not in self.columns:
+            refuse("name", f"be a column of this basin ({', '.join(self.columns)})", f"is {name!r}")
         return np.asarray(self.columns[name][:]).reshape(self.shape)
 
     @property
@@ -214,7 +221,9 @@ class Basin:
             path: the folder.
 
         Raises:
-            ValueError: it is missing, not a basin, damaged, or a sweep that is not finished.
+            ValueError: it is missing, not a basin, or a sweep that is not finished.
+            StoreDamaged: it is not what was written; of a store without checksums, which older
+                versions made, only what is missing or cannot be read is found.
         """
         from . import store
 
