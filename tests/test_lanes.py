@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop import lanes, native
+from dipoletop import _steps, lanes, native
 
 RNG = np.random.default_rng(5)
 N = 384  # a multiple of every block width, as the tiles of a sweep are
@@ -247,3 +247,49 @@ def test_a_second_call_with_other_values_compiles_nothing():
         before = lanes._compiled("cpu")._cached._cache_size()
         run(0.01)
         assert lanes._compiled("cpu")._cached._cache_size() == before
+
+
+def reference_steps(rate, y, t1, rtol):
+    """One run by the rules that `lanes` states, in plain Python: steps tried, and the end."""
+    tableau = diffrax.Dopri8().tableau
+    size = lambda y: np.max(np.abs(y))  # noqa: E731
+    scale = jnp.asarray(rtol), jnp.zeros(())
+    order = int(diffrax.Dopri8().order(None))
+    field = lambda t, y, args: jnp.asarray(rate(y))  # noqa: E731
+    sizes = lambda y: jnp.full(3, size(y))  # noqa: E731
+    h = float(_steps.first_step(field, sizes, jnp.asarray(y), jnp.asarray(rate(y)), scale, order))
+    t, steps = 0.0, 0
+    while t < t1:
+        last, k = h >= t1 - t, [rate(y)]
+        h = min(h, t1 - t)
+        for row in tableau.a_lower:
+            k.append(rate(y + h * np.asarray(row) @ np.array(k)))
+        new = y + h * tableau.b_sol @ np.array(k)
+        ratio = size(h * tableau.b_error @ np.array(k)) / (rtol * max(size(y), size(new)))
+        steps += 1
+        if ratio <= 1:
+            y, t = new, t1 if last else t + h
+        # the order, 8, is a power of two: no rounding of it
+        h *= np.clip(0.9 * ratio ** (-1 / 8), 0.2, 10.0 if ratio <= 1 else 1.0)
+    return steps, y
+
+
+@both
+@pytest.mark.parametrize("rtol", [1e-5, 1e-9])
+def test_steps_are_those_of_the_rules(engine, rtol):
+    """A step is accepted if its error is at most the tolerance, and not if it is twice that."""
+    starts, deltas = np.asarray(STARTS[:, :128]), np.asarray(DELTAS[:128])
+    still = eqx.tree_at(lambda x: x.atol, limits(STARTS[:, :128], rtol, 40.0), jnp.zeros(128))
+    equation = dt.TransverseSemi(jnp.asarray(deltas))
+    ends = engine.integrate(equation, STARTS[:, :128], still, until="time")
+    for i in range(0, 128, 4):
+
+        def rate(w, d=deltas[i]):
+            r2 = -d * w[0] * w[2] - (w @ w + d * (1 + d) * w[2] ** 2) * w[1]
+            r3 = (d * w[1] ** 2 - w @ w) * w[2]
+            matrix = np.array([[1, 2 * w[0]], [-2 * w[0], 1 - d]])
+            return np.array([d * w[1] * w[2], *np.linalg.solve(matrix, [r2, r3])])
+
+        steps, end = reference_steps(rate, starts[:, i], 40.0, rtol)
+        assert int(ends.steps[i]) == steps
+        np.testing.assert_allclose(ends.y[:, i], end, rtol=0, atol=1e-11)

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from ._types import Outcome
 
-FIXED, PER_STEP, MIDWAY = 0.02, 4e-3, 5.0  # measured
+FIXED, PER_STEP, MIDWAY = 0.02, 3e-3, 5.0  # measured
 COARSE = (1e3, 3.0)  # tolerances of the neighbours over rtol, one after the other
 COARSEST = 1e-4  # the largest of them
 LONG = 400  # steps from which neighbours are farther off, since their own errors are larger
