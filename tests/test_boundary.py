@@ -253,7 +253,7 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.bisect(slow, point, point | {"z": [4.0, np.nan]}), "`z` must be finite"),
         (lambda: boundary.bisect(slow, point, point | {"delta": 2.0}), r"`delta` must lie in"),
         (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
-        (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be positive"),
+        (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be finite"),
         (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),
         (lambda: boundary.residual_share(slow, point, point, by="x"), "`by` must name"),
         (lambda: boundary.residual_share(slow, point, point, parts=0), "`parts` must be"),

@@ -269,7 +269,11 @@ def test_thresholds():
     ("equation", "state", "sentence"),
     [
         (dt.TransverseAveraged(0.1), [0.1, 0, 0], "keep rotation along .* is TransverseAveraged"),
-        (lambda t, y, args=None: y, [0.1, 0, 0], "have a body, but function has none"),
+        (
+            lambda t, y, args=None: y,
+            [0.1, 0, 0],
+            "methods `lift.*, but is of type function, which has no",
+        ),
         (
             dt.TransverseReduced(0.1),
             [0.1, 0, 1e-12],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._checks import refuse
+from ._checks import described, refuse
 from ._types import Outcome
 from .outcomes import Classification
 
@@ -94,6 +94,8 @@ class Basin:
 
     def column(self, name: str) -> np.ndarray:
         """One column, in the shape of the grid."""
+        if not isinstance(name, str) or name not in self.columns:
+            refuse("name", f"be among {', '.join(self.columns)}", described(name))
         return np.asarray(self.columns[name][:]).reshape(self.shape)
 
     @property
@@ -141,7 +143,7 @@ class Basin:
         Raises:
             ValueError: the sweep was not asked for this derivative.
         """
-        if SLOPE + axis not in self.columns:
+        if not isinstance(axis, str) or SLOPE + axis not in self.columns:
             has = [name.removeprefix(SLOPE) for name in self.columns if name.startswith(SLOPE)]
             must = f"be among the `derivatives` of the sweep, {', '.join(has) or 'which had none'}"
             refuse("axis", must, f"is {axis!r}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from . import lanes
 from . import store as disk
-from ._checks import refuse
+from ._checks import names_of, refuse
 from ._problems import Problem, builder, fingerprint
 from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._workers import in_parallel, workers
@@ -189,7 +189,7 @@ def _versions() -> dict[str, str]:
 
 def _names(derivatives: Any, value: bool) -> tuple[str, ...]:
     """The arguments along which ω∞ is differentiated."""
-    names = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
+    names = names_of("derivatives", derivatives)
     if len(set(names)) < len(names):
         refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
     if names and not value:
