@@ -19,7 +19,11 @@ FIELDS: dict[str, tuple[str, str, str]] = {
     "omega_inf": ("float64", "1/tau_0", "residual angular velocity along the dipole, signed"),
     "time": ("float64", "tau_0", "time at which the outcome was certain"),
     "steps": ("int32", "1", "integration steps tried"),
-    "certified": ("bool", "1", "whether the region that ended the run is proven to decide"),
+    "certified": (
+        "bool",
+        "1",
+        "whether the region that ended the run is proven to decide for its level",
+    ),
     "stop": ("int8", "1", "NONE 0, AXIS 1, ROTATING 2, WOBBLING 3, TUMBLING 4"),
 }
 """Columns of a basin: type, unit, meaning."""
