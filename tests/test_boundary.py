@@ -252,6 +252,7 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.bisect(slow, point, {"z": 4.5}), "`b` must name"),
         (lambda: boundary.bisect(slow, point, point | {"z": [4.0, np.nan]}), "`z` must be finite"),
         (lambda: boundary.bisect(slow, point, point | {"delta": 2.0}), r"`delta` must lie in"),
+        (lambda: boundary.normal(found, []), "`names` must hold at least one name"),
         (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
         (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be finite"),
         (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),

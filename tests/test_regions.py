@@ -88,6 +88,17 @@ def test_turning_region_of_order_one(threshold):
         assert np.all(stop[outcome == Outcome.STOP] == Stop.ROTATING)
 
 
+def test_turning_needs_more_where_the_axial_part_is_large():
+    """Between the bounds 1.0 and 1.1 it counts whether Mω₃² is below 0.8u."""
+    delta, phi, _, (sign, _), _ = some(10, -0.49, -0.05)
+    m, q = 1 + delta + delta**2, turning(sign * np.sin(2 * phi), 1.05)
+    for part, expected in ((0.8 * (1 - NEAR), True), (0.8 * (1 + NEAR), False)):
+        u = (2 * delta / (q * (1 + part))) ** 2 * part / m
+        omega = np.sqrt(u) * np.cos(phi), np.sqrt(u) * np.sin(phi), sign * np.sqrt(part * u / m)
+        outcome, *_ = verdict(dt.TransverseReduced, delta, omega)
+        assert np.all((outcome == Outcome.STOP) == expected)
+
+
 def test_beyond_one_half_order_one_stops_unless_w3_is_0():
     _, phi, u, (sign, _), _ = some(3, -1, 0)
     flat = np.sqrt(u) * np.cos(phi), np.sqrt(u) * np.sin(phi)

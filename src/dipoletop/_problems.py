@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import refuse
+from ._checks import check_equation, refuse
 from ._types import Equation
 from .equations.tangent import Tangent
 from .grids import Grid, Points, Sample
@@ -46,6 +46,7 @@ def builder(
             if jnp.shape(made[1]) != (3,):
                 shape = jnp.shape(made[1])
                 refuse("problem", "return a start of shape (3,)", f"its start has shape {shape}")
+            check_equation(made[0])
             return made
 
         def varied(point: Any) -> Any:
