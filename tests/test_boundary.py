@@ -260,7 +260,7 @@ def test_bad_input_is_one_sentence():
         (lambda: boundary.residual_share(slow, point, point, parts=0), "`parts` must be"),
         (lambda: boundary.trace(found, {"phi": (0.0, 1.0)}), "`bounds` must name two"),
         (lambda: boundary.trace(found, box | {"z": (1.0, 1.0)}), "`bounds` must be pairs"),
-        (lambda: boundary.trace(found, box, step=0.0), "`step` must be"),
+        (lambda: boundary.trace(found, box, step=0.0), "`step` must not be 0"),
         (lambda: boundary.trace(found, box, by="z"), "`by` must name"),
         (lambda: boundary.minimal_kick(equation, start, along=[4]), "`along` must hold"),
         (lambda: boundary.bisect(slow, point, point, value=False), "`settings` must be among"),
