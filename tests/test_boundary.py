@@ -169,7 +169,8 @@ def test_no_smaller_kick_changes_the_fate():
     def problem(w1, w2, w3):
         return equation, jnp.stack([w1, w2, w3])
 
-    basin = dt.sweep(problem, dt.Points(w1=w1, w2=w2, w3=w3), rtol=1e-10)
+    points = dt.Points(w1=w1, w2=w2, w3=w3)
+    basin = dt.sweep(problem, points, rtol=1e-10, value="unchecked")
     np.testing.assert_array_equal(boundary.fate(basin), [ROTATING] * 501 + [RESIDUAL])
 
 

@@ -142,8 +142,8 @@ def test_another_map_is_not_overwritten(default_map, basins):
     picture = (folder / "m.png").read_bytes()
     line = refusal("map", "--size", SIZE, "--output", folder / "m", "--delta", -0.3)
     assert line == (
-        f"{folder}/m-order-1.zarr holds something else than this map; "
-        "choose another --output, or remove it."
+        f"{folder}/m-order-1.zarr holds another sweep: delta[0] is -0.2 there and -0.3 here "
+        "(1 of 1 differ); choose another --output, or remove it."
     )
     assert (folder / "m.png").read_bytes() == picture
     np.testing.assert_array_equal(dt.Basin.load(folder / "m-order-1.zarr").outcome, before)

@@ -237,11 +237,11 @@ def test_batched_bodies_have_their_axis_in_front():
     """As many bodies as a tensor has rows: the one shape that could be taken for another."""
     inertia = np.stack([np.diag(moments) for moments in np.eye(3) + 1.0])
     bodies, omegas = dt.Body(inertia, np.array([1.0, 0.0, 0.0])), starts(3, 18, 0.2, 0.3)
-    batch = dt.classify_many(Settling(bodies), omegas)
+    batch = dt.classify_many(Settling(bodies), omegas, value="unchecked")
     assert len(np.unique(batch.time)) == 3
     for k in range(3):  # inertia (3, 3), N = 3
         body = jax.tree.map(lambda leaf, k=k: leaf[k], bodies)
-        single = dt.classify_many(Settling(body), omegas)
+        single = dt.classify_many(Settling(body), omegas, value="unchecked")
         for name in ("outcome", "omega_inf", "time"):
             assert getattr(single, name)[k] == getattr(batch, name)[k]
 
@@ -304,7 +304,7 @@ def test_variations_keep_the_certificate_of_their_equation():
         parameters = jax.tree.map(jnp.ones_like, equation)
         parameters = jax.tree.map(lambda leaf: leaf[None], parameters)
         for kind in (Tangent, Together):
-            varied = kind(equation, parameters, jnp.zeros((1, 3)))
+            varied = kind(equation, parameters, jnp.zeros((1, 3)), jnp.asarray(0.2))
             assert bool(varied.verdict(state).certified_for(varied)) == certified
 
 

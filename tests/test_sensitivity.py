@@ -129,7 +129,7 @@ def test_variations_of_a_general_body_are_those_of_the_closed_form():
     def tangent(equation_of, delta):
         equation, change = jax.jvp(equation_of, (delta,), (1.0,))
         parameters = jax.tree.map(lambda x: x[None], change)
-        return Tangent(equation, parameters, jnp.array([[0.1, 0.2, -0.3]]))
+        return Tangent(equation, parameters, jnp.array([[0.1, 0.2, -0.3]]), jnp.ones(()))
 
     @jax.jit
     def found(y):
@@ -206,7 +206,7 @@ def along_the_way(turn):
         return Held(dt.Body(turned @ inertia @ turned.T, turned @ jnp.array([0.9, 0.0, 0.0])))
 
     made, push = jax.linearize(held, *jnp.zeros(3))
-    tangent = Tangent(made, jax.vmap(push)(*jnp.eye(3)), jnp.zeros((3, 3)))
+    tangent = Tangent(made, jax.vmap(push)(*jnp.eye(3)), jnp.zeros((3, 3)), jnp.ones(()))
     return tangent.slopes(tangent.lift(jnp.array([0.2, 0.1, 0.1])))
 
 
@@ -342,7 +342,7 @@ def test_infinite_only_along_changes_that_leave_what_keeps_a_body_rotating():
         assert equation.lift(omega) is omega  # a state is ω, so their variations are the same
         slope = equation.verdict(omega).slope
         return slope, *(
-            kind(equation, *along).slopes(jnp.concatenate([omega, *along[1]]))
+            kind(equation, *along, jnp.ones(())).slopes(jnp.concatenate([omega, *along[1]]))
             for kind in (Tangent, Together)
         )
 
@@ -453,7 +453,7 @@ def test_a_verdict_has_no_derivatives():
     def verdict(delta):
         equation = dt.TransverseReduced(delta)
         parameters = jax.tree.map(lambda x: jnp.zeros((1, *jnp.shape(x))), equation)
-        found = dt.classify(Tangent(equation, parameters, jnp.eye(3)[:1]), spin)
+        found = dt.classify(Tangent(equation, parameters, jnp.eye(3)[:1], jnp.ones(())), spin)
         return found.omega_inf, found.time, found.slopes[0]
 
     assert all(np.isfinite(verdict(-0.2)))

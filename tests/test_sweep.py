@@ -1,7 +1,6 @@
 """Sweeps: grids and samples, agreement with `classify`, fractions, storage, refusals."""
 
 import importlib
-import json
 import shutil
 
 import jax
@@ -12,6 +11,7 @@ from scipy.integrate import ode
 
 import dipoletop as dt
 from dipoletop import Outcome
+from dipoletop._tiles import Tiles
 
 
 def reduced(w3, phi, delta=-0.2):
@@ -257,16 +257,15 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
     place = tmp_path / "again.zarr"
     shutil.copytree(tmp_path / "whole.zarr", place)
     for tile in (0, 3, 7):
-        (place / "done" / "c" / str(tile)).unlink()
+        (place / "done" / "c" / str(tile) / "0").unlink()
     (place / "omega_inf" / "c" / "3").unlink()
     (place / "outcome" / "c" / "7").write_bytes(b"torn")
     with pytest.raises(ValueError, match="lacks 3 of 8 tiles; run the sweep again with this store"):
         dt.Basin.load(place)
 
     made = []
-    store = importlib.import_module("dipoletop.store")
-    write = store.write_tile
-    monkeypatch.setattr(store, "write_tile", lambda g, t, c: (made.append(t), write(g, t, c)))
+    write = Tiles.write
+    monkeypatch.setattr(Tiles, "write", lambda *a: (made.append(a[1]), write(*a)))
     again = dt.sweep(reduced, grid, store=place)
     assert sorted(made) == [0, 3, 7]
     assert same(whole, again)
@@ -293,7 +292,7 @@ def test_a_foreign_store_is_refused_and_untouched(tmp_path):
     assert files(place) == before
 
 
-def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
+def test_what_is_no_basin_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"`path` must be a folder with a basin, but .* not exist"):
         dt.Basin.load(tmp_path / "none.zarr")
     (tmp_path / "text").write_text("hello")
@@ -302,25 +301,6 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="`path` must be a folder with a basin"):
         dt.Basin.load(tmp_path / "empty")
-    basin.save(tmp_path / "good.zarr")
-    meta = tmp_path / "good.zarr" / "zarr.json"
-    header = json.loads(meta.read_text())
-    header["attributes"]["format"] = "something else"
-    shutil.copytree(tmp_path / "good.zarr", tmp_path / "other.zarr")
-    (tmp_path / "other.zarr" / "zarr.json").write_text(json.dumps(header))
-    with pytest.raises(ValueError, match="`path` must be a dipoletop basin, version 1, but"):
-        dt.Basin.load(tmp_path / "other.zarr")
-    for victim, harm in (
-        ("time/c/0", lambda file: file.write_bytes(b"damaged")),
-        ("steps/zarr.json", lambda file: file.write_bytes(b"damaged")),
-        ("outcome/c/0", lambda file: file.unlink()),
-        ("axis_phi", shutil.rmtree),
-    ):
-        shutil.copytree(tmp_path / "good.zarr", tmp_path / "bad.zarr")
-        harm(tmp_path / "bad.zarr" / victim)
-        with pytest.raises(ValueError, match="`path` must hold an undamaged basin, but"):
-            dt.Basin.load(tmp_path / "bad.zarr")
-        shutil.rmtree(tmp_path / "bad.zarr")
 
 
 @pytest.mark.parametrize(
@@ -341,7 +321,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, basin):
         (lambda: dt.sweep(lambda w: w, dt.Sample(n=5)), "`problem` must return .equation, omega0."),
         (
             lambda: dt.sweep(lambda w: (dt.TransverseReduced(0.1), w[:2]), dt.Sample(n=5)),
-            r"`problem` must return a start of shape \(3,\), but its start has shape \(2,\)",
+            r"`omega0 of problem` must have shape \(3,\), but has shape \(2,\)",
         ),
         (
             lambda: dt.sweep(lambda w: (dt.TransverseAveraged(0.1), w), dt.Sample(n=5)),

@@ -33,6 +33,7 @@ from .outcomes import Classification, classify, classify_many
 from .sensitivity import decay_time, residual_rotation
 from .simulate import Trajectory, simulate
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
+from .store import StoreDamaged
 from .sweep import sweep
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ __all__ = [
     "SemiReduced",
     "Spectrum",
     "Stop",
+    "StoreDamaged",
     "Trajectory",
     "TransverseAveraged",
     "TransverseCylindrical",

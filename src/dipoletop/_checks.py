@@ -11,7 +11,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-LONGEST = 1000  # characters of what a refusal shows of a value
+from ._forks import refuse_orphan
+
+LONGEST = 2000  # characters of what a refusal shows of a value
 FLAG = (bool, np.bool_)
 
 
@@ -67,6 +69,7 @@ def real(
 
     A length of -1 in `shape` stands for any length.
     """
+    refuse_orphan()  # here, since whatever computes looks at its numbers first
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
@@ -142,6 +145,17 @@ def check_equation(equation: Any, name: str = "equation") -> None:
     for method in ("lift", "omega"):
         if not callable(getattr(equation, method, None)):
             refuse(name, must, f"{described(equation)}, which has no `{method}`")
+
+
+def check_verdict(equation: Any, name: str = "equation") -> None:
+    """Refuse what is no equation, or cannot say how its runs end."""
+    check_equation(equation, name)
+    if not callable(getattr(equation, "verdict", None)):
+        refuse(
+            name,
+            "have a method `verdict(y)`, which says how its runs end",
+            f"is {type(equation).__name__}, which has none",
+        )
 
 
 def check_body(equation: Any) -> None:

@@ -26,6 +26,7 @@ from ._settings import check_settings
 from ._types import Outcome
 from .basin import Basin
 from .grids import Points
+from .outcomes import UNCHECKED
 from .sweep import Problem, sweep
 
 RTOL = 1e-10  # of the runs, unless the user has his own
@@ -193,7 +194,8 @@ def segments(problem: Problem, a: dict, b: dict, settings: dict[str, Any]) -> Cr
 def _swept(crossings: Crossings, s: Float[np.ndarray, "N *m"], **options: Any) -> Basin:
     """What becomes of the points at these fractions, in C order."""
     points = Points(**{name: x.ravel() for name, x in crossings.at(s).items()})
-    return sweep(crossings.problem, points, **crossings.settings, **options)
+    # The boundary of the computed map is looked for, up to where the sign of ω∞ is not certain.
+    return sweep(crossings.problem, points, value=UNCHECKED, **crossings.settings, **options)
 
 
 def fates_at(crossings: Crossings, s: Float[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:

@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from . import lanes, manifold
-from ._checks import check_single, finite
+from ._checks import check_single, check_verdict, finite
 from ._crossings import Crossings, bisect, cut, fates_at, segments
 from ._engine import engine_for, lifted
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
-from .outcomes import check_verdict
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
 PARTS = 8  # times at which two neighbours are looked at before they are brought together again

@@ -19,6 +19,14 @@ def largest(components: Array) -> Scalar:
     return functools.reduce(jnp.maximum, list(components))
 
 
+def length(a: Vec) -> Scalar:
+    """|a|, without underflow of the squares."""
+    sizes = jnp.abs(a)
+    most = largest(sizes)
+    one = jnp.where(most > 0, most, 1.0)
+    return most * jnp.sqrt((sizes[0] / one) ** 2 + (sizes[1] / one) ** 2 + (sizes[2] / one) ** 2)
+
+
 def scale(s: Scalar, a: Vec) -> Vec:
     """Product s a."""
     return jnp.stack([s * a[0], s * a[1], s * a[2]])

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -13,12 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._levels import equation
+from ._checks import refuse
+from ._levels import LEVELS, equation
 from ._monitoring import COMPILING
 from ._types import Outcome
 from .basin import Basin, Share
 from .equations.transverse import TransverseReduced, cylindrical
 from .grids import Grid
+from .store import finished, opened, verify
 from .sweep import sweep
 from .symmetry import unfold
 
@@ -159,30 +160,39 @@ def run_level(level: str, grid: Grid, store: Path | None, **settings: Any) -> Ru
         at = {name.replace("_", "-"): value for name, value in point.items()}
         return equation(level, at["delta"]), start(at)
 
-    before = _stored(store, math.prod(grid.shape))
+    before = 0 if store is None else finished(store, settings.get("repair", False))
     try:
         with _compiling() as seconds:
             basin = sweep(problem, grid, store=store, **settings)
     except ValueError as error:
-        if str(error).startswith("Argument `store`"):
-            raise ValueError(
-                f"{store} holds something else than this map; "
-                "choose another --output, or remove it."
-            ) from None
+        _, refused, reason = str(error).partition("Argument `store` must ")
+        if refused:
+            reason = reason.partition(", but ")[2].removesuffix(".")
+            raise ValueError(f"{reason}; choose another --output, or remove it.") from None
         raise
     return Run(basin, store, before, seconds())
 
 
-def _stored(store: Path | None, size: int) -> int:
-    """Starts whose outcome is on disk already."""
-    if store is None or not os.path.exists(store):
-        return 0
-    import zarr
+def repair(path: str, progress: bool) -> tuple[Run, int]:
+    """Mend the store of a map, which holds all that its sweep needs; how many starts it took.
 
-    with contextlib.suppress(Exception):  # what cannot be read, the sweep refuses
-        group: Any = zarr.open_group(store, mode="r")
-        return min(size, int(np.sum(group["done"][:])) * group.attrs["tile"])
-    return 0
+    Raises:
+        ValueError: it is not the store of a map.
+        StoreDamaged: its metadata are damaged.
+    """
+    whole = verify(path)
+    tiles = opened(path)
+    attrs, axes = tiles.header["attrs"], tiles.header["axes"]
+    level = [name for name in LEVELS if equation(name, 0.0).level == attrs["level"]]
+    names = {name.replace("_", "-") for name in axes}
+    if not level or names not in ({"delta", "phi", *ways} for ways in (CYLINDRICAL, SPHERICAL)):
+        must = "be the store of a `dipoletop map`"
+        refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
+    settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
+    settings |= {"repair": True, "progress": level[0] if progress else False}
+    grid = Grid(**{name: tiles.values(name) for name in axes})
+    run = run_level(level[0], grid, tiles.place, **settings)
+    return run, sum(tiles.length(tile) for tile in (*whole.unfinished, *whole.damaged))
 
 
 @contextlib.contextmanager

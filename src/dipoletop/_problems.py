@@ -1,6 +1,6 @@
 """A sweep's problem: from flat indices to the equations and starts of its points, vectorised."""
 
-import hashlib
+import dataclasses
 import inspect
 import threading
 from collections.abc import Callable
@@ -12,8 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import check_equation, refuse
-from ._types import Equation
+from ._checks import check_equation, real, refuse
+from ._linalg import length
+from ._programs import array_digest, program_digest
+from ._types import Equation, Verdict
+from ._workers import inside
 from .equations.tangent import Tangent
 from .grids import Grid, Points, Sample
 from .manifold import physical
@@ -22,9 +25,73 @@ Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
 """From the named values of one point to the equation and the start ω₀."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Builder:
+    """From flat indices to (equation, ω₀), both with a trailing lane axis; see `builder`."""
+
+    problem: Problem
+    over: Grid | Points | Sample
+    derivatives: tuple[str, ...]
+    _one_at_a_time: Any = dataclasses.field(default_factory=threading.Lock)
+
+    def __call__(self, index: np.ndarray) -> tuple[Any, Float[Array, "3 N"]]:
+        """The equations and starts of these points."""
+        with inside():
+            points = self.over.points(index)
+            if self.derivatives:
+                _check_derivatives(points, self.derivatives)
+            return self._mapped(points)
+
+    def _mapped(self, points: Any) -> tuple[Any, Float[Array, "3 N"]]:
+        one = self._varied if self.derivatives else self._at
+        with self._one_at_a_time:  # tracing a user's function from two threads is his risk
+            return jax.vmap(one, out_axes=-1)(points)
+
+    def _at(self, point: Any) -> tuple[Any, Float[Array, "3"]]:
+        made = self.problem(**point) if isinstance(point, dict) else self.problem(point)
+        if not (isinstance(made, tuple | list) and len(made) == 2):
+            refuse("problem", "return (equation, omega0)", f"returns {type(made).__name__}")
+        check_equation(made[0])
+        return made[0], real("omega0 of problem", made[1], (3,), batch=False)
+
+    def _varied(self, point: Any) -> Any:
+        return _varied(self._at, point, self.derivatives)
+
+    def programs(self) -> dict[str, bytes]:
+        """Digests of all that is computed for a point, by what it is."""
+        one = np.zeros(1, int)
+        made, omegas = self(one)
+        equation = physical(made)
+        arrays, rest = eqx.partition(equation, eqx.is_array)
+
+        def of(method: Callable[[Any, Any], Any], argument: Any) -> bytes:
+            def leaves(arrays: Any, argument: Any) -> list[Any]:
+                return jax.tree.leaves(method(eqx.combine(arrays, rest), argument))
+
+            return program_digest(leaves, arrays, argument)
+
+        with inside():
+            state = jax.eval_shape(equation.lift, omegas)
+            found = {
+                "problem": program_digest(self._mapped, self.over.points(one)),
+                "field": of(lambda equation, y: equation(0.0, y, None), state),
+                "lift": of(lambda equation, omega: equation.lift(omega), omegas),
+                "verdict": of(_verdict, state),
+            }
+            if isinstance(self.over, Sample):
+                found["draw"] = program_digest(self.over.draw, jax.random.key(0))
+        return found
+
+
+def _verdict(equation: Any, y: Any) -> Verdict:
+    """The verdict as it counts for this equation."""
+    found = Verdict(*equation.verdict(y))
+    return found._replace(certified=found.certified_for(equation))
+
+
 def builder(
     problem: Problem, over: Grid | Points | Sample, derivatives: tuple[str, ...] = ()
-) -> Callable[[np.ndarray], Any]:
+) -> Builder:
     """From flat indices to (equation, ω₀), both with a trailing lane axis.
 
     With `derivatives` the equation is a `Tangent`, whose variations are along these arguments.
@@ -34,30 +101,7 @@ def builder(
         refuse("over", "be a Grid, Points or a Sample", f"is {type(over).__name__}")
     if not isinstance(over, Sample):
         _check_names(problem, tuple(over.coords if isinstance(over, Grid) else over.columns))
-    one_at_a_time = threading.Lock()  # tracing a user's function from two threads is his risk
-
-    def build(index: np.ndarray) -> tuple[Any, Float[Array, "3 N"]]:
-        points = over.points(index)
-
-        def at(point: Any) -> Any:
-            made = problem(**point) if isinstance(point, dict) else problem(point)
-            if not (isinstance(made, tuple) and len(made) == 2):
-                refuse("problem", "return (equation, omega0)", f"returns {type(made).__name__}")
-            if jnp.shape(made[1]) != (3,):
-                shape = jnp.shape(made[1])
-                refuse("problem", "return a start of shape (3,)", f"its start has shape {shape}")
-            check_equation(made[0])
-            return made
-
-        def varied(point: Any) -> Any:
-            return _varied(at, point, derivatives)
-
-        if derivatives:
-            _check_derivatives(points, derivatives)
-        with one_at_a_time:
-            return jax.vmap(varied if derivatives else at, out_axes=-1)(points)
-
-    return build
+    return Builder(problem, over, derivatives)
 
 
 def check_problem(problem: Any) -> None:
@@ -78,7 +122,8 @@ def _varied(at: Any, point: dict[str, Array], derivatives: tuple[str, ...]) -> A
         made, tuple(point[name] for name in derivatives), has_aux=True
     )
     units = tuple(jnp.eye(len(derivatives)))
-    return Tangent(eqx.combine(arrays, rest), *jax.vmap(push)(units)), omega0
+    parameters, starts = jax.vmap(push)(units)
+    return Tangent(eqx.combine(arrays, rest), parameters, starts, length(omega0)), omega0
 
 
 def _check_derivatives(points: Any, derivatives: tuple[str, ...]) -> None:
@@ -106,11 +151,6 @@ def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
         )
 
 
-def fingerprint(build, size: int) -> str:
-    """A hash of what the problem is at a few of its points, to recognise a foreign store."""
-    probe = np.unique(np.linspace(0, size - 1, 17).astype(int))
-    leaves, structure = jax.tree.flatten(build(probe))
-    digest = hashlib.sha256(str(structure).encode())
-    for leaf in leaves:
-        digest.update(np.asarray(leaf).tobytes())
-    return digest.hexdigest()
+def block_digest(block: tuple[Any, Float[Array, "3 N"]]) -> bytes:
+    """That of equations and starts, parameter by parameter."""
+    return array_digest(*jax.tree.leaves(eqx.filter(block, eqx.is_array)))

@@ -24,15 +24,14 @@ def checks() -> Iterator[tuple[str, bool]]:
 
 def paper() -> Iterator[tuple[str, bool]]:
     """Lines of `dipoletop validate --paper`, and whether they hold."""
-    heads = f"{'':9} {'where':24} {'residual':>8} {'allowed':>8}"
-    yield f"{heads}  what holds [what the paper has]", True
+    columns = "{:9}  {:24}  {:>8}  {:>8}  {}"
+    yield columns.format("verdict", "where in the paper", "residual", "allowed", "what holds"), True
     for entry in ledger():
-        line = f"{entry.verdict:9} {entry.place:24} {entry.residual:8.1e} {entry.limit:8.1e}"
-        line += f"  {entry.claim}"
-        if entry.correction:
-            off = "" if entry.paper is None else f", off by {entry.paper:.2g}"
-            line += f" [{entry.correction}{off}]"
-        yield line, entry.holds
+        residual, limit = f"{entry.residual:.1e}", f"{entry.limit:.1e}"
+        yield columns.format(entry.verdict, entry.place, residual, limit, entry.claim), entry.holds
+        if entry.printed:
+            residual = f"{entry.printed_residual:.1e}"
+            yield columns.format("", "  the paper has:", residual, "", entry.printed), True
 
 
 def spectra(equations: list[Any], w: float) -> Iterator[str]:

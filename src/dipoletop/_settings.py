@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import concrete, real, refuse
+from ._linalg import length
 
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # what engines count in 32 bits
@@ -29,14 +30,20 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
 
 
 def absolute(
-    atol: Any, rtol: Float[Array, ""], start: Float[Array, "..."], axis: int = 0
+    atol: Any,
+    rtol: Float[Array, ""],
+    start: Float[Array, "..."],
+    axis: int = 0,
+    *,
+    label_only: bool = False,
 ) -> Float[Array, "*n"]:
-    """`atol`, or rtol·|ω₀| for None: an absolute tolerance means nothing unless it scales.
+    """`atol`; for None 0, since errors are measured by the present |ω|.
 
-    The components of ω₀ are on the first or on the last axis, 0 or -1.
+    A label does not depend on how exact a motion is that has become slow: if no more is wanted,
+    None means rtol·|ω₀|. The components of ω₀ are on the first or on the last axis, 0 or -1.
     """
     if atol is None:
-        return _scaled(rtol, start, axis)
+        return _scaled(rtol, start, label_only, axis)
     shape = start.shape[1:] if axis == 0 else start.shape[:-1]
     return jnp.broadcast_to(check_atol(atol, shape), shape)
 
@@ -51,15 +58,13 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     return array
 
 
-@functools.partial(jax.jit, static_argnames="axis")
-def _scaled(rtol: Float[Array, ""], start: Float[Array, "..."], axis: int) -> Float[Array, "*n"]:
-    """rtol·|ω₀|, without underflow of the squares; written out, since XLA:CPU is slow at sums."""
-    w1, w2, w3 = jnp.moveaxis(jnp.abs(start), axis, 0)
-    most = jnp.maximum(jnp.maximum(w1, w2), w3)
-    one = jnp.where(most > 0, most, 1.0)
-    size = most * jnp.sqrt((w1 / one) ** 2 + (w2 / one) ** 2 + (w3 / one) ** 2)
+@functools.partial(jax.jit, static_argnames=("label_only", "axis"))
+def _scaled(
+    rtol: Float[Array, ""], start: Float[Array, "..."], label_only: bool, axis: int
+) -> Float[Array, "*n"]:
+    size = length(jnp.moveaxis(start, axis, 0))
     # A start at rest stays there; any positive tolerance will do for it.
-    return rtol * jnp.where(size > 0, size, 1.0)
+    return rtol * jnp.where(size > 0, size if label_only else 0.0, 1.0)
 
 
 def budget(name: str, value: Any) -> int:

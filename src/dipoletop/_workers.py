@@ -1,7 +1,9 @@
 """All cores and all devices: one thread for each, with its own dispatch."""
 
+import contextlib
 import functools
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
@@ -11,6 +13,7 @@ import jax
 from ._checks import refuse
 
 T = TypeVar("T")
+_here = threading.local()
 
 
 def workers(devices: Sequence[Any] | None = None) -> list[Any]:
@@ -19,14 +22,40 @@ def workers(devices: Sequence[Any] | None = None) -> list[Any]:
     An accelerator is fed by one thread. A processor runs a small program on one core, so its
     devices get as many threads as the process may use cores.
     """
-    devices = jax.devices() if devices is None else list(devices)
-    if not devices:
-        refuse("devices", "name at least one device, or be None", "names none")
+    if getattr(_here, "inside", False):  # of a worker, who would wait for himself
+        refuse(
+            "problem",
+            "not itself call `sweep` or `classify_many`, whose workers would wait for each other",
+            "does (find what it needs beforehand, and let it use the numbers)",
+        )
+    devices = jax.devices() if devices is None else _listed(devices)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hosts = [device for device in devices if device.platform == "cpu"]
     others = [device for device in devices if device.platform != "cpu"]
     threads = max(len(hosts), cores or 1) if hosts else 0
     return others + [hosts[i % len(hosts)] for i in range(threads)]
+
+
+def _listed(devices: Any) -> list[Any]:
+    listed = [] if isinstance(devices, str) or not isinstance(devices, Iterable) else list(devices)
+    if not listed or not all(isinstance(device, jax.Device) for device in listed):
+        refuse(
+            "devices",
+            "list at least one of JAX's devices, as `jax.devices('cpu')` does, or be None",
+            f"is {devices!r}",
+        )
+    return listed
+
+
+@contextlib.contextmanager
+def inside() -> Iterator[None]:
+    """Marks this thread as one that others wait for: it must not ask for workers."""
+    before = getattr(_here, "inside", False)
+    _here.inside = True
+    try:
+        yield
+    finally:
+        _here.inside = before
 
 
 @functools.cache
@@ -48,7 +77,7 @@ def in_parallel(
     def run(job: int) -> tuple[int, T]:
         device = free.pop()  # list.pop and append are atomic
         try:
-            with jax.default_device(device):
+            with jax.default_device(device), inside():
                 return job, task(job, device)
         finally:
             free.append(device)

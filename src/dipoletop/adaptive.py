@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ._checks import finite, refuse
 from ._settings import budget, check_settings
+from ._types import Outcome
 from .basin import FIELDS, Basin
 from .boundary import fate
 from .grids import Grid, Points
@@ -220,11 +221,11 @@ class _Picture:
             inner = [np.minimum(span[:, :1] + step, span[:, 1:]) for span, step in steps]
             points = inner[0][:, :, None] * self.shape[1] + inner[1][:, None, :]
             free, weights = ~self.computed[points], self._weights(spans, inner)
-            for name in ("outcome", "stop"):
-                label = self.columns[name][corners[:, :1, :1]]
-                self.columns[name][points[free]] = np.broadcast_to(label, points.shape)[free]
+            alike = {name: self.columns[name][corners[:, :1, :1]] for name in ("outcome", "stop")}
             sure = self.columns["certified"][corners].all(axis=(1, 2), keepdims=True)
-            self.columns["certified"][points[free]] = np.broadcast_to(sure, points.shape)[free]
+            error = np.where(alike["outcome"] == Outcome.RESIDUAL, np.inf, 0.0)  # not known
+            for name, value in {**alike, "certified": sure, "omega_inf_error": error}.items():
+                self.columns[name][points[free]] = np.broadcast_to(value, points.shape)[free]
             for name in ("omega_inf", "time"):
                 between = _bilinear(self.columns[name][corners], weights)
                 self.columns[name][points[free]] = between[free]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 FIELDS: dict[str, tuple[str, str, str]] = {
     "outcome": ("int8", "1", "FAILED -1, UNDECIDED 0, RESIDUAL 1, STOP 2"),
     "omega_inf": ("float64", "1/tau_0", "residual angular velocity along the dipole, signed"),
+    "omega_inf_error": ("float64", "1/tau_0", "estimated absolute error of omega_inf"),
     "time": ("float64", "tau_0", "time at which the outcome was certain"),
     "steps": ("int32", "1", "integration steps tried"),
     "certified": (
@@ -97,9 +98,16 @@ class Basin:
     seconds: float = field(default=np.nan, compare=False)
 
     def column(self, name: str) -> np.ndarray:
-        """One column, in the shape of the grid."""
+        """One column, in the shape of the grid.
+
+        Raises:
+            ValueError: the basin has no such column.
+            StoreDamaged: it is on disk, and is not what was written there.
+        """
         if not isinstance(name, str) or name not in self.columns:
-            refuse("name", f"be among {', '.join(self.columns)}", described(name))
+            refuse(
+                "name", f"be a column of this basin ({', '.join(self.columns)})", described(name)
+            )
         return np.asarray(self.columns[name][:]).reshape(self.shape)
 
     @property
@@ -111,6 +119,11 @@ class Basin:
     def omega_inf(self) -> Float[np.ndarray, "*shape"]:
         """Residual angular velocity along the dipole, signed; 0 for STOP, NaN where not known."""
         return self.column("omega_inf")
+
+    @property
+    def omega_inf_error(self) -> Float[np.ndarray, "*shape"]:
+        """Estimated absolute error of ω∞; 0 for STOP, infinite where there is no estimate."""
+        return self.column("omega_inf_error")
 
     @property
     def time(self) -> Float[np.ndarray, "*shape"]:
@@ -214,7 +227,9 @@ class Basin:
             path: the folder.
 
         Raises:
-            ValueError: it is missing, not a basin, damaged, or a sweep that is not finished.
+            ValueError: it is missing, not a basin, or a sweep that is not finished.
+            StoreDamaged: it is not what was written; of a store without checksums, which older
+                versions made, only what is missing or cannot be read is found.
         """
         from . import store
 

@@ -1,16 +1,17 @@
-"""The command line: `dipoletop map`, `simulate`, `figures`, `spectrum`, `validate`."""
+"""The command line: `dipoletop map`, `simulate`, `figures`, `spectrum`, `validate`, `store`."""
 
-import functools
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from . import _levels
+from ._commands import Command
+from ._commands import computing as _computing
 from ._parameters import Number, Size
+from ._store_commands import store
 
 FULL_TOO = click.Choice(_levels.LEVELS)
 LEVELS = click.Choice([level for level in _levels.LEVELS if level != "full"])
@@ -43,14 +44,7 @@ steps), failed (not a number). Certified: decided in a region that is proven to 
 for this level of the equation; how far the level is from the full equation is not in it."""
 
 
-class Refusal(click.ClickException):
-    """One line, and the exit status of a command that cannot be."""
-
-    exit_code = 2
-
-
 NUMBER = Number()
-Command = Callable[..., None]
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
@@ -60,22 +54,7 @@ def main() -> None:
     """Rotation of a rigid electric dipole that radiates: does it keep rotating, or stop?"""
 
 
-def _computing(run: Command) -> Command:
-    """float64 is on before anything is computed; a refusal is one line, and status 2."""
-
-    @functools.wraps(run)
-    def wrapped(**options: Any) -> None:
-        import jax
-        import matplotlib
-
-        jax.config.update("jax_enable_x64", True)
-        matplotlib.use("Agg")
-        try:
-            run(**options)
-        except (ValueError, OSError) as error:
-            raise Refusal(str(error)) from None
-
-    return wrapped
+main.add_command(store)
 
 
 def _quantities(run: Command) -> Command:
@@ -156,6 +135,7 @@ def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
     default=True,
     help="Keep the data, in OUTPUT-LEVEL.zarr; the same command goes on where it was stopped.",
 )
+@click.option("--repair", is_flag=True, help="Compute damaged data of the store again.")
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @_computing
 def map_(**options: Any) -> None:
@@ -172,7 +152,9 @@ def map_(**options: Any) -> None:
     ranges = {name: (low, high) for name, low, high in options["ranges"]}
     grid, text = _mapping.make_grid(_given(options), axes, ranges, options["size"])
     base, picture = _files(options["output"], options["suffix"], "map")
-    settings = {name: options[name] for name in ("rtol", "max_steps", "confirm", "engine")}
+    settings = {
+        name: options[name] for name in ("rtol", "max_steps", "confirm", "engine", "repair")
+    }
     settings["devices"] = _devices(options["device"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")

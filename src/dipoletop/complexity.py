@@ -15,6 +15,7 @@ from ._settings import budget, check_settings, whole
 from .basin import Basin
 from .boundary import fate
 from .grids import Grid, Points
+from .outcomes import UNCHECKED
 from .sweep import Problem, sweep
 
 AROUND = (-1, 0, 1)  # a point and its two companions, in units of ε
@@ -198,7 +199,7 @@ def uncertainty_exponent(
     for name, unit in zip(low, drawn, strict=True):
         moved = steps[:, None, None] * np.array(AROUND) * (name == along)
         points[name] = (low[name] + (high[name] - low[name]) * unit + moved).ravel()
-    found = fate(sweep(problem, Points(**points), progress=False, **settings))
+    found = fate(sweep(problem, Points(**points), value=UNCHECKED, progress=False, **settings))
     fates = found.reshape(len(steps), count, len(AROUND))
     uncertain = np.sum(np.any(fates != fates[:, :, :1], axis=2), axis=1)
     for step, many in zip(steps.tolist(), uncertain.tolist(), strict=True):

@@ -1,7 +1,7 @@
 """Which starts and shapes a sweep visits: a grid of named axes, listed points, a random sample."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,14 @@ from ._settings import budget, whole
 
 Draw = Callable[[Array], Any]
 """From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
+
+
+class Header(NamedTuple):
+    """What a grid, points or a sample are, as plain values and arrays."""
+
+    kind: str
+    settings: dict[str, Any]
+    values: dict[str, np.ndarray]
 
 
 class Grid:
@@ -53,6 +61,11 @@ class Grid:
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
         """The values on each axis."""
         return self.axes
+
+    @property
+    def header(self) -> Header:
+        """All that makes it what it is."""
+        return Header("Grid", {}, self.axes)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
         """The arguments of the problem at flat indices (C order)."""
@@ -99,6 +112,11 @@ class Points:
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Points have no axis but their number; `columns` holds their values."""
         return {}
+
+    @property
+    def header(self) -> Header:
+        """All that makes them what they are."""
+        return Header("Points", {}, self.columns)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
         """The arguments of the problem at these numbers."""
@@ -165,7 +183,7 @@ class Sample:
         if draw is not None and not callable(draw):
             refuse("draw", "be a function of a random key, or None", described(draw))
         self.amplitude = None if draw else amplitude
-        self._draw = draw if draw else isotropic(amplitude)
+        self.draw = draw if draw else isotropic(amplitude)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -177,11 +195,17 @@ class Sample:
         """A sample has no axis but its number; `points` gives the starts."""
         return {}
 
+    @property
+    def header(self) -> Header:
+        """All that makes it what it is, but the function `draw`."""
+        size = None if self.amplitude is None else np.asarray(self.amplitude, float).tolist()
+        return Header("Sample", {"seed": self.seed, "amplitude": size}, {})
+
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
         """The starts with these numbers, shape (n, 3), or a dict of arrays."""
         key = jax.random.key(self.seed)
         keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(index))
-        return jax.vmap(self._draw)(keys)
+        return jax.vmap(self.draw)(keys)
 
 
 def isotropic(amplitude: Any) -> Draw:

@@ -8,7 +8,6 @@ components lie on axis 0; the method is the Butcher tableau of any explicit diff
 """
 
 import functools
-import math
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -21,8 +20,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ._endings import Until, decided, sound
-from ._linalg import largest
+from ._steps import error_ratio, first_step, root
 from ._types import Equation, Real, State
+from .equations._base import sizes_of
 
 NAME = "jax"  # of the engine
 Judge = Callable[[Any, tuple[Any, ...], tuple[Any, Any]], Any]
@@ -32,7 +32,6 @@ arrays with the lanes behind."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 REFILL = 6  # refill when one lane in so many is finished
 NARROW = 8  # the last lanes end in a block narrower by this factor
-FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
 LARGE, WIDE = 500, 10  # operations and numbers of a rate beyond which the stages become a loop
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
 
@@ -42,7 +41,8 @@ RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1  # states of a lane
 class Limits(eqx.Module):
     """Tolerances and budget of a run, all traced: a new value compiles nothing.
 
-    The error of a step is kept below atol + rtol·max(|y|, |y_new|) in every component.
+    The error of a step is kept below atol + rtol·max(size(y), size(y_new)) in every component, a
+    size being that of `sizes_of`.
     """
 
     rtol: Float[Array, ""]
@@ -95,38 +95,6 @@ class _Block(eqx.Module):
         return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
 
-def _error_ratio(equation: Any, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
-    """Largest component of the error over what is allowed; an equation may have its own `sizes`."""
-    rtol, atol = scale
-    sizes = getattr(equation, "sizes", jnp.abs)
-    allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
-    return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
-
-
-def _first_step(equation: Any, y: State, f: State, scale: Any, order: int) -> Real:
-    """Step size to begin with: that of a step whose error is about the tolerance.
-
-    With y, ẏ, ÿ measured by the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order): in
-    proportion to the time scale, whatever the unit of time is.
-    """
-    ratio = functools.partial(_error_ratio, equation, ends=(y, jnp.zeros_like(y)), scale=scale)
-    d0, d1 = ratio(y), ratio(f)
-    moves = (d0 > 0) & (d1 > 0)
-    h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
-    f1 = equation(h0, y + h0[None] * f, None)
-    d2 = jnp.maximum(ratio(f1 - f) / h0, jnp.finfo(h0.dtype).tiny)
-    time = jnp.minimum(100 * h0, jnp.sqrt(d0 / d2))
-    time = jnp.minimum(time, float(jnp.finfo(h0.dtype).max) ** 0.5)  # where squares underflow
-    return jnp.where(moves, FIRST * time / _root(jnp.where(moves, d0, 1.0), order), h0)
-
-
-def _root(x: Real, order: int) -> Real:
-    """x^(1/order), the order rounded to a power of two: square roots are fast, logarithms slow."""
-    for _ in range(max(1, round(math.log2(order)))):
-        x = jnp.sqrt(x)
-    return x
-
-
 def _combine(weights: np.ndarray, slopes: list[State]) -> State:
     """Σ wᵢ kᵢ, zero weights left out."""
     terms = [float(w) * k for w, k in zip(weights, slopes, strict=True) if w != 0]
@@ -177,7 +145,7 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     """Runs at their start: first slopes and step sizes; some are decided or broken at once."""
     scale = (limits.rtol, limits.atol)
     f = equation(jnp.zeros_like(limits.t1), y0, None)
-    h = _first_step(equation, y0, f, scale, order)
+    h = first_step(equation, sizes_of(equation), y0, f, scale, order)
     able = sound(0 * h, y0, f) & jnp.isfinite(h)
     done = decided(equation, y0, scale, until) | (limits.t1 <= 0)
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
@@ -196,8 +164,8 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     last = at.h >= left
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
-    ratio = _error_ratio(at.equation, error, (at.y, new), scale)
-    factor = SAFETY / _root(jnp.maximum(ratio, 1e-30), solver.order(None))
+    ratio = error_ratio(sizes_of(at.equation), error, (at.y, new), scale)
+    factor = SAFETY / root(jnp.maximum(ratio, 1e-30), solver.order(None))
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)

@@ -9,17 +9,21 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jax.flatten_util import ravel_pytree
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
-from ._checks import check_body, check_single, real, where_valid
+from ._checks import check_body, check_single, check_verdict, or_nan, real, where_valid
+from ._conditioning import is_known
 from ._forward import differentiable
-from ._linalg import dot, scale
+from ._linalg import dot, length, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._steps import Controller
 from ._types import Equation
+from .equations._base import Sizes, sizes_of
 from .equations._invariant import infinity
 from .equations.tangent import Together
-from .outcomes import check_verdict, classified
+from .outcomes import UNCHECKED, Value, classified
 
 
 def residual_rotation(
@@ -42,13 +46,14 @@ def residual_rotation(
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         rtol: relative tolerance of ω∞ and of its derivatives; of second ones rtol^(4/5) or so.
-        atol: absolute tolerance; None means rtol·|ω₀|.
+        atol: absolute tolerance; None means none, since errors are measured by the present |ω|.
         max_steps: budget.
 
     Returns:
         ω∞ in units of 1/τ₀, signed, along the dipole: 0 for a stop; NaN if the run failed or is
-        undecided. Derivatives are 0 where the top stops as all its neighbours do, and NaN where
-        there are none: of what is undecided or failed, so near to a boundary that a stop is not
+        undecided, or if the estimated error exceeds ω∞. Derivatives are 0 where the top stops as
+        all its neighbours do, and NaN where there are none: of what is undecided or failed, so near
+        to a boundary that a stop is not
         sure within the tolerances, and on an axis of decaying spin (a boundary) but for axis 3. A
         derivative with respect to one element of an inertia tensor breaks its symmetry; only those
         along symmetric changes have a meaning. Derivatives are infinite (1e302, or the like, since
@@ -79,25 +84,28 @@ def residual_rotation(
     rtol = tolerance("rtol", rtol)
     limits = rtol, absolute(atol, rtol, start)
 
-    def ends(equation: Any, start: Any, limits: Any) -> Any:
+    def ends(equation: Any, start: Any, limits: Any, value: Value) -> Any:
         rtol, atol = limits
-        return classified(equation, start, rtol=rtol, atol=atol, max_steps=max_steps)
+        return classified(equation, start, rtol=rtol, atol=atol, max_steps=max_steps, value=value)
 
     def value(leaves: Any, limits: Any) -> Float[Array, ""]:
         arrays, start = jax.tree.unflatten(structure, leaves)
-        return ends(eqx.combine(arrays, rest), start, limits).omega_inf
+        return ends(eqx.combine(arrays, rest), start, limits, True).omega_inf
 
     def with_slopes(x: Float[Array, "n"], settings: Any) -> Float[Array, "1+n"]:
         back, limits = settings
         arrays, start = jax.tree.unflatten(structure, back(x))
         _, push = jax.linearize(back, x)
-        units = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
+        parameters, starts = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
         # Else +s in one and −s in another would leave a plausible number of what is infinite.
         irregular = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))  # independent numbers
-        found = ends(Together(eqx.combine(arrays, rest), *units), start, limits)
+        equation = Together(eqx.combine(arrays, rest), parameters, starts, length(start))
+        found = ends(equation, start, limits, UNCHECKED)
         endless = infinity(x.dtype) * (irregular + jnp.sum(x - jax.lax.stop_gradient(x)))
         slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
-        return jnp.append(found.omega_inf, slopes)
+        by_start = found.slopes[-3:]  # the start is what varies last, always
+        by_start = length(jnp.where(jnp.isinf(by_start), 0.0, by_start))
+        return or_nan(jnp.append(found.omega_inf, slopes), is_known(found, by_start, start, limits))
 
     return _with_gradient(value, with_slopes)(leaves, limits)
 
@@ -105,7 +113,8 @@ def residual_rotation(
 def _with_gradient(value: Callable[..., Array], with_slopes: Callable[..., Array]) -> Any:
     """`value(leaves, settings)`, differentiated by `with_slopes(x, (back, settings))`.
 
-    There x holds the leaves that vary, and back(x) is all leaves; the value comes first.
+    There x holds the leaves that vary, and the last one in any case; back(x) is all leaves. The
+    value comes first.
     """
 
     @jax.custom_jvp
@@ -114,9 +123,11 @@ def _with_gradient(value: Callable[..., Array], with_slopes: Callable[..., Array
 
     def rule(primals: Any, tangents: Any) -> Any:
         (leaves, settings), (changes, _) = primals, tangents
-        moving = [k for k, change in enumerate(changes) if not isinstance(change, SymbolicZero)]
+        still = [isinstance(change, SymbolicZero) for change in changes]
+        moving = [k for k in range(len(leaves)) if not still[k] or k == len(leaves) - 1]
         x, unravel = ravel_pytree([leaves[k] for k in moving])
-        change, _ = ravel_pytree([changes[k] for k in moving])
+        along = [jnp.zeros_like(leaves[k]) if still[k] else changes[k] for k in moving]
+        change, _ = ravel_pytree(along)
         back = _Back(
             tuple(moving), unravel, [None if k in moving else leaf for k, leaf in enumerate(leaves)]
         )
@@ -161,7 +172,7 @@ def decay_time(
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         share: between 0 and 1, both excluded.
         rtol: relative tolerance.
-        atol: absolute tolerance; None means rtol·|ω₀|.
+        atol: absolute tolerance; None means none, since errors are measured by the present |ω|.
         max_steps: budget.
 
     Returns:
@@ -219,7 +230,8 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
         return manifold.crossing(equation, start, lambda y: energy(y) - level, rtol, windows)
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     until = jnp.where(falls, jnp.inf, 0.0)
-    step = _solve(equation, until, y0, limits, event=below)
+    size = sizes_of(equation)
+    step = _solve(equation, until, y0, limits, size, event=below)
 
     # Back from the end of that step to the level, with the energy as the independent variable.
     def field(s: Any, y: Array, args: Any) -> Array:
@@ -229,15 +241,15 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
         return jnp.append(rate, 1 / late) * (level - energy(end)) / power
 
     end, late = step.ys[-1], step.ts[-1]
-    found = _solve(field, 1.0, jnp.append(end, 1.0), limits)
+    sizes = Partial(lambda size, y: jnp.append(size(y[:-1]), 1.0), size)
+    found = _solve(field, 1.0, jnp.append(end, 1.0), limits, sizes)
     good = falls & diffrax.is_successful(found.result)
     return jnp.where(good, late * found.ys[-1, -1], jnp.nan * first)  # no derivative, either
 
 
-def _solve(field: Any, t1: Any, y0: Array, limits: Any, event: Any = None) -> Any:
+def _solve(field: Any, t1: Any, y0: Array, limits: Any, sizes: Sizes, event: Any = None) -> Any:
     """An integration from 0 to t1 that can be differentiated forwards."""
     rtol, atol, max_steps = limits
-    controller = diffrax.PIDController(rtol, atol, norm=lambda x: jnp.max(jnp.abs(x)))
     return diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri8(),
@@ -245,7 +257,7 @@ def _solve(field: Any, t1: Any, y0: Array, limits: Any, event: Any = None) -> An
         t1,
         None,
         y0,
-        stepsize_controller=controller,
+        stepsize_controller=Controller(rtol, atol, sizes),
         event=event,
         max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),

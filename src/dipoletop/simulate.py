@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
@@ -29,7 +30,9 @@ from ._checks import (
 )
 from ._forward import differentiable
 from ._settings import MAX_STEPS, absolute, budget, tolerance
+from ._steps import Controller
 from ._types import Equation, State, Vector
+from .equations._base import sizes_of
 
 LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
@@ -197,11 +200,10 @@ def simulate(
             given, and runs away unless it lies on that branch.
         ts: times at which the state is wanted, shape (T,), increasing; the first is the start.
         rtol: relative tolerance.
-        atol: absolute tolerance; None means rtol·|ω₀|. On a physical branch errors are measured
-            by the present |ω| instead.
+        atol: absolute tolerance; None means none: errors are measured by the present |ω|.
         max_steps: budget.
         options: `solver` (`diffrax.Dopri8()`), `stepsize_controller`
-            (`diffrax.PIDController(rtol, atol)` with the largest component as the norm) and
+            (`diffrax.PIDController(rtol, atol)` with errors measured by the present |ω|) and
             `adjoint` are passed to diffrax; `throw=False` returns what there is, and NaN
             for the rest, instead of raising (then there are no derivatives in reverse);
             `dense=True` keeps the interpolation; `balance=True` integrates the radiated energy
@@ -307,6 +309,13 @@ def _motion(equation, omega, times, rtol, max_windows: int) -> manifold.Motion:
     return motion._replace(windows=motion.windows.astype(int))
 
 
+def _sizes(equation: Any, y: State) -> State:
+    """What errors are measured by; the radiated energy, if it is there, goes as the square of ω."""
+    n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
+    least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
+    return jnp.concatenate([sizes_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
+
+
 @eqx.filter_jit
 def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajectory:
     rtol, atol = tolerances
@@ -323,11 +332,7 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
 
     controller = options.get("stepsize_controller")
     if controller is None:
-        # The radiated energy is as large as the square of ω: its tolerance scales as that does.
-        size = jnp.sqrt(jnp.sum(equation.omega(y0) ** 2))
-        size = jnp.where(size > 0, size, 1.0)  # at rest any tolerance will do
-        each = jnp.concatenate([jnp.full(n, 1.0) * atol, (atol * size)[None]])[: n + balance]
-        controller = diffrax.PIDController(rtol, each, norm=lambda x: jnp.max(jnp.abs(x)))
+        controller = Controller(rtol, atol, Partial(_sizes, equation))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         options.get("solver") or diffrax.Dopri8(),

@@ -1,13 +1,17 @@
 """What several equations share: the shape, labels, checks, and states that are ω itself."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._checks import concrete, instance, real, refuse, where_valid
-from .._types import Real, Vector
+from .._linalg import largest
+from .._types import Real, State, Vector
 from ..bodies import Body
 
 
@@ -55,3 +59,20 @@ def order_label(order: int) -> str:
 def unchanged(self: Any, omega: Vector) -> Vector:
     """The state is the angular velocity itself, shape (3,) or (3, B)."""
     return omega
+
+
+Sizes = Callable[[State], State]
+"""What the relative error of each component is measured by."""
+
+
+def sizes_of(equation: Any) -> Sizes:
+    """How an equation measures its components: its own method `sizes`, or by the present |ω|."""
+    return getattr(equation, "sizes", Partial(present_size, equation))
+
+
+def present_size(equation: Any, y: State) -> State:
+    """The size of each component, or the largest component of ω where that is larger.
+
+    A component that passes 0 then needs no short steps.
+    """
+    return jnp.maximum(jnp.abs(y), largest(jnp.abs(equation.omega(y)))[None])

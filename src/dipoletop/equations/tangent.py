@@ -11,9 +11,12 @@ from jaxtyping import Array, Bool, Float
 from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
+from ._base import sizes_of
 from ._general import constraints, rounding
 from ._invariant import infinite
 from ._line import guarded
+
+LEAST = 1e-2  # of |ω|: variations below it, for a change by 1, need not be exact
 
 
 class Tangent(eqx.Module):
@@ -27,6 +30,7 @@ class Tangent(eqx.Module):
         equation: the equation F, with a `verdict` if runs are to end.
         parameters: pₖ, the arrays of the equation (others None) with an axis of m in front.
         starts: the variations of ω₀, shape (m, 3).
+        size: |ω₀|, by which changes of the start are measured.
     """
 
     slack: ClassVar[float] = 10.0
@@ -39,6 +43,7 @@ class Tangent(eqx.Module):
     equation: Any
     parameters: Any
     starts: Float[Array, "m 3 *lanes"]
+    size: Real
 
     @property
     def _parts(self) -> tuple[Any, Any]:
@@ -83,13 +88,18 @@ class Tangent(eqx.Module):
         return jnp.concatenate([state, *variations])
 
     def sizes(self, y: State) -> State:
-        """What the lane engine measures the relative error of each component by.
+        """What the relative error of each component is measured by.
 
-        Not by its own size in a variation: then a component that passes 0 costs many steps.
+        That of a variation by its largest component, with some slack, or by a part of ω where
+        that is larger: what is left after a cancellation is rounding.
         """
-        state, *variations = map(jnp.abs, self._split(y))
-        sizes = [self.slack * largest(each)[None] for each in variations]
-        return jnp.concatenate([state, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
+        state, *variations = self._split(y)
+        own = sizes_of(self.equation)(state)
+        least = LEAST * largest(jnp.abs(self.omega(y)))
+        sizes = [
+            jnp.maximum(self.slack * largest(jnp.abs(each)), least)[None] for each in variations
+        ]
+        return jnp.concatenate([own, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
 
     def omega(self, y: State) -> Vector:
         """The angular velocity of a state."""
@@ -124,17 +134,16 @@ class Tangent(eqx.Module):
         """Whether there is a residual rotation that a leaning dipole ends."""
         return value != 0
 
-    def astray(self, y: State, scale: Any) -> Bool[Array, "*lanes"]:
-        """Whether the variations are so large that a run within the tolerances may end elsewhere.
+    def astray(self, y: State, rtol: Real) -> Bool[Array, "*lanes"]:
+        """Whether the variations are so large that a run within the tolerance may end elsewhere.
 
-        Changes of the start count as far as `scale`, (rtol, atol), those of parameters, taken to
-        be of the order of 1, as far as rtol.
+        Changes of the start count as far as rtol·|ω₀|, those of parameters, taken to be of the
+        order of 1, as far as rtol.
         """
-        rtol, atol = scale
         state, *variations = (largest(jnp.abs(part)) for part in self._split(y))
         starts = largest(jnp.abs(jnp.moveaxis(self.starts, 1, 0)))
         away = [
-            size * jnp.where(start > 0, atol / jnp.where(start > 0, start, 1.0), rtol)
+            rtol * size * jnp.where(start > 0, self.size / jnp.where(start > 0, start, 1.0), 1.0)
             for size, start in zip(variations, starts, strict=True)
         ]
         return jnp.any(jnp.stack(away) >= state[None], axis=0)

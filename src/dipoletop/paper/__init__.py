@@ -7,22 +7,36 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from . import _claims, _general, _longitudinal, _transverse
+from . import (
+    _averaged,
+    _claims,
+    _conclusions,
+    _general,
+    _longitudinal,
+    _rotator,
+    _transverse,
+)
 from ._entry import Entry as Entry
 
 PARTS = (
     _general.rotator,
     _general.motion,
     _longitudinal.equations,
-    _transverse.full_equation,
     _transverse.equations,
-    _transverse.averaged,
-    _transverse.residual_line,
+    _averaged.orbits,
+    _averaged.limits,
+    _averaged.late,
+    _transverse.fixed_points,
+    _claims.outcomes,
     _claims.figures,
     _claims.exceptions,
     _claims.asymmetric,
-    _claims.conclusions,
-    _general.phase_plane,
+    _conclusions.conclusions,
+    _longitudinal.braking_time,
+    _rotator.phase_plane,
+    _rotator.manifold,
+    _rotator.asymptotics,
+    _longitudinal.changed_variables,
     _longitudinal.asymptotics,
 )
 

@@ -1,5 +1,6 @@
 """One line of the ledger, and how residuals are measured."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -10,32 +11,37 @@ LANES = 32
 
 
 class Entry(NamedTuple):
-    """An equation, claim, figure or number of the paper, and what was found when it was tried."""
+    """An equation, claim, figure or number of the paper, and what was found when it was tried.
+
+    A residual is relative to the size of what is measured. Of a claim about cases it is the share
+    of the tried cases in which the claim fails.
+    """
 
     place: str
     """Where it stands in the paper."""
     claim: str
     """What holds: the paper's form, or the right one if the paper is corrected."""
     residual: float
-    """By how much it fails, relative to its own size, as computed just now."""
+    """By how much that fails, as computed just now."""
     limit: float
     """What rounding, tolerances or neglected terms allow."""
-    correction: str = ""
-    """What the paper has in its place; empty if it is confirmed."""
-    paper: float | None = None
-    """By how much the paper's form fails, where that form can be tried."""
+    printed: str = ""
+    """What the paper prints in its place; empty if it is confirmed."""
+    printed_residual: float = 0.0
+    """By how much what is printed fails, measured in the same way."""
 
     @property
     def holds(self) -> bool:
-        """Whether the claim holds, and the paper's own form, if corrected and tried, does not."""
-        return self.residual <= self.limit and (self.paper is None or self.paper > self.limit)
+        """Whether the claim holds, and what the paper prints in its place does not."""
+        wrong = not self.printed or self.printed_residual > self.limit
+        return bool(self.residual <= self.limit and wrong)
 
     @property
     def verdict(self) -> str:
         """Confirmed, corrected or FAILED."""
         if not self.holds:
             return "FAILED"
-        return "corrected" if self.correction else "confirmed"
+        return "corrected" if self.printed else "confirmed"
 
 
 def gap(found: Any, expected: Any) -> float:
@@ -43,6 +49,11 @@ def gap(found: Any, expected: Any) -> float:
     got, wanted = np.asarray(found), np.asarray(expected)
     worst = np.max(np.abs(got - wanted)) / np.max(np.abs(wanted))
     return float(worst) if np.isfinite(worst) else np.inf
+
+
+def share(failures: Iterable[Any]) -> float:
+    """The share of cases in which a claim fails."""
+    return float(np.mean(np.concatenate([np.ravel(np.asarray(x, bool)) for x in failures])))
 
 
 def unsolved(equation: Any, solution: Any, times: Any) -> float:

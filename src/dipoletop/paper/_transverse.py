@@ -1,10 +1,11 @@
-"""Section 4: the dipole across the symmetry axis, as equations."""
+"""Sections 4 and 4.1: the dipole across the symmetry axis, as equations, and their fixed points."""
 
 from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import least_squares
 
 from .. import exact
 from ..bodies import axisymmetric
@@ -16,34 +17,31 @@ from ..equations.transverse import (
     TransverseLinearised,
     TransverseReduced,
     TransverseSemi,
-    cylindrical,
 )
 from ..manifold import slow_manifold
 from ..stability import spectrum, threshold
-from ._entry import LANES, Entry, gap, shapes, states, unsolved
+from ._entry import LANES, Entry, gap, shapes, share, states, unsolved
 
 TIMES = np.array([0.0, 0.3, 5.0, 400.0])
 
 
 def equations() -> Iterator[Entry]:
-    """(4.2)–(4.15) and (4.22)–(4.24)."""
-    deltas, omega = shapes(), states(3)
+    """(4.2)–(4.15)."""
+    deltas, omega, rates = shapes(), states(3), states(2, 2)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
-    first = TransverseReduced(deltas)
-    residual = gap(first(0.0, omega), Reduced(bodies)(0.0, omega))
+    found = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
+    whole = jnp.concatenate([omega, jnp.zeros((1, LANES)), rates])
+    expected = Full(bodies)(0.0, whole)[jnp.array([0, 1, 2, 4, 5])]
+    claim = "the full equation (3.3) of such a top, closed"
+    yield Entry("section 4", claim, gap(found, expected), 1e-12)
+    first, general = TransverseReduced(deltas), Reduced(bodies)(0.0, omega)
+    residual = gap(first(0.0, omega), general)
     yield Entry("(4.2)–(4.4)", "(3.4) of a top with a transverse dipole", residual, 1e-13)
-    for name, delta, start in (
-        ("(4.5)", -0.3, (0.03, 0.4, 0.0)),
-        ("(4.6)", 0.6, (0.0, 0.0, 0.7)),
-    ):
-        solution = jax.jit(lambda t, d=delta, start=start: exact.transverse(d, np.array(start), t))
-        residual = unsolved(TransverseReduced(delta), solution, TIMES)
-        plane = "ω₃ = 0: ω₁ constant" if name == "(4.5)" else "ω⊥ = 0: a power law of τ"
-        yield Entry(name, f"exact solution for {plane}", residual, 1e-13)
+    yield from exact_motions()
     round_ = TransverseCylindrical(deltas)
     y = jnp.stack([jnp.abs(omega[0]), omega[2], omega[1]])
     found = jax.jvp(round_.omega, (y,), (round_(0.0, y),))[1]
-    residual = gap(found, first(0.0, round_.omega(y)))
+    residual = gap(found, Reduced(bodies)(0.0, round_.omega(y)))
     yield Entry("(4.9)–(4.11)", "the same in ω⊥, ω₃, φ", residual, 1e-13)
     yield from monotony()
     angles = jnp.linspace(0, 2 * jnp.pi, 16, endpoint=False)
@@ -51,15 +49,39 @@ def equations() -> Iterator[Entry]:
     mean = jnp.mean(TransverseCylindrical(-0.6)(0.0, y), axis=1)
     residual = gap(TransverseAveraged(-0.6)(0.0, y[:, 0]), mean)
     yield Entry("(4.13)–(4.15)", "their mean over φ", residual, 1e-14)
-    small, w = jnp.array([0.02, -0.03, 0.05]), 0.3
-    jacobian = jax.jacfwd(lambda y: TransverseCylindrical(-0.6)(0.0, y))(jnp.array([w, 0.0, 0.0]))
-    residual = gap(TransverseLinearised(-0.6, w)(0.0, small), jacobian @ small)
-    claim = "linearisation of (4.9)–(4.11) at (w, 0, 0)"
-    yield Entry("(4.22)–(4.24)", claim, residual, 1e-13, "names other equations")
+
+
+def exact_motions() -> Iterator[Entry]:
+    """(4.5), (4.6) and the exact motions that belong to them."""
+    delta, axial, plane = 0.6, np.array([0.0, 0.0, 0.7]), np.array([0.03, 0.4, 0.0])
+    solution = jax.jit(lambda t, start: exact.transverse(delta, start, t))
+    equation, general = TransverseReduced(delta), Reduced(axisymmetric(delta))
+    residual = unsolved(equation, lambda t: solution(t, axial), TIMES)
+    claim = "ω⊥ = 0: ω₃ = ω₃₀/√(1 + 2ω₃₀²τ/(1−δ))"
+    yield Entry("(4.5)", claim, residual, 1e-13)
+    residual = unsolved(equation, lambda t: solution(t, plane), TIMES)
+    yield Entry("(4.6)", "ω₃ = 0: ω₁ constant, ω₂ by a closed form", residual, 1e-13)
+    flat = states(3, 9).at[2].set(0.0)
+    law = -(flat[0] ** 2 + flat[1] ** 2) * flat[1]
+    rate = general(0.0, flat)
+    claim, printed = "(4.3) reduces to it, ω₂′ = −(ω₁² + ω₂²)ω₂", "(4.4) reduces to it"
+    yield Entry("(4.6)", claim, gap(rate[1], law), 1e-13, printed, gap(rate[2], law))
+    late = np.array([1e6, 4e6])  # times
+    ends = [np.asarray(solution(late, np.array([w1, 0.4, 0.0])))[:, 1] for w1 in (3e-3, 0.0)]
+    falls = [np.log(w[0] / w[1]) for w in ends]
+    claim = "ω₂ ~ e^{−ω₁²τ} for ω₁ ≠ 0, ω₂ ~ (2τ)^{−1/2} for ω₁ = 0"
+    residual = gap(np.array(falls) / np.array([27.0, np.log(2)]), np.ones(2))
+    printed = gap(falls[1] / np.log(2), 3e6 * 9e-6 / np.log(2))
+    yield Entry("after (4.6)", claim, residual, 1e-5, "exponential for every ω₁", printed)
 
 
 def monotony() -> Iterator[Entry]:
     """What stands after (4.12)."""
+    deltas, omega = shapes(), states(3, 11)
+    bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
+    rate = Reduced(bodies)(0.0, omega)
+    grows = omega[0] * rate[0] + omega[1] * rate[1] > 0
+    yield Entry("after (4.12)", "ω⊥ falls monotonically for every δ", share([grows]), 0.0)
     phi = jnp.linspace(0, jnp.pi, 181)
 
     def growth(delta: float) -> float:
@@ -72,88 +94,99 @@ def monotony() -> Iterator[Entry]:
     yield Entry("after (4.12)", claim, rises, 1e-9, "for every δ", growth(-0.9))
 
 
-def averaged() -> Iterator[Entry]:
-    """(4.16)–(4.21)."""
-    solution = jax.jit(exact.averaged)
-    start = cylindrical(0.8, -0.6, 0.3)
-    times = jnp.asarray(TIMES)
-    residual = 0.0
-    for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6):
-        equation = TransverseAveraged(delta)
-        value, rate = jax.jvp(lambda t, d=delta: solution(d, start, t), (times,), (0 * times + 1,))
-        y = equation.lift(value.T)
-        expected = jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1]
-        residual = max(residual, gap(rate.T, expected))
-    claim = "v = Cξ^{−q}|aξ+b|^p, τ = ((1−δ)/C)∫ξ^{q−1}|aξ+b|^{−p−1}dξ, and φ̄"
-    wrong = "(4.17) another exponent, and τ₀ for the initial time"
-    yield Entry("(4.16)–(4.18)", claim, residual, 1e-11, wrong)
-    d = -0.2
-    a, b, p = 1 + 2 * d, 1 + d**3, d * (1 - d) * (3 + 3 * d + d**2)
-    xi = np.array([0.3, 2.0, 40.0])
-    slope = (-2 / b) / xi + p / b / (a * xi + b)  # of ln v, by the closed form
-    residual = gap(slope, -((2 + d) * xi + 2) / (xi * (a * xi + b)))
-    claim = "p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)], a = 1+2δ, b = 1+δ³"
-    yield Entry("(4.19)", claim, residual, 1e-13, "another p")
-    for place, claim, correction, delta, limit in (
-        ("(4.20)", "u, v ~ 1/τ for −1 < δ < −1/2", "", -0.8, 1e-6),
-        ("(4.20)", "δ = −1: u ~ 2/(τ ln τ), v ~ 1/τ", "no logarithm", -1.0, 0.02),
-        ("(4.20)", "δ = −1/2: v ~ (12/7)/(τ ln τ), u ~ 1/τ", "no logarithm", -0.5, 0.02),
-        ("(4.21)", "u ~ 1/τ, v ~ τ^{−(2+δ)/(1−δ)} for −1/2 < δ < 1", "", 0.3, 1e-6),
-    ):
-        late = jnp.array([1e100])
-        w = solution(delta, start, late)[0]
-        u, v = exact.averaged_late(delta, start, late)
-        residual = max(
-            abs(float((w[0] ** 2 + w[1] ** 2) / u[0]) - 1), abs(float(w[2] ** 2 / v[0]) - 1)
-        )
-        yield Entry(place, f"{claim} (τ = 1e100)", residual, limit, correction)
+def linearised() -> Entry:
+    """(4.22)–(4.24)."""
+    small, w = jnp.array([0.02, -0.03, 0.05]), 0.3
+    jacobian = jax.jacfwd(lambda y: TransverseCylindrical(-0.6)(0.0, y))(jnp.array([w, 0.0, 0.0]))
+    linear = TransverseLinearised(-0.6, w)(0.0, small)
+    claim, printed = "linearisation of (4.9)–(4.11) at (w, 0, 0)", "linearisation of (4.5)–(4.9)"
+    only = jacobian.at[1:].set(0.0) @ small  # of those, only (4.9) has a rate: that of ω⊥
+    residual = gap(linear, jacobian @ small)
+    return Entry("before (4.22)", claim, residual, 1e-13, printed, gap(only, linear))
 
 
-def residual_line() -> Iterator[Entry]:
-    """The eigenvalues at {w, 0, 0}, and what order 1 leaves out."""
+def fixed_points() -> Iterator[Entry]:
+    """Those of order 1, and the rates beside them, (4.22)–(4.24)."""
+    yield linearised()
+    claim = "(4.2)–(4.4) have no other fixed points than ω₂ = ω₃ = 0"
+    yield Entry("section 4.1", claim, elsewhere(), 0.0)
     w, d = 0.01, -0.3
     state = jnp.array([w, 0.0, 0.0])
-    found = np.sort(np.real(spectrum(TransverseReduced(d), state).slow)) / w**2
-    expected = np.sort([0.0, -1.0, -(1 + 2 * d) / (1 - d)])
-    claim = "eigenvalues 0, −w², −(1+2δ)/(1−δ) w² at order 1"
-    yield Entry("section 4.2", claim, gap(found, expected), 1e-12)
-    slowest = float(spectrum(TransverseReduced(d), state).return_time)
-    claim = "the slowest rate is τ₀Ω² min(1, 3I₁/I₃ − 2)"
-    residual = abs(slowest * w**2 * min(1, 3 / (1 - d) - 2) - 1)
-    yield Entry("section 4.2", claim, residual, 1e-12, "the rate of ω₃ only")
-    at = threshold(TransverseReduced, w, -0.9, 0.5)
-    consistent = np.linspace(-0.99, 0.95, 9)
-    growth = max(
-        float(spectrum(level(float(d)), state).growth)
-        for d in consistent
-        for level in (TransverseSemi, TransverseFull)
+    rates = {
+        delta: np.sort(np.real(spectrum(TransverseReduced(delta), state).slow))[::-1] / w**2
+        for delta in (-1.0, -0.7, -0.5, d, 0.0, 0.4)
+    }
+    residual = max(
+        gap(found, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
+        for delta, found in rates.items()
     )
-    residual = abs(at + 0.5) if growth < 0 else np.inf
-    claim = "the threshold I₃ = 3/2 I₁ is order 1's; the full equation has none"
-    yield Entry("section 4.2", claim, residual, 1e-12, "a threshold of the top")
-    yield from lost_term(d)
+    claim = "rates 0, −w², −(1+2δ)/(1−δ) w² beside (w, 0, 0), at order 1"
+    yield Entry("section 4.1", claim, residual, 1e-12)
+    claim = "unstable for δ < −1/2; at δ = −1/2 the linear approximation says nothing"
+    unstable = {delta: np.sum(found > 1e-9) > 0 for delta, found in rates.items()}
+    wrong = share([unstable[delta] != (delta < -0.5) for delta in rates])
+    printed = share([unstable[delta] != (delta <= -0.5) for delta in rates])
+    yield Entry("section 4.1", claim, wrong, 0.0, "unstable for δ ≤ −1/2", printed)
+    yield slowest(state)
+    yield no_threshold(state)
+    yield lost_term(d)
 
 
-def lost_term(delta: float) -> Iterator[Entry]:
+def elsewhere() -> float:
+    """Of the fixed points found from many starts, the share that is not on the line ω₂ = ω₃ = 0."""
+    field = jax.jit(lambda delta, omega: TransverseReduced(delta)(0.0, omega))
+    draw, distances = np.random.default_rng(12), []
+
+    def polar(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """|ω| between 0.1 and 3, and the direction of ω."""
+        return 3 * 30 ** ((np.sin(x[0]) - 1) / 2), x[1:] / np.linalg.norm(x[1:])
+
+    def lack(x: np.ndarray, delta: float) -> np.ndarray:
+        r, n = polar(x)
+        return np.append(np.asarray(field(delta, r * n)) / r**3, np.sum(x[1:] ** 2) - 1)
+
+    for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.3, 0.8):
+        for _ in range(12):
+            found = least_squares(lack, draw.normal(size=4), args=(delta,), xtol=1e-15, ftol=1e-15)
+            if np.max(np.abs(found.fun)) < 1e-9:
+                distances.append(np.hypot(*polar(found.x)[1][1:]))
+    return float(np.mean(np.array(distances) > 1e-3)) if distances else np.inf
+
+
+def slowest(state: jnp.ndarray) -> Entry:
+    """How fast the residual rotation (w, 0, 0) is reached."""
+    deltas, square = (-0.3, 0.4), float(state[0]) ** 2
+    found = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
+    axial = np.array([3 / (1 - d) - 2 for d in deltas])
+    claim = "1/T = τ₀Ω∞² min(1, 3I₁/I₃ − 2), the slowest rate"
+    residual = gap(found, square * np.minimum(1, axial))
+    printed = "1/T = (3I₁/I₃ − 2)τ₀Ω∞²"
+    return Entry("section 4.2, 1", claim, residual, 1e-12, printed, gap(square * axial, found))
+
+
+def no_threshold(state: jnp.ndarray) -> Entry:
+    """Where order 1 and the consistent levels have a residual rotation that is stable."""
+    at = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
+    consistent = np.linspace(-0.99, 0.95, 9)
+    stable = np.array(
+        [
+            [bool(spectrum(level(float(d)), state).stable) for d in consistent]
+            for level in (TransverseSemi, TransverseFull)
+        ]
+    )
+    residual = abs(at + 0.5) + share([~stable])
+    claim = "the threshold I₃ = 3/2 I₁ is order 1's: by the full equation all are stable"
+    printed = share([stable[:, consistent < -0.5]])
+    return Entry("section 4.2", claim, residual, 1e-12, "I₃ > 3/2 I₁ is unstable", printed)
+
+
+def lost_term(delta: float) -> Entry:
     """Near the residual state, where ω₃ ~ ω⊥², order 1 misses −2ω₁ω₂ω²/(1−δ) of ω₃′."""
     u = 1e-2
     omega = jnp.array([u, 0.3 * u, 0.5 * u**2])
-    rate = slow_manifold(TransverseFull(delta), omega)
-    first = TransverseReduced(delta)(0.0, omega)
+    rate = slow_manifold(TransverseFull(delta), omega)[2]
+    first = TransverseReduced(delta)(0.0, omega)[2]
     lost = -2 * omega[0] * omega[1] * jnp.sum(omega**2) / (1 - delta)
-    residual = abs(float((rate[2] - first[2]) / lost) - 1)
-    claim = "ω₃′ has the term −2ω₁ω₂ω²/(1−δ), of leading order where ω₃ ~ ω⊥²"
-    paper = abs(float((rate[2] - first[2]) / rate[2]))
-    yield Entry("(4.4)", claim, residual, 1e-2, "without it", paper)
-
-
-def full_equation() -> Iterator[Entry]:
-    """The closed full equation of section 4."""
-    deltas, omega, rates = shapes(), states(3), states(2, 2)
-    bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
-    found = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
-    whole = jnp.concatenate([omega, jnp.zeros((1, LANES)), rates])
-    expected = Full(bodies)(0.0, whole)[jnp.array([0, 1, 2, 4, 5])]
-    yield Entry(
-        "section 4", "the full equation (3.3) of such a top, closed", gap(found, expected), 1e-12
-    )
+    claim = "where ω₃ ~ ω⊥², (3.3) has −2ω₁ω₂ω²/(1−δ) in ω₃′ besides, of leading order"
+    residual, printed = (abs(float(x / rate) - 1) for x in (first + lost, first))
+    return Entry("(4.4)", claim, residual, 1e-2, "ω₃′ without that term", printed)
