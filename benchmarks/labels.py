@@ -104,7 +104,7 @@ class Settling(eqx.Module):
         return y
 
     def verdict(self, y):
-        own = self.equation.verdict(y)
+        own = self.equation.verdict(y)._replace(equation=Settling)
         return jax.tree.map(lambda a, b: jnp.where(self.long, a, b), self.plain(y), own)
 
     def plain(self, y):
@@ -117,7 +117,8 @@ class Settling(eqx.Module):
         far = jnp.sqrt(w1**2 + w2**2 + w3**2) <= self.rest
         stop = far & (jnp.isnan(d) | (d > 0.5) | (turns & (d < 0)))
         outcome = jnp.where(line, Outcome.RESIDUAL, jnp.where(stop, Outcome.STOP, 0))
-        return Verdict(outcome, w1, stop, jnp.zeros_like(outcome), jnp.zeros_like(w1))
+        none = jnp.zeros_like(outcome), jnp.zeros_like(w1)
+        return Verdict(outcome, w1, stop, *none, equation=Settling)
 
 
 @functools.cache

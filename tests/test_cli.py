@@ -102,7 +102,7 @@ def test_printed_numbers_are_those_of_the_data(default_map, basins):
     still = [int(np.sum(basin.steps == 0)) for basin in basins]
     assert row(text, "decided at τ = 0") == [f"{n} starts, without a step" for n in still]
     certified = [f"{np.mean(basin.certified):.2%} of the starts" for basin in basins]
-    assert row(text, "certified") == certified
+    assert row(text, "certified for its level") == certified
     # ω₃ = 0 is its own mirror image, so the plane has 2·24 × (2·24 − 1) starts.
     whole = 2 * SIZE * (2 * SIZE - 1)
     assert f"Not computed: {whole - size} of {whole} starts of the whole plane (74%)" in text
@@ -188,6 +188,7 @@ def test_no_store_leaves_a_picture_only(tmp_path):
     result = invoke("map", *what, "--no-store", "--output", tmp_path / "only.pdf")
     assert result.exit_code == 0, result.output
     assert [path.name for path in tmp_path.iterdir()] == ["only.pdf"]
+    assert "outcomes may differ at the consistent levels" in result.output
     assert "Data:" not in result.output
 
 
@@ -219,6 +220,10 @@ def test_an_interrupt_ends_with_one_line(monkeypatch, tmp_path, store, kept):
         ("--x w3", "--x and --y must be two different quantities, but are both w3."),
         ("--range delta 0 0.5", "--range delta: the axes of this map are phi and w3."),
         ("--range w3 1 0", "--range w3: 1 must be less than 0."),
+        (
+            "--x theta --y amplitude --range theta -1 1",
+            "theta must lie between 0 and pi, but is -1.",
+        ),
         ("--w-perp -0.1", "w-perp must not be negative, but is -0.1."),
         ("--y amplitude --range amplitude -1 1", "amplitude must not be negative, but is -1."),
         ("--amplitude 0.3", "amplitude and w3 cannot be mixed: the start is given by w-perp and"),
@@ -249,7 +254,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
 @pytest.fixture(scope="module")
 def trajectory(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trajectory")
-    return invoke("simulate", "--output", folder / "t.pdf"), folder
+    return invoke("simulate", "--level", "order-1", "--output", folder / "t.pdf"), folder
 
 
 def read(path):
@@ -274,13 +279,17 @@ def test_simulate_gives_figure_2a(trajectory):
     assert rows[0]["energy"] == pytest.approx((w1**2 + w2**2 + 1.2 * w3**2) / 2, rel=1e-14)
     # dE/dτ = −power but for the Schott term, which is small against E at the end.
     assert 0 < rows[1000]["power"] < rows[0]["power"]
-    assert "residual rotation; certified: in a region proven to decide" in result.output
-    (value,) = re.findall(r"ω∞ = (\S+)", result.output)
+    sentence = "residual rotation; certified: in a region proven to decide for this level of the"
+    assert sentence in result.output
+    value, consistent = re.findall(r"ω∞ = ([\d.]+\d)", result.output)
     assert float(value) == pytest.approx(validation.RESIDUAL_ROTATION, rel=1e-9)
+    # 0.1193 by the full equation; semi-reduced: an error of relative order ω².
+    assert "Order 1 lacks a leading term of the full equation; at the semi-red" in result.output
+    assert float(consistent) == pytest.approx(0.1193, rel=0.04)
 
 
 def test_simulate_says_how_a_stopping_top_stops(tmp_path):
-    arguments = ["--phi", "pi/3", "--tau-max", 100, "--rtol", "1e-9"]
+    arguments = ["--level", "order-1", "--phi", "pi/3", "--tau-max", 100, "--rtol", "1e-9"]
     result = invoke("simulate", *arguments, "--output", f"{tmp_path}/", "--format", "svg")
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in tmp_path.iterdir()) == ["trajectory.csv", "trajectory.svg"]
@@ -291,12 +300,13 @@ def test_simulate_says_how_a_stopping_top_stops(tmp_path):
         np.testing.assert_allclose(found, expected, atol=1e-8)
     assert "Outcome: stop (rotating); certified" in result.output
     assert "ω∞ = 0\n" in result.output
+    assert "this start ends so: stop (rotating), ω∞ = 0." in result.output
 
 
 def test_simulate_at_another_level_from_spherical_angles(trajectory, tmp_path):
     size = 0.2 * math.sqrt(2)
     start = ["--amplitude", size, "--theta", "pi/4", "--delta", -0.2]
-    what = ["--level", "semi", "--points", 11]
+    what = ["--points", 11]
     result = invoke("simulate", *what, *start, "--output", tmp_path / "t")
     assert result.exit_code == 0, result.output
     assert list(read(tmp_path / "t.csv")) == [100.0 * k for k in range(11)]
@@ -304,6 +314,7 @@ def test_simulate_at_another_level_from_spherical_angles(trajectory, tmp_path):
     for k in (1, 2, 3):
         assert first[f"omega_{k}"] == pytest.approx(same[f"omega_{k}"], rel=1e-14)
     assert "|ω| = 0.282843, θ = π/4. Level: semi-reduced." in result.output
+    assert "Order 1" not in result.output
     (value,) = re.findall(r"ω∞ = (\S+)", result.output)
     # 0.1193 by the full equation, 0.0989 by order 1; semi-reduced: an error of relative order ω².
     assert float(value) == pytest.approx(0.1193, rel=0.04)
@@ -416,7 +427,9 @@ def test_spectrum_prints_the_eigenvalues():
     """Order 1: 0, −w², −(1+2δ)/(1−δ) w²; at δ = −0.6 the last is positive."""
     result = invoke("spectrum", "--delta", -0.6, "--w", 0.1, "--level", "order-1")
     assert result.exit_code == 0
-    first, slow, back = result.output.splitlines()
+    first, slow, back, consistent = result.output.splitlines()
+    assert consistent.startswith("Order 1 lacks a leading term of the full equation; semi-reduced")
+    assert "semi-reduced: stable" in consistent
     assert first.endswith("not stable")
     assert [float(x) for x in slow.split()[1:]] == pytest.approx([0, 0.00125, -0.01], rel=1e-9)
     assert back.strip().startswith("return time inf")

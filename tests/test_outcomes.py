@@ -8,8 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
-from dipoletop import Outcome, Stop, radiation
+from dipoletop import Outcome, Stop, lanes, radiation
 from dipoletop._linalg import solve
+from dipoletop.equations.tangent import Tangent, Together
+from dipoletop.outcomes import assemble
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
 OMEGA_INF = 0.09887029638156489613509  # Fig. 2a, extended precision
@@ -196,6 +198,9 @@ def test_classify_jits_and_vmaps_and_takes_traced_values():
     assert int(run(-0.2, start)) == RESIDUAL
     assert int(run(-0.2, start * jnp.nan)) == Outcome.FAILED
     assert int(run(1.5, start)) == Outcome.FAILED
+    across = jax.jit(lambda w: dt.cylindrical(w, 0.2, 0.1))
+    assert jnp.all(jnp.isnan(across(-0.2)[:2]))
+    assert jnp.all(jnp.isfinite(across(0.2)))
 
 
 def test_symmetric_starts_have_symmetric_ends():
@@ -241,7 +246,97 @@ def test_batched_bodies_have_their_axis_in_front():
             assert getattr(single, name)[k] == getattr(batch, name)[k]
 
 
+ORDER_ONE = dt.TransverseReduced(0.1)
+ORDER_ONE_2A = dt.TransverseReduced(-0.2)
+
+
+class Faster(dt.TransverseReduced):
+    """Its parent's regions, but another field."""
+
+    def __call__(self, t, y, args=None):
+        return 2 * dt.TransverseReduced.__call__(self, t, y, args)
+
+
+class Braked(eqx.Module):
+    """An equation of the library with a torque of friction added, and its verdict as it is."""
+
+    inner: dt.TransverseReduced
+
+    def __call__(self, t, y, args=None):
+        return self.inner(t, y, args) - 1e-2 * y
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        return self.inner.verdict(y)
+
+
+class Proven(Braked):
+    """One whose author says that its regions are proven."""
+
+    def verdict(self, y):
+        return self.inner.verdict(y)._replace(equation=Proven)
+
+
+def test_no_equation_borrows_the_proof_of_another():
+    omegas = np.array([[0.2, 0.02, 0.01], [0.0, 0.0, 0.2]])
+    time, steps = jnp.zeros(2), jnp.ones(2, int)
+    ends = jnp.asarray(omegas.T), time, steps, jnp.full(2, lanes.FINISHED)
+    cases = [(ORDER_ONE_2A, True), (Faster(-0.2), False)]
+    cases += [(Braked(ORDER_ONE_2A), False), (Proven(ORDER_ONE_2A), True)]
+    for equation, certified in cases:
+        found = assemble(equation, ends, (1e-8, 1e-9))
+        assert found.outcome.tolist() == [RESIDUAL, STOP]
+        assert found.certified.tolist() == [certified] * 2
+    for equation, certified in cases[:1] + cases[2:3]:  # in machine code, too
+        assert dt.classify_many(equation, omegas).certified.tolist() == [certified] * 2
+    body = Settling(dt.axisymmetric(-0.2))  # whose verdict is a plain tuple
+    small = 1e-3 * ends[0], *ends[1:]
+    assert not assemble(body, small, (1e-8, 1e-9)).certified.any()
+
+
+def test_variations_keep_the_certificate_of_their_equation():
+    state = jnp.array([0.2, 0.02, 0.01, 0.0, 0.0, 0.0])
+    for equation, certified in ((ORDER_ONE, True), (Faster(0.1), False)):
+        parameters = jax.tree.map(jnp.ones_like, equation)
+        parameters = jax.tree.map(lambda leaf: leaf[None], parameters)
+        for kind in (Tangent, Together):
+            varied = kind(equation, parameters, jnp.zeros((1, 3)), jnp.asarray(0.2))
+            assert bool(varied.verdict(state).certified_for(varied)) == certified
+
+
+class Mistaken(Braked):
+    """An equation with a fault of its author's."""
+
+    def __call__(self, t, y, args=None):
+        return self.inner.no_such_thing * y
+
+
+def test_a_fault_of_an_equation_is_not_taken_for_a_batch():
+    equation = Mistaken(dt.TransverseReduced(-0.2))
+    several = Mistaken(dt.TransverseReduced(jnp.array([-0.2, -0.1])))
+    for call in (
+        lambda: dt.classify_many(equation, jnp.ones((2, 3))),
+        lambda: dt.classify_many(several, jnp.ones((2, 3))),
+        lambda: dt.classify(equation, jnp.ones(3)),
+    ):
+        with pytest.raises(AttributeError, match="no_such_thing"):
+            call()
+
+
+@pytest.mark.parametrize("most", [2**31 - 1, np.int64(2**31 - 1), np.uint32(2**31 - 1)])
+def test_the_largest_budget_is_one(most):
+    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)[None]
+    found = dt.classify_many(ORDER_ONE_2A, start, max_steps=most)
+    assert found.outcome.tolist() == [RESIDUAL]
+    assert found.steps[0] > 1
+
+
 START = jnp.array([0.1, 0.2, 0.3])
+MANY = dt.TransverseReduced(jnp.array([0.1, 0.2]))
 
 
 @pytest.mark.parametrize(
@@ -255,6 +350,36 @@ START = jnp.array([0.1, 0.2, 0.3])
         (lambda: dt.classify(dt.TransverseReduced(0.1), [1.0, jnp.inf, 0]), "must be finite"),
         (lambda: dt.classify(dt.TransverseReduced(0.1), START, rtol=0.0), "`rtol` must lie betwe"),
         (lambda: dt.classify(dt.TransverseReduced(0.1), START, max_steps=2.5), "`max_steps` must"),
+        (lambda: dt.classify(ORDER_ONE, START, max_steps=2**31), "be at most 2147483647, but is 2"),
+        (lambda: dt.classify_many(ORDER_ONE, START[None], max_steps=2**31), "most 2147483647, bu"),
+        (lambda: dt.classify_many(ORDER_ONE, START[None], max_steps=2**63), "most 2147483647, bu"),
+        (lambda: dt.residual_rotation(ORDER_ONE, START, max_steps=2**32), "most 2147483647, but"),
+        (lambda: dt.Sample(2**31), "`n` must be at most 2147483647, but is 2147483648"),
+        (lambda: dt.Sample(3, seed=2**70), "`seed` must be at most"),
+        (lambda: dt.classify(MANY, START), "`equation` must be a single one, but is a batch"),
+        (lambda: dt.residual_rotation(MANY, START), "`equation` must be a single one, but is a b"),
+        (lambda: dt.decay_time(MANY, START), "`equation` must be a single one, but is a batch"),
+        (lambda: dt.spectrum(MANY, START), "`equation` must be a single one, but is a batch"),
+        (lambda: dt.equilibria(MANY), "`equation` must be a single one, but is a batch"),
+        (
+            lambda: dt.slow_manifold(dt.TransverseFull(MANY.delta), START),
+            "`equation` must be a single one, but is a batch",
+        ),
+        (lambda: dt.equilibria(dt.TransverseSemi), "but is the class TransverseSemi"),
+        (
+            lambda: jax.jit(lambda w: dt.classify_many(ORDER_ONE, w).outcome)(START[None]),
+            "`omegas` must be known .*, but is traced",
+        ),
+        (lambda: dt.SemiReduced(ORDER_ONE), "`body` must be a Body, but is of type TransverseRe"),
+        (lambda: dt.Reduced(0.1), "`body` must be a Body, but is 0.1"),
+        (lambda: dt.Full(None), "`body` must be a Body, but is None"),
+        (lambda: dt.cylindrical(-0.1, 0.2, 0.3), "`w_perp` must not be negative, but is -0.1"),
+        (lambda: dt.cylindrical(jnp.nan, 0.2, 0.3), "`w_perp` must be finite, but is nan"),
+        (lambda: dt.cylindrical(0.1, jnp.inf, 0.3), "`w3` must be finite, but is inf"),
+        (lambda: dt.cylindrical([0.1, -0.2], 0.2, 0.3), "`w_perp` must not be negative, but has"),
+        (lambda: dt.cylindrical([0.1, 0.2], 0.2, [0.3] * 3), "`w_perp` must have, with `w3` and"),
+        (lambda: dt.symmetry_cell(0, 0), "`n_phi` must be a positive whole number, but is 0"),
+        (lambda: dt.symmetry_cell(4, 4, -1.0), "`w3_max` must be positive, but is -1.0"),
         (
             lambda: dt.classify_many(dt.TransverseReduced(0.1), START),
             r"`omegas` must have shape \(n, 3\), but has shape \(3,\)",

@@ -182,6 +182,23 @@ def test_table_at_another_speed():
     close(row.debye, 3e-26 / 3.335641e-30, 2e-7)
 
 
+def test_methods_of_a_batch_are_those_of_each():
+    """Two grains: not as many as a tensor has rows, so that rows cannot stand for grains."""
+    moments = np.array([[1.0, 2.0, 2.5], [3.0, 3.5, 4.0]]) * 1e-33
+    dipole = np.array([1e-27, 2e-27, 0.0])
+    grains = jax.vmap(lambda i: Particle(1e-18, jnp.diag(i), dipole))(jnp.asarray(moments))
+    axis, tau0 = [0.0, 0.0, 2.0], np.sum(dipole**2) / (6 * np.pi * epsilon_0 * c**3 * moments[:, 2])
+    np.testing.assert_allclose(grains.moment(axis), moments[:, 2], rtol=1e-14)
+    np.testing.assert_allclose(grains.tau0(axis), tau0, rtol=1e-14)
+    np.testing.assert_allclose(grains.seconds(3.0, axis=axis), 3 * tau0, rtol=1e-14)
+    np.testing.assert_allclose(grains.braking_time(2.0, axis), 1 / (4 * tau0), rtol=1e-14)
+    speed = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(grains.omega(speed, axis), tau0[:, None] * speed, rtol=1e-14)
+    bodies = grains.body(axis)
+    scaled = [np.diag(row / row[2]) for row in moments]
+    np.testing.assert_allclose(bodies.inertia, scaled, rtol=1e-14)
+
+
 def test_a_family_of_spheres():
     # at one density τ₀ ∝ R⁻⁵; a radius that is none spoils its own lane alone
     tau0 = lambda radius: Particle.sphere(radius, D, density=2000).tau0(Z)  # noqa: E731

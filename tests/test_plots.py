@@ -3,8 +3,8 @@
 import itertools
 import subprocess
 import sys
-from types import SimpleNamespace
 
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -466,7 +466,8 @@ def test_a_level_without_a_verdict_has_no_asymptote():
 
 
 def test_a_batch_of_trajectories_is_refused():
-    batch = SimpleNamespace(ts=np.zeros((4, 3)), omega=np.zeros((4, 3, 3)), level="full")
+    times, states = jnp.zeros((4, 3)), jnp.zeros((4, 3, 3))
+    batch = dt.Trajectory(dt.TransverseReduced(0.1), times, states, None, None)
     with pytest.raises(ValueError, match="must be that of one top, but has times of shape"):
         plots.trajectory(batch)
 

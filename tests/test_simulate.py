@@ -167,7 +167,51 @@ def test_vmap_over_starts():
         assert jnp.allclose(one, omega(start), atol=1e-9)
 
 
+def test_a_batch_of_trajectories_has_all_properties_with_its_axes_in_front():
+    """From states by NumPy: I = (1, 1, 1−δ), d = (1, 0, 0), d₁ = Ω×d, d₂ = Ω×d₁ + Ω̇×d."""
+    starts = jnp.asarray(np.random.default_rng(4).normal(size=(2, 3)))
+    deltas, ts = jnp.array([-0.2, 0.3, 0.1]), jnp.linspace(0.0, 0.5, 11)
+
+    def run(delta, start):
+        return dt.simulate(dt.TransverseReduced(delta), start, ts, rtol=1e-12, **WITH_ALL)
+
+    runs = jax.jit(jax.vmap(jax.vmap(run, (None, 0)), (0, None)))(deltas, starts)
+    omega = np.asarray(runs.ys)
+    assert omega.shape == (3, 2, 11, 3)
+    delta = np.broadcast_to(np.asarray(deltas)[:, None, None], omega.shape[:-1])
+    each = zip(deltas, jnp.moveaxis(runs.ys, -1, 1), strict=True)
+    rate = np.stack([np.moveaxis(dt.TransverseReduced(d)(0.0, w), 0, -1) for d, w in each])
+    moments = np.stack([np.ones_like(delta), np.ones_like(delta), 1 - delta], axis=-1)
+    energy = np.sum(moments * omega**2, axis=-1) / 2
+    dipole = np.array([1.0, 0.0, 0.0])
+    first = np.cross(omega, dipole)
+    second = np.cross(omega, first) + np.cross(rate, dipole)
+    lent = energy - np.sum(first * second, axis=-1) + runs.emitted
+    expected = {
+        "omega": omega,
+        "omega_dot": rate,
+        "energy": energy,
+        "power": np.sum(second**2, axis=-1),
+        "balance_defect": (lent - lent[..., :1]) / energy[..., :1],
+    }
+    for name, value in expected.items():
+        found = getattr(runs, name)
+        assert found.shape == value.shape
+        np.testing.assert_allclose(found, value, rtol=0, atol=1e-13)
+    # The interpolation, at times of any shape, next to points that are known.
+    between = runs.evaluate(ts[2:8].reshape(2, 3))
+    np.testing.assert_allclose(between, omega[:, :, 2:8].reshape(3, 2, 2, 3, 3), atol=1e-7)
+    one = jax.tree.map(lambda leaf: leaf[1, 0], runs)
+    np.testing.assert_array_equal(one.evaluate(ts[4]), between[1, 0, 0, 2])
+    with pytest.raises(ValueError, match=r"`t` must lie within the run, but is 0\.6"):
+        runs.evaluate(0.6)
+    wrong = eqx.tree_at(lambda run: run.ys, runs, jnp.moveaxis(runs.ys, 0, -1))
+    with pytest.raises(ValueError, match="`trajectory` must have its batch axes in front"):
+        _ = wrong.energy
+
+
 EQUATION = dt.TransverseReduced(-0.2)
+MANY = dt.TransverseReduced(jnp.array([0.1, 0.2]))
 TS = jnp.array([0.0, 1.0])
 
 
@@ -191,7 +235,26 @@ TS = jnp.array([0.0, 1.0])
             "`atol` must be finite and not neg",
         ),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, max_steps=0), "`max_steps` must be a pos"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, max_steps=2**31), "at most 2147483647, b"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, method=1), "but one is `method`"),
+        (
+            lambda: dt.simulate(EQUATION, jnp.ones(3), TS, solver="Tsit5"),
+            r"`solver` must be a solver of diffrax, such as .*, but is 'Tsit5'\.$",
+        ),
+        (
+            lambda: dt.simulate(EQUATION, jnp.ones(3), TS, solver=diffrax.Tsit5),
+            "`solver` must be a solver of diffrax, .*, but is the class Tsit5",
+        ),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, adjoint=1), "`adjoint` must be an adj"),
+        (lambda: dt.simulate(EQUATION, jnp.ones(3), TS, throw="no"), "`throw` must be True or"),
+        (
+            lambda: dt.simulate(EQUATION, jnp.ones(3), TS, stepsize_controller=1e-9),
+            "`stepsize_controller` must be a step size controller of diffrax",
+        ),
+        (lambda: dt.simulate(EQUATION, TS, jnp.ones(3)), "`ts` must increase"),
+        (lambda: dt.simulate(dt.TransverseSemi, jnp.ones(3), TS), "but is the class TransverseS"),
+        (lambda: dt.simulate(MANY, jnp.ones(3), TS), "`equation` must be a single one, but is a b"),
+        (lambda: dt.simulate(EQUATION, None, TS), r"`omega0` must be a real array of shape \(n,\)"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS).evaluate(0.5), "`dense` must be True"),
         (lambda: dt.simulate(EQUATION, jnp.ones(3), TS).balance_defect, "`balance` must be True"),
     ],
@@ -203,8 +266,12 @@ def test_bad_input_is_refused_in_one_sentence(call, message):
 
 def test_failure_raises_unless_told_otherwise():
     start, times = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e3])
-    with pytest.raises(Exception, match="max"):
+    sentence = r"^The run ended before the last of `ts`: `max_steps` did not suffice\.$"
+    with pytest.raises(RuntimeError, match=sentence):
         dt.simulate(EQUATION, start, times, max_steps=5)
+    lost = r"^The physical branch of the full equation could not be followed .* did not suffice\.$"
+    with pytest.raises(RuntimeError, match=lost):
+        dt.simulate(dt.TransverseFull(-0.2), start, times, max_steps=1)
     run = dt.simulate(EQUATION, start, times, max_steps=5, throw=False)
     assert jnp.all(jnp.isnan(run.omega[-1]))
     assert jnp.all(run.omega[0] == start)

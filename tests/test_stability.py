@@ -258,6 +258,13 @@ def test_equilibria():
     np.testing.assert_array_equal(rest.state(0), 0)
 
 
+def test_the_line_of_a_batch_is_that_of_each():
+    directions = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
+    found = jax.vmap(lambda d: equilibria(dt.Full(dt.Body(jnp.eye(3), 2 * d))))(directions)
+    np.testing.assert_allclose(found.state(0.5), 0.5 * directions, rtol=1e-15)
+    np.testing.assert_array_equal(found.state(0.0), 0 * directions)
+
+
 def test_thresholds():
     assert threshold(dt.TransverseReduced, 0.01, -0.99, 0.99) == pytest.approx(-0.5, abs=1e-12)
     assert np.isnan(threshold(dt.TransverseReduced, 0.01, -0.4, 0.99))
@@ -269,7 +276,11 @@ def test_thresholds():
     ("equation", "state", "sentence"),
     [
         (dt.TransverseAveraged(0.1), [0.1, 0, 0], "keep rotation along .* is TransverseAveraged"),
-        (lambda t, y, args=None: y, [0.1, 0, 0], "have a body, but function has none"),
+        (
+            lambda t, y, args=None: y,
+            [0.1, 0, 0],
+            "methods `lift.*, but is of type function, which has no",
+        ),
         (
             dt.TransverseReduced(0.1),
             [0.1, 0, 1e-12],

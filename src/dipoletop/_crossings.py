@@ -20,7 +20,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._checks import finite, refuse
+from ._checks import finite, instance, names_of, refuse
 from ._problems import check_problem
 from ._settings import check_settings
 from ._types import Outcome
@@ -56,6 +56,7 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
         >>> fate(dt.sweep(problem, dt.Points(phi=[0.1, 1.0, 3.2])))
         array([1, 5, 2])
     """
+    instance("basin", basin, Basin)
     outcome, value = basin.outcome.astype(int), basin.omega_inf
     residual = np.select([value > 0, value < 0], [POSITIVE, NEGATIVE], UNDECIDED)
     ended = [outcome == Outcome.RESIDUAL, outcome == Outcome.STOP]
@@ -259,7 +260,10 @@ def normal(
     Raises:
         ValueError: a name that is no coordinate; a distance that is not positive.
     """
-    gradient = gradient_inwards(crossings, names, distance)
+    instance("crossings", crossings, Crossings)
+    if not names_of("names", names):
+        refuse("names", "hold at least one name", "holds none")
+    gradient = gradient_inwards(crossings, names_of("names", names), distance)
     return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
 
 
@@ -272,8 +276,9 @@ def gradient_inwards(
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
     if distance is None:
         distance = DISTANCE * float(crossings.settings["rtol"])
-    if not 0 < distance < np.inf:
-        refuse("distance", "be positive and finite, or None", f"is {distance!r}")
+    distance = float(finite("distance", distance, batch=False))
+    if distance <= 0:
+        refuse("distance", "be positive, or None", f"is {distance:g}")
     first = backed(crossings)
     s = np.where(first, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)
     basin = _swept(crossings, np.nan_to_num(s), derivatives=tuple(names))
@@ -317,8 +322,9 @@ def derivative(
         >>> derivative(cross, "z", "delta").round(2)
         array([32.69])
     """
-    several = (by,) if isinstance(by, str) else tuple(by)
-    if len({of, *several}) <= len(several):
+    instance("of", of, str, "be a name")
+    several = names_of("by", by)
+    if not several or len({of, *several}) <= len(several):
         refuse("by", f"name coordinates other than {of!r}, each once", f"is {by!r}")
     across, *along = normal(crossings, (of, *several), distance=distance).T
     slopes = -np.stack(along, axis=1) / across[:, None]

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ._checks import finite, refuse
+from ._checks import finite, instance, refuse
 from ._crossings import (
     DISTANCE,
     Crossings,
@@ -89,8 +89,9 @@ def trace(
         ((3, 2), 'points')
     """
     low, size = _box(start, bounds)
-    if not (np.isfinite(step) and step != 0):
-        refuse("step", "be finite and not 0", f"is {step}")
+    step = float(finite("step", step, batch=False))
+    if step == 0:
+        refuse("step", "not be 0", "is 0")
     if by is not None and (by not in start.a or by in bounds):
         refuse("by", "name another coordinate of the crossing", f"is {by!r}")
     scaled = _scaled(start, tuple(bounds), size)
@@ -137,6 +138,8 @@ def _reaches(foot: _Foot, goal: _Foot, turn: float, h: float) -> bool:
 
 def _box(start: Crossings, bounds: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """The least corner of the box in units of its size, and that size."""
+    instance("start", start, Crossings)
+    instance("bounds", bounds, Mapping, "be a dict of pairs (least, largest)")
     if len(start.s) != 1 or not start.found.all():
         refuse("start", "be a single crossing that was found", f"holds {start.found.sum()}")
     if len(bounds) != 2 or any(name not in start.a for name in bounds):

@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from . import lanes, manifold
-from ._checks import finite, refuse
+from ._checks import check_single, check_verdict, finite
 from ._crossings import Crossings, bisect, cut, fates_at, segments
 from ._engine import engine_for, lifted
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._types import Equation
-from .outcomes import check_verdict, is_single
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
 PARTS = 8  # times at which two neighbours are looked at before they are brought together again
@@ -29,8 +28,7 @@ SPAN = 4.0  # a motion is settled if its shape is the same after so many times t
 def starts_of(equation: Equation) -> Callable[..., Any]:
     """The problem whose coordinates are the components of ω₀."""
     check_verdict(equation)
-    if not is_single(equation):
-        refuse("equation", "be a single one", "is a batch of them")
+    check_single(equation)
     return jax.jit(lambda w1, w2, w3: (equation, jnp.stack([w1, w2, w3])))
 
 

@@ -92,6 +92,8 @@ def _check(name: str, *values: float) -> None:
     for value in values:
         if name in ("w-perp", "amplitude") and value < 0:
             raise ValueError(f"{name} must not be negative, but is {value:g}.")
+        if name == "theta" and not 0 <= value <= math.pi:
+            raise ValueError(f"theta must lie between 0 and pi, but is {value:g}.")
         if name == "delta":
             TransverseReduced(value)  # which refuses a δ that no body has
 
@@ -237,7 +239,7 @@ def _column(run: Run) -> dict[str, str]:
     shares = {name.lower(): _percent(share) for name, share in basin.fractions().items()}
     column = {name: shares[name] for name in ("residual", "stop", *shares) if name in shares}
     known = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
-    column["certified"] = f"{np.mean(basin.certified):.2%} of the starts"
+    column["certified for its level"] = f"{np.mean(basin.certified):.2%} of the starts"
     if "changed" in basin.columns:
         column["changed at second tolerance"] = f"{np.sum(basin.changed)} starts"
     new, seconds = size - run.before, basin.seconds - run.compiling

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._checks import real, refuse
+from ._checks import check_equation, real, refuse
 from ._linalg import length
 from ._programs import array_digest, program_digest
-from ._types import Equation
+from ._types import Equation, Verdict
 from ._workers import inside
 from .equations.tangent import Tangent
 from .grids import Grid, Points, Sample
@@ -51,6 +51,7 @@ class Builder:
         made = self.problem(**point) if isinstance(point, dict) else self.problem(point)
         if not (isinstance(made, tuple | list) and len(made) == 2):
             refuse("problem", "return (equation, omega0)", f"returns {type(made).__name__}")
+        check_equation(made[0])
         return made[0], real("omega0 of problem", made[1], (3,), batch=False)
 
     def _varied(self, point: Any) -> Any:
@@ -75,11 +76,17 @@ class Builder:
                 "problem": program_digest(self._mapped, self.over.points(one)),
                 "field": of(lambda equation, y: equation(0.0, y, None), state),
                 "lift": of(lambda equation, omega: equation.lift(omega), omegas),
-                "verdict": of(lambda equation, y: equation.verdict(y), state),
+                "verdict": of(_verdict, state),
             }
             if isinstance(self.over, Sample):
                 found["draw"] = program_digest(self.over.draw, jax.random.key(0))
         return found
+
+
+def _verdict(equation: Any, y: Any) -> Verdict:
+    """The verdict as it counts for this equation."""
+    found = Verdict(*equation.verdict(y))
+    return found._replace(certified=found.certified_for(equation))
 
 
 def builder(

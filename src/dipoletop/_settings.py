@@ -12,6 +12,7 @@ from ._checks import concrete, real, refuse
 from ._linalg import length
 
 MAX_STEPS = 50_000
+MOST = 2**31 - 1  # what engines count in 32 bits
 SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
 
 
@@ -67,14 +68,22 @@ def _scaled(
 
 
 def budget(name: str, value: Any) -> int:
-    """A whole number of steps, or of other things."""
-    return whole(name, value, 1, "be a positive whole number")
+    """A whole number of steps, or of other things; more than 2³¹ − 1 would wrap where counted."""
+    return whole(name, value, 1, "be a positive whole number", MOST)
 
 
-def whole(name: str, value: Any, least: int, must: str = "be a whole number, not negative") -> int:
-    """A whole number from `least` on."""
+def whole(
+    name: str,
+    value: Any,
+    least: int,
+    must: str = "be a whole number, not negative",
+    most: int = 2**63 - 1,
+) -> int:
+    """A whole number from `least` up to `most`, a signed word of 64 bits if nothing is said."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         refuse(name, must, f"is {value!r}")
+    if value > most:
+        refuse(name, f"be at most {most}", f"is {value}")
     return int(value)
 
 

@@ -3,6 +3,7 @@
 import enum
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import jax
 from jaxtyping import Array, Bool, Float, Int
 
 Real = Float[Array, "*#lanes"]
@@ -43,7 +44,8 @@ class Stop(enum.IntEnum):
 class Verdict(NamedTuple):
     """What an equation says of a state: is its fate certain, and what is it?
 
-    Every field has one value for each lane.
+    Every field but `equation` has one value for each lane. An equation may return a plain tuple
+    of the first fields, too: that is never certified.
     """
 
     outcome: Int[Array, "*lanes"]
@@ -51,21 +53,35 @@ class Verdict(NamedTuple):
     omega_inf: Real
     """Residual angular velocity, signed, along the dipole; 0 for STOP, NaN if undecided."""
     certified: Bool[Array, "*lanes"]
-    """Whether the region that was entered is proven to decide."""
+    """Whether the region that was entered is proven to decide, for the motions of `equation`."""
     stop: Int[Array, "*lanes"] | int = 0
     """A member of `Stop`."""
     error: Real | float = 0.0
     """Estimated error of `omega_inf`, relative to it."""
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
+    equation: type | None = None
+    """The class of equation that the regions belong to. `certified` counts only where that very
+    class is integrated: not with another `__call__`, nor with a torque added from outside."""
+
+    def certified_for(self, equation: Any) -> Any:
+        """`certified`, unless the regions are those of another equation."""
+        return self.certified & (self.equation is type(equation))
+
+
+# The class of an equation is no array: it stays out of what is traced.
+jax.tree_util.register_pytree_node(
+    Verdict, lambda verdict: (verdict[:-1], verdict[-1]), lambda kind, rest: Verdict(*rest, kind)
+)
 
 
 @runtime_checkable
 class Equation(Protocol):
     """What the library asks of a first-order equation of motion, yours included.
 
-    Make it an `equinox.Module` whose array fields are its parameters. `verdict` is needed
-    only by runs that are to end at an outcome.
+    Make it an `equinox.Module` whose array fields are its parameters. A method `verdict(y)` is
+    needed only by runs that are to end at an outcome: it returns a `Verdict`, whose last field,
+    `equation`, is the class itself, written out, if its regions are proven for that class.
     """
 
     def __call__(self, t: Any, y: State, args: Any = None, /) -> State:

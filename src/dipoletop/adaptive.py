@@ -70,7 +70,10 @@ def refine(
     check_settings(settings)
     picture = _Picture(problem, grid, settings)
     coarse = budget("coarse", coarse)
-    if omega_tol is not None and (omega_tol := float(finite("omega_tol", omega_tol))) <= 0:
+    if (
+        omega_tol is not None
+        and (omega_tol := float(finite("omega_tol", omega_tol, batch=False))) <= 0
+    ):
         refuse("omega_tol", "be positive", f"is {omega_tol:g}")
 
     sizes = [1 << max(0, ((n - 1) // coarse).bit_length() - 1) for n in picture.shape]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._checks import refuse
+from ._checks import described, refuse
 from ._types import Outcome
 from .outcomes import Classification
 
@@ -20,7 +20,11 @@ FIELDS: dict[str, tuple[str, str, str]] = {
     "omega_inf_error": ("float64", "1/tau_0", "estimated absolute error of omega_inf"),
     "time": ("float64", "tau_0", "time at which the outcome was certain"),
     "steps": ("int32", "1", "integration steps tried"),
-    "certified": ("bool", "1", "whether the region that ended the run is proven to decide"),
+    "certified": (
+        "bool",
+        "1",
+        "whether the region that ended the run is proven to decide for its level",
+    ),
     "stop": ("int8", "1", "NONE 0, AXIS 1, ROTATING 2, WOBBLING 3, TUMBLING 4"),
 }
 """Columns of a basin: type, unit, meaning."""
@@ -100,8 +104,10 @@ class Basin:
             ValueError: the basin has no such column.
             StoreDamaged: it is on disk, and is not what was written there.
         """
-        if name not in self.columns:
-            refuse("name", f"be a column of this basin ({', '.join(self.columns)})", f"is {name!r}")
+        if not isinstance(name, str) or name not in self.columns:
+            refuse(
+                "name", f"be a column of this basin ({', '.join(self.columns)})", described(name)
+            )
         return np.asarray(self.columns[name][:]).reshape(self.shape)
 
     @property
@@ -154,7 +160,7 @@ class Basin:
         Raises:
             ValueError: the sweep was not asked for this derivative.
         """
-        if SLOPE + axis not in self.columns:
+        if not isinstance(axis, str) or SLOPE + axis not in self.columns:
             has = [name.removeprefix(SLOPE) for name in self.columns if name.startswith(SLOPE)]
             must = f"be among the `derivatives` of the sweep, {', '.join(has) or 'which had none'}"
             refuse("axis", must, f"is {axis!r}")

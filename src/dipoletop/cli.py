@@ -34,12 +34,14 @@ Levels of the equation of motion:
              term of the full equation: some outcomes, and its threshold at δ = -1/2,
              are not those of the full equation
   order-2 … order-4   the same reduction carried to higher order, without that defect
-  semi       semi-reduced: only the second derivative of ω is replaced; without it too
+  semi       semi-reduced: only the second derivative of ω is replaced; without it too,
+             and as cheap as order 1: for outcomes and maps
   full       the full equation along its physical branch (not for maps: slow)
 
 \b
 Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (out of
-steps), failed (not a number). Certified: decided in a region that is proven to decide."""
+steps), failed (not a number). Certified: decided in a region that is proven to decide
+for this level of the equation; how far the level is from the full equation is not in it."""
 
 
 NUMBER = Number()
@@ -140,7 +142,7 @@ def map_(**options: Any) -> None:
     """Map which starts keep rotating and which stop, over any two quantities.
 
     Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
-    equation and by the semi-reduced one, with the starts hatched whose outcome differs.
+    equation (order 1) and by the semi-reduced one, with the starts hatched whose outcome differs.
     """
     from . import _mapping
 
@@ -170,6 +172,8 @@ def map_(**options: Any) -> None:
         raise SystemExit(130) from None
     _draw([run.basin for run in runs], axes, picture)
     click.echo(_mapping.report(runs))
+    if levels == ("order-1",):
+        click.echo(f"{_levels.LACKS}; outcomes may differ at the consistent levels (--level semi).")
     click.echo(f"Picture: {picture}")
     for run in runs:
         if run.store:
@@ -198,7 +202,11 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
 
 @main.command(epilog=TERMS, short_help="One top: its motion and its end.")
 @click.option(
-    "--level", type=FULL_TOO, metavar="LEVEL", default="order-1", help="Level of the equation."
+    "--level",
+    type=FULL_TOO,
+    metavar="LEVEL",
+    default=_levels.CONSISTENT,
+    help="Level of the equation; order-1 is the paper's.",
 )
 @_quantities
 @click.option("--tau-max", type=NUMBER, default="1000", help="End of the run.")
@@ -213,11 +221,12 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
 def simulate(**options: Any) -> None:
     """Follow one top, and say how it ends.
 
-    Without options: figure 2a of the paper (δ = -1/5, ω⊥ = ω₃ = 1/5, φ = π/30).
+    Without options: the start of figure 2a of the paper (δ = -1/5, ω⊥ = ω₃ = 1/5, φ = π/30) by
+    the semi-reduced equation; with --level order-1 the paper's own curves.
     """
     import numpy as np
 
-    from . import _mapping, outcomes, plots, simulate
+    from . import _mapping, _run_report, outcomes, plots, simulate
 
     if options["tau_max"] <= 0:
         raise ValueError(f"--tau-max must be positive, but is {options['tau_max']:g}.")
@@ -240,42 +249,11 @@ def simulate(**options: Any) -> None:
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
     click.echo(f"{_mapping.describe(at)}. Level: {equation.level}.")
-    click.echo(_state_table(rows))
-    click.echo(_ending(outcomes.classify(equation, start, **settings)))
+    click.echo(_run_report.states(rows))
+    click.echo(_run_report.ending(outcomes.classify(equation, start, **settings)))
+    if options["level"] == "order-1":
+        click.echo(_run_report.by_consistent(at["delta"], start, settings))
     click.echo(f"Picture: {picture}\nData: {table}")
-
-
-def _state_table(rows: Any) -> str:
-    """The start, and every tenfold time up to the end."""
-    last = len(rows) - 1
-    shown = sorted({0, *(max(1, round(last / 10**k)) for k in range(4))})
-    lines = [f"{'τ':>10} {'ω₁':>16} {'ω₂':>16} {'ω₃':>16} {'energy':>12} {'power':>12}"]
-    for tau, *omega, energy, power in rows[shown]:
-        states = " ".join(f"{value:16.9e}" for value in omega)
-        lines.append(f"{tau:10g} {states} {energy:12.5e} {power:12.5e}")
-    return "\n".join(lines)
-
-
-def _ending(verdict: Any) -> str:
-    from ._types import Outcome, Stop
-
-    outcome = Outcome(int(verdict.outcome))
-    if outcome == Outcome.FAILED:
-        return "Outcome: failed, the state is not a number."
-    if outcome == Outcome.UNDECIDED:
-        return (
-            f"Outcome: undecided after {int(verdict.steps)} steps, τ = {float(verdict.time):.6g}."
-        )
-    text = "stop" if outcome == Outcome.STOP else "residual rotation"
-    kind = Stop(int(verdict.stop))
-    if kind != Stop.NONE:
-        text += f" ({kind.name.lower()})"
-    proof = "proven" if verdict.certified else "tested, not proven,"
-    where = f"in a region {proof} to decide, at τ = {float(verdict.time):.6g}"
-    return (
-        f"Outcome: {text}; {'certified' if verdict.certified else 'not certified'}: {where}.\n"
-        f"Residual angular velocity ω∞ = {float(verdict.omega_inf):.12g}"
-    )
 
 
 @main.command(short_help="The figures of the paper, and three more.")
@@ -336,6 +314,10 @@ def spectrum(delta: float, w: float, level: tuple[str, ...]) -> None:
 
     for line in _reports.spectra([_levels.equation(name, delta) for name in level], w):
         click.echo(line)
+    if set(level) == {"order-1"}:
+        consistent = _levels.equation(_levels.CONSISTENT, delta)
+        first, slow, *_ = _reports.spectra([consistent], w)
+        click.echo(f"{_levels.LACKS}; {first}, {' '.join(slow.split())}.")
 
 
 @main.command(short_help="Check this installation against exact values.")

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from . import planar
-from ._checks import finite, refuse, where_valid
+from ._checks import finite, instance, refuse, where_valid
 from ._levels import LEVELS, equation
 from ._types import Outcome, Stop
 from .basin import Basin, wilson
@@ -292,6 +292,7 @@ def thresholds(found: Continuation, w: Any = LINE) -> list[Threshold]:
         ...     print(f"{t.event}: {t.delta:.6f}; by the sample {t.bracket}, {t.hidden:.4f} hidden")
         line changes stability: -0.500000; by the sample (-0.55, -0.4), 0.0038 hidden
     """
+    instance("found", found, Continuation)
     if found.parameter != "delta":
         refuse("found", "be a continuation in delta", "is one in amplitude")
     branches, values = follow_spectrum(found.values, w, levels=found.levels), found.values

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from . import _averaged
-from ._checks import finite, real, where_valid
+from ._checks import finite, real, refuse, where_valid
 from .equations._base import shape_parameter
-from .equations.transverse import cylindrical
+from .equations.transverse import from_cylindrical
 
 Times = Float[Array, "*n"]
 
@@ -186,7 +186,7 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     angle = jnp.arctan2(start[1], start[0]) - d * jnp.sign(start[2]) * jnp.where(
         whole, turn.reshape(time.shape), 0.0
     )
-    omega = cylindrical(jnp.sqrt(u) * across, start[2] * along, angle)
+    omega = from_cylindrical(jnp.sqrt(u) * across, start[2] * along, angle)
     return jnp.moveaxis(omega, 0, -1)
 
 
@@ -259,5 +259,7 @@ def _braked(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
 
 def _times(tau: Any) -> Times:
     time = finite("tau", tau)
+    if time.size == 0:
+        refuse("tau", "hold at least one time", "holds none")
     since: Bool[Array, "*n"] = time >= 0
     return where_valid("tau", time, since, "not be before the start, τ = 0")

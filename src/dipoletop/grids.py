@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._checks import finite, real, refuse
-from ._settings import budget
+from ._checks import described, finite, real, refuse, where_valid
+from ._settings import budget, whole
 
 Draw = Callable[[Array], Any]
 """From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
@@ -143,9 +143,15 @@ def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:
         n_phi: points on φ.
         n_w3: points on ω₃.
         w3_max: the largest ω₃, dimensionless.
+
+    Raises:
+        ValueError: fewer points than one, or a largest ω₃ that is not positive.
     """
+    n_phi, n_w3 = budget("n_phi", n_phi), budget("n_w3", n_w3)
+    most = finite("w3_max", w3_max, batch=False)
+    most = where_valid("w3_max", most, most > 0, "be positive")
     phi = np.arange(n_phi) * (np.pi / n_phi)
-    return Grid(w3=np.linspace(0.0, w3_max, n_w3), phi=phi)
+    return Grid(w3=np.linspace(0.0, float(most), n_w3), phi=phi)
 
 
 class Sample:
@@ -159,7 +165,7 @@ class Sample:
             function of a random key that gives ω₀, or a dict of the `problem`'s arguments.
 
     Raises:
-        ValueError: n < 1, or an amplitude that is not positive.
+        ValueError: n < 1, an amplitude that is not positive, or a `draw` that is no function.
 
     Example:
         >>> import dipoletop as dt
@@ -172,9 +178,10 @@ class Sample:
     def __init__(
         self, n: Any, amplitude: Any = 1.0, *, seed: Any = 0, draw: Draw | None = None
     ) -> None:
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
-            refuse("seed", "be a whole number", f"is {seed!r}")
-        self.n, self.seed = budget("n", n), int(seed)
+        must = "be a whole number"
+        self.n, self.seed = budget("n", n), whole("seed", seed, -(2**63), must)
+        if draw is not None and not callable(draw):
+            refuse("draw", "be a function of a random key, or None", described(draw))
         self.amplitude = None if draw else amplitude
         self.draw = draw if draw else isotropic(amplitude)
 

@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _endings, _windows, lanes, radiation
-from ._checks import finite, or_nan, refuse
+from ._checks import check_single, finite, or_nan, refuse
 from ._forward import differentiable
 from ._settings import tolerance
 from ._windows import Window
@@ -71,6 +71,7 @@ def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bo
     """
     if not is_full(equation):
         refuse("equation", "be a full equation", f"is {type(equation).__name__}")
+    check_single(equation)
     start = finite("omega", omega, (3,), batch=False)
     wanted = jnp.asarray(jnp.inf) if rtol is None else tolerance("rtol", rtol)
     if physical(equation) is not equation:

@@ -1,6 +1,5 @@
 """How a run ends: one start through diffrax, many through the lane engine."""
 
-import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
@@ -13,12 +12,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _endings, lanes, manifold
-from ._checks import initial_state, real, refuse, subnormal
+from ._checks import (
+    check_single,
+    check_verdict,
+    concrete,
+    initial_state,
+    is_single,
+    is_whole_state,
+    real,
+    refuse,
+    subnormal,
+)
 from ._conditioning import checked, checked_alone
 from ._engine import engine_for, judged
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
-from ._types import Equation, Outcome, Real, State, Stop, Verdict
+from ._types import Equation, Outcome, Real, Stop, Verdict
 from ._workers import in_parallel, workers
 from .equations._base import sizes_of
 from .equations.tangent import Tangent
@@ -49,7 +58,8 @@ class Classification(eqx.Module):
     steps: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     """Integration steps tried."""
     certified: Bool[Array, "*n"] | Bool[np.ndarray, "*n"]
-    """Whether the state that ended the run lies in a region proven to decide."""
+    """Whether the state that ended the run lies in a region proven to decide, for this level of
+    the equation: what another level says is not proven by it."""
     stop: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     """A member of `Stop`: in which way a top stops."""
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
@@ -78,7 +88,7 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
         jnp.where(settled, _series_error(verdict), jnp.nan),
         t,
         jnp.asarray(steps, int),
-        known & verdict.certified,
+        known & verdict.certified_for(equation),
         jnp.where(known, verdict.stop, Stop.NONE).astype(int),
         slopes,
     )
@@ -92,21 +102,11 @@ def _series_error(verdict: Verdict) -> Real:
 
 def goal(equation: Any, value: Value) -> _endings.Until:
     """What must be certain before a run ends."""
-    if value not in (True, False, UNCHECKED):
+    if not (isinstance(value, bool) or (isinstance(value, str) and value == UNCHECKED)):
         refuse("value", f"be True, False or {UNCHECKED!r}", f"is {value!r}")
     if not value:
         return "outcome"
     return "slope" if isinstance(equation, Tangent) else "value"
-
-
-def check_verdict(equation: Any) -> None:
-    """Refuse an equation that cannot say how its runs end."""
-    if not callable(getattr(equation, "verdict", None)):
-        refuse(
-            "equation",
-            "have a method `verdict(y)`, which says how its runs end",
-            f"is {type(equation).__name__}, which has none",
-        )
 
 
 def classify(
@@ -171,7 +171,8 @@ def classified(
 ) -> Classification:
     """What `classify` finds, with the derivatives of the state that ended the run."""
     check_verdict(equation)
-    from_omega = np.shape(omega0) == (3,)
+    check_single(equation)
+    from_omega = not is_whole_state(omega0)
     if from_omega:
         equation = manifold.physical(equation)
     y0 = initial_state(equation, omega0)
@@ -311,7 +312,9 @@ def classify_many(
         >>> dt.classify_many(dt.TransverseReduced(jnp.array([-0.2, -0.3])), starts).outcome
         array([1, 2])
     """
-    check_verdict(equations)
+    check_verdict(equations, "equations")
+    if not concrete(equations, omegas):
+        refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
     starts = real("omegas", omegas, (-1, 3), batch=False)
     size = starts.shape[0]
     if size == 0:
@@ -393,23 +396,3 @@ def _check_batch(equations: Any, size: int) -> None:
                 f"be a single equation or have {size} entries on the leading axis of every field",
                 f"has a field of shape {leaf.shape}",
             )
-
-
-def is_single(equation: Any) -> bool:
-    """Whether the equation maps one state to one rate of the same shape."""
-    leaves, structure = jax.tree.flatten(equation)
-    kinds = (jax.ShapeDtypeStruct(x.shape, x.dtype) if eqx.is_array(x) else x for x in leaves)
-    return _maps_one_state(structure, tuple(kinds))
-
-
-@functools.lru_cache(maxsize=256)
-def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
-    def rate(equation: Any) -> tuple[State, State]:
-        y = equation.lift(jnp.zeros(3))
-        return y, equation(0.0, y, None)
-
-    try:
-        y, change = eqx.filter_eval_shape(rate, jax.tree.unflatten(structure, kinds))
-    except Exception:  # an equation with a batch in front does not fit a single state
-        return False
-    return y.shape == change.shape

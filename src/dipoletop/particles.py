@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.constants import c, e, epsilon_0
 
-from dipoletop._checks import finite, refuse, where_valid
+from dipoletop._batches import over_batch
+from dipoletop._checks import finite, instance, refuse, where_valid
 from dipoletop._linalg import dot, matvec
 from dipoletop.bodies import Body, box, rod, spheroid
 
@@ -27,10 +28,16 @@ STATCOULOMB_CM = 1e18 * DEBYE
 """The Gaussian unit of dipole moment, in C m."""
 
 
+def _batch_axes(particle: Any) -> int:
+    """The number of batch axes of a particle."""
+    return particle.mass.ndim
+
+
 class Particle(eqx.Module):
     """A rigid body in SI units, for which τ₀ = k d²/I, k = 1/(6πε₀c³).
 
-    Its numbers need float64, because float32 ends near 1e-38. A batch is made by `jax.vmap`.
+    Its numbers need float64, because float32 ends near 1e-38. A batch is made by `jax.vmap`, and
+    what its methods give then has the batch axes in front.
 
     Args:
         mass: Mass, kg.
@@ -52,9 +59,9 @@ class Particle(eqx.Module):
         ([1.0, 1.0, 1.0], [1.0, 0.0, 0.0])
     """
 
-    mass: Float[Array, ""]
-    inertia: Float[Array, "3 3"]
-    dipole: Float[Array, "3"]
+    mass: Float[Array, "*batch"]
+    inertia: Float[Array, "*batch 3 3"]
+    dipole: Float[Array, "*batch 3"]
 
     def __init__(self, mass: Any, inertia: Any, dipole: Any) -> None:
         self.mass = _positive("mass", mass)
@@ -141,7 +148,8 @@ class Particle(eqx.Module):
         given = cls(mass, inertia, dipole)
         return cls(1e-3 * given.mass, 1e-7 * given.inertia, STATCOULOMB_CM * given.dipole)
 
-    def moment(self, axis: Any) -> Float[Array, ""]:
+    @over_batch(_batch_axes)
+    def moment(self, axis: Any) -> Float[Array, "*batch"]:
         """I = n·In, the moment of inertia about the direction n of `axis`.
 
         Args:
@@ -158,7 +166,8 @@ class Particle(eqx.Module):
         n = axis / jnp.linalg.norm(axis)
         return dot(n, matvec(self.inertia, n))
 
-    def tau0(self, axis: Any) -> Float[Array, ""]:
+    @over_batch(_batch_axes)
+    def tau0(self, axis: Any) -> Float[Array, "*batch"]:
         """τ₀ = k d²/I, with I the moment about `axis`: the unit of time.
 
         Args:
@@ -172,6 +181,7 @@ class Particle(eqx.Module):
         """
         return RADIATION * dot(self.dipole, self.dipole) / self.moment(axis)
 
+    @over_batch(_batch_axes)
     def body(self, axis: Any) -> Body:
         """The dimensionless body: I in units of its moment about `axis`, and |d| = 1.
 
@@ -183,6 +193,7 @@ class Particle(eqx.Module):
         """
         return Body(self.inertia / self.moment(axis), self.dipole / jnp.linalg.norm(self.dipole))
 
+    @over_batch(_batch_axes)
     def omega(self, angular_velocity: Any, axis: Any) -> Float[Array, "*batch 3"]:
         """ω = τ₀Ω, the dimensionless angular velocity.
 
@@ -195,6 +206,7 @@ class Particle(eqx.Module):
         """
         return self.tau0(axis) * finite("angular_velocity", angular_velocity, (3,))
 
+    @over_batch(_batch_axes)
     def angular_velocity(self, omega: Any, axis: Any) -> Float[Array, "*batch 3"]:
         """Ω = ω/τ₀, the angular velocity in rad/s.
 
@@ -207,6 +219,7 @@ class Particle(eqx.Module):
         """
         return finite("omega", omega, (3,)) / self.tau0(axis)
 
+    @over_batch(_batch_axes)
     def seconds(self, tau: Any, axis: Any) -> Float[Array, "*batch"]:
         """The time t = τ₀τ in seconds.
 
@@ -219,6 +232,7 @@ class Particle(eqx.Module):
         """
         return self.tau0(axis) * finite("tau", tau)
 
+    @over_batch(_batch_axes)
     def braking_time(self, speed: Any, axis: Any) -> Float[Array, "*batch"]:
         """T = 1/(τ₀Ω₀²), after which a rotator has slowed down from Ω₀ to Ω₀/√3.
 
@@ -318,6 +332,9 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
         >>> f"{row.debye:.1f} D, {row.tau0:.3e} s, {row.braking_time:.3e} s"
         '2401.6 D, 1.427e-35 s, 1.775e+15 s'
     """
+    must = "hold rotators, such as `paper_particles()`"
+    each = instance("rotators", rotators, Iterable, must)
+    rows = [instance("rotators", row, Rotator, must) for row in each]
     return [
         Row(
             name,
@@ -327,7 +344,7 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
             tau0=float(particle.tau0(axis)),
             braking_time=float(particle.braking_time(speed, axis)),
         )
-        for name, particle, axis in rotators
+        for name, particle, axis in rows
     ]
 
 

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._checks import finite, or_nan, refuse
+from ._checks import finite, instance, or_nan, refuse
 from ._types import Real
 from .equations._base import order_label, shape_parameter
 from .equations._regions import WOBBLING_FROM
@@ -92,7 +92,6 @@ class Saddle(NamedTuple):
     """dz/dφ along the stable direction."""
 
 
-@eqx.filter_jit
 def saddle(system: Planar) -> Saddle:
     """The saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
 
@@ -111,6 +110,11 @@ def saddle(system: Planar) -> Saddle:
         >>> f"{at.phi:.9f} {at.z:.9f} {at.unstable:.6f} {at.stable:.1f}"
         '0.615479709 2.357022604 0.666667 -1.0'
     """
+    return _saddle(instance("system", system, Planar))
+
+
+@eqx.filter_jit
+def _saddle(system: Planar) -> Saddle:
     d = system.delta
     exists = (d != 0) & (d > (-1.0 if system.corrected else -0.5))
     d = jnp.where(exists, d, 0.5)
@@ -166,6 +170,7 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
         >>> f"{jax.jacfwd(lambda d: boundary(Planar(d, corrected=False), 0.0))(-0.2):.6f}"
         '32.685861'
     """
+    instance("system", system, Planar)
     if system.delta.ndim:
         refuse("system", "have a single delta", f"has deltas of shape {system.delta.shape}")
     angles = finite("phi", phi)
@@ -190,7 +195,7 @@ def _branch(system: Planar, stable: Any, side: Any, phi: Array) -> Array:
     Followed away from the saddle, along which what is off the manifold decays: backwards in σ if
     it is stable, forwards if not. NaN if there is a fold before φ.
     """
-    at = saddle(system)
+    at = _saddle(system)
     slope = jnp.where(stable, at.stable_slope, at.unstable_slope)
     heading = jnp.where(stable, -side, side)  # the sign of φ_σ
     near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # so near, the curvature is below rounding

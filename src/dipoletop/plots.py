@@ -14,10 +14,11 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 from matplotlib.transforms import ScaledTranslation
 
 from . import _maps
-from ._checks import refuse
+from ._checks import flag, instance, refuse
 from ._maps import Plane, Shade
 from ._types import Outcome
 from .basin import Basin
+from .simulate import Trajectory
 from .symmetry import unfold as unfold
 
 HATCH = "///"
@@ -48,9 +49,12 @@ def basin(
         The axes; the title says the level of the equation and what share is certified.
 
     Raises:
-        ValueError: no grid with two axes longer than 1, a name that is not one of them, or
-            another `shade`.
+        ValueError: no basin over a grid with two axes longer than 1, a name that is not one of
+            them, or another `shade`.
     """
+    instance("basin", basin, Basin)
+    unfold = flag("unfold", unfold)
+    _check_axes(ax)
     if shade not in ("omega_inf", "time", None):
         refuse("shade", "be 'omega_inf', 'time' or None", f"is {shade!r}")
     plane = _maps.plane(basin, shade, unfold, (x, y))
@@ -76,7 +80,14 @@ def compare(first: Basin, second: Basin, *, axes: Any = None) -> Figure:
     Raises:
         ValueError: the two are not over the same grid, or that is not a plane.
     """
+    instance("first", first, Basin)
+    instance("second", second, Basin)
     _check_same_grid(first, second)
+    pair = (None, None) if axes is None else tuple(np.ravel(axes))
+    if len(pair) != 2:
+        refuse("axes", "be a pair of axes, or None", f"has {len(pair)}")
+    for ax in pair:
+        _check_axes(ax, "axes")
     share = float(np.mean(first.outcome != second.outcome))
     planes = [_maps.plane(one, "omega_inf", True, (None, None)) for one in (first, second)]
     shades = _maps.shades("omega_inf", planes)
@@ -107,6 +118,8 @@ def trajectory(trajectory: Any, *, ax: Axes | None = None) -> Axes:
     Raises:
         ValueError: a batch of trajectories.
     """
+    instance("trajectory", trajectory, Trajectory)
+    _check_axes(ax)
     if np.ndim(trajectory.ts) != 1:
         refuse("trajectory", "be that of one top", f"has times of shape {trajectory.ts.shape}")
     times, omega = np.asarray(trajectory.ts), np.asarray(trajectory.omega)
@@ -144,6 +157,11 @@ def _asymptote(ax: Axes, trajectory: Any, times, size) -> None:
         late = times >= times[-1] / 30
         law = size[-1] * np.sqrt(times[-1] / times[late])
         ax.plot(times[late], law, color="0.5", linestyle="--", label=r"$\propto\tau^{-1/2}$")
+
+
+def _check_axes(ax: Any, name: str = "ax") -> None:
+    if ax is not None:
+        instance(name, ax, Axes, "be axes of matplotlib, or None")
 
 
 def _check_same_grid(first: Basin, second: Basin) -> None:

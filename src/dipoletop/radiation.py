@@ -9,8 +9,10 @@ where d₁ and d₂ are the first two derivatives of the dipole in the lab frame
 torque therefore loses E − d₁·d₂ at the rate |d₂|², and L − d×d₂ at the rate d₁×d₂.
 """
 
+import numpy as np
 from jaxtyping import Array, Float
 
+from dipoletop._checks import instance, refuse
 from dipoletop._linalg import Vec, cross, dot, matvec, scale
 from dipoletop.bodies import Body
 
@@ -26,6 +28,7 @@ def dipole_derivatives(body: Body, omega: Vec, omega_dot: Vec) -> tuple[Vec, Vec
     Returns:
         d₁ and d₂, each of shape (3, ...).
     """
+    _check(body, omega=omega, omega_dot=omega_dot)
     first = cross(omega, body.dipole)
     return first, cross(omega, first) + cross(omega_dot, body.dipole)
 
@@ -40,7 +43,19 @@ def angular_momentum(body: Body, omega: Vec) -> Vec:
     Returns:
         L in body axes, shape (3, ...).
     """
+    _check(body, omega=omega)
     return matvec(body.inertia, omega)
+
+
+def _check(body: Body, **vectors: Vec) -> None:
+    """Refuse what has no components on its leading axes, such as a batch from `jax.vmap`."""
+    instance("body", body, Body)
+    if body.inertia.shape[:2] != (3, 3) or body.dipole.shape[:1] != (3,):
+        must = "have its components on the leading axes (`jax.vmap` takes a batch of bodies)"
+        refuse("body", must, f"has an inertia of shape {body.inertia.shape}")
+    for name, vector in vectors.items():
+        if np.shape(vector)[:1] != (3,):
+            refuse(name, "have shape (3, ...)", f"has shape {np.shape(vector)}")
 
 
 def kinetic_energy(body: Body, omega: Vec) -> Float[Array, "..."]:
@@ -92,6 +107,7 @@ def radiation_torque(body: Body, omega: Vec, omega_dot: Vec, omega_ddot: Vec) ->
         >>> radiation_torque(axisymmetric(0), rate, zero, zero).tolist()
         [0.0, 0.0, -8.0]
     """
+    _check(body, omega=omega, omega_dot=omega_dot, omega_ddot=omega_ddot)
     d = body.dipole
     # d⃛ by (3.3), but for terms along d
     third = (

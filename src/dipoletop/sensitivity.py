@@ -13,7 +13,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
-from ._checks import or_nan, real, where_valid
+from ._checks import check_body, check_single, check_verdict, or_nan, real, where_valid
 from ._conditioning import is_known
 from ._forward import differentiable
 from ._linalg import dot, length, scale
@@ -75,6 +75,8 @@ def residual_rotation(
         >>> f"{slope:.8f}"
         '2.01941471'
     """
+    check_verdict(equation)
+    check_single(equation)
     equation = manifold.physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
@@ -187,9 +189,12 @@ def decay_time(
         >>> f"{dt.decay_time(dt.TransverseReduced(0.3), [0.0, 0.5, 0.0]):.8f}"
         '2.00000000'
     """
+    check_verdict(equation)
+    check_single(equation)
+    check_body(equation)
     equation = manifold.physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
-    part = real("share", share)
+    part = real("share", share, batch=False)
     part = where_valid("share", part, (part > 0) & (part < 1), "lie between 0 and 1")
     rtol = tolerance("rtol", rtol)
     limits = rtol, absolute(atol, rtol, start)

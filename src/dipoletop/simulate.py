@@ -16,7 +16,18 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from . import manifold, radiation
-from ._checks import finite, initial_state, refuse, where_valid
+from ._batches import over_batch
+from ._checks import (
+    FLAG,
+    check_single,
+    concrete,
+    finite,
+    initial_state,
+    instance,
+    is_whole_state,
+    refuse,
+    where_valid,
+)
 from ._forward import differentiable
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
@@ -27,7 +38,23 @@ LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
     "ω is too large for a slow branch, or `max_steps` windows did not suffice."
 )
-OPTIONS = ("solver", "stepsize_controller", "adjoint", "throw", "dense", "balance")
+ENDED = "The run ended before the last of `ts`: the solver's steps became too small, or failed."
+OUT_OF_STEPS = "The run ended before the last of `ts`: `max_steps` did not suffice."
+OPTIONS = {
+    "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
+    "stepsize_controller": (
+        diffrax.AbstractStepSizeController,
+        "be a step size controller of diffrax, such as `diffrax.PIDController(1e-8, 1e-10)`",
+    ),
+    "adjoint": (
+        diffrax.AbstractAdjoint,
+        "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
+    ),
+    "throw": (FLAG, "be True or False"),
+    "dense": (FLAG, "be True or False"),
+    "balance": (FLAG, "be True or False"),
+}
+"""What `simulate` takes besides its named arguments: the class, and what is to be said of it."""
 
 
 class Followed(eqx.Module):
@@ -40,43 +67,59 @@ class Followed(eqx.Module):
     interpolation: None = None
 
 
+def _batch_axes(run: Any) -> int:
+    """The number of batch axes of a trajectory."""
+    if run.ts.shape != run.ys.shape[:-1]:
+        must = "have its batch axes in front of all its arrays, as `jax.vmap` puts them"
+        refuse("trajectory", must, f"has ts of {run.ts.shape} and ys of {run.ys.shape}")
+    return run.ts.ndim - 1
+
+
 class Trajectory(eqx.Module):
-    """A solution at the times asked for; energies and powers are computed when asked for."""
+    """A solution at the times asked for; energies and powers are computed when asked for.
+
+    From `jax.vmap` every field and property has the batch axes in front.
+    """
 
     equation: Any
-    ts: Float[Array, "T"]
+    ts: Float[Array, "*batch T"]
     """Times τ, in units of τ₀."""
-    ys: Float[Array, "T n"]
+    ys: Float[Array, "*batch T n"]
     """States of the equation."""
-    emitted: Float[Array, "T"] | None
+    emitted: Float[Array, "*batch T"] | None
     """∫|d₂|²dτ, the energy radiated since the start; None unless `balance` was asked for."""
     solution: Any
     """diffrax's own solution: statistics, result, dense interpolation. Of a motion on the physical
     branch of a full equation a `Followed`."""
 
     @property
-    def omega(self) -> Float[Array, "T 3"]:
+    @over_batch(_batch_axes)
+    def omega(self) -> Float[Array, "*batch T 3"]:
         """Angular velocity in body axes, in units of 1/τ₀."""
         return jax.vmap(self.equation.omega)(self.ys)
 
     @property
-    def omega_dot(self) -> Float[Array, "T 3"]:
+    @over_batch(_batch_axes)
+    def omega_dot(self) -> Float[Array, "*batch T 3"]:
         """Its rate."""
         return jax.vmap(functools.partial(_omega_dot, self.equation))(self.ts, self.ys)
 
     @property
-    def energy(self) -> Float[Array, "T"]:
+    @over_batch(_batch_axes)
+    def energy(self) -> Float[Array, "*batch T"]:
         """E = ½ Ω·IΩ."""
         return jax.vmap(lambda w: radiation.kinetic_energy(self.equation.body, w))(self.omega)
 
     @property
-    def power(self) -> Float[Array, "T"]:
+    @over_batch(_batch_axes)
+    def power(self) -> Float[Array, "*batch T"]:
         """Radiated power |d₂|²."""
         power = functools.partial(radiation.radiated_power, self.equation.body)
         return jax.vmap(power)(self.omega, self.omega_dot)
 
     @property
-    def balance_defect(self) -> Float[Array, "T"]:
+    @over_batch(_batch_axes)
+    def balance_defect(self) -> Float[Array, "*batch T"]:
         """[E − d₁·d₂ + ∫|d₂|²dτ] less its initial value, over the initial energy.
 
         Zero for the full equation, whatever the motion; a reduced level leaves a defect that
@@ -102,16 +145,33 @@ class Trajectory(eqx.Module):
         """Which level of the equation of motion this is."""
         return getattr(self.equation, "level", type(self.equation).__name__)
 
-    def evaluate(self, t: Any) -> Float[Array, "3"]:
-        """ω at any time within the run, by the solver's own interpolation (`dense=True`).
+    def evaluate(self, t: Any) -> Float[Array, "..."]:
+        """ω at any times within the run, by the solver's own interpolation (`dense=True`).
+
+        Args:
+            t: τ, of any shape.
+
+        Returns:
+            The components on the last axis, those of `t` before it, those of a batch in front.
 
         Raises:
-            ValueError: the trajectory was computed without `dense=True`.
+            ValueError: the trajectory was computed without `dense=True`, or a time that is not
+                within it. A traced one gives NaN.
         """
         if self.solution.interpolation is None:
             refuse("dense", "be True in `simulate` for values in between", "was not")
-        y = self.solution.evaluate(jnp.asarray(t, self.ts.dtype))
-        return self.equation.omega(y[: self.ys.shape[1]])
+        times = finite("t", t, np.shape(t), batch=False)
+        first, last = self.ts[..., 0].max(), self.ts[..., -1].min()
+        inside = (times >= first) & (times <= last)
+        times = where_valid("t", times, inside, "lie within the run")
+        return self._between(times)
+
+    @over_batch(_batch_axes)
+    def _between(self, times: Float[Array, "..."]) -> Float[Array, "..."]:
+        def at(time: Any) -> Vector:
+            return self.equation.omega(self.solution.evaluate(time)[: self.ys.shape[-1]])
+
+        return jax.vmap(at)(times.ravel()).reshape(*times.shape, 3)
 
 
 def _omega_dot(equation: Any, t: Any, y: State) -> Vector:
@@ -154,7 +214,7 @@ def simulate(
 
     Raises:
         ValueError: bad arguments, among them an option of another name.
-        RuntimeError: the integration failed (unless `throw=False`).
+        RuntimeError: the run did not reach the last of `ts` (unless `throw=False`).
 
     Example:
         >>> import jax.numpy as jnp, dipoletop as dt
@@ -162,19 +222,45 @@ def simulate(
         >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
         True
     """
-    for name in options:
-        if name not in OPTIONS:
-            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
-    if np.shape(omega0) == (3,):
+    check_single(equation)
+    _check_options(options)
+    whole = is_whole_state(omega0)
+    if not whole:
         equation = manifold.physical(equation)
     times = _times(ts)
     state = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
     scale = absolute(atol, rtol, equation.omega(state))
     steps = budget("max_steps", max_steps)
-    if manifold.is_full(equation) and np.shape(omega0) == (3,):
-        return _follow(equation, state, times, rtol, steps, options)
-    return _solve(equation, state, times, (rtol, scale), steps, options)
+    if manifold.is_full(equation) and not whole:
+        run = _follow(equation, state, times, rtol, steps, options)
+        failures = {LOST: ~(run.solution.reached >= times[-1])}
+    else:
+        run = _solve(equation, state, times, (rtol, scale), steps, options)
+        result = run.solution.result
+        out = result == diffrax.RESULTS.max_steps_reached
+        failures = {OUT_OF_STEPS: out, ENDED: ~(diffrax.is_successful(result) | out)}
+    return _raised(run, failures) if options.get("throw", True) else run
+
+
+def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
+    """The trajectory, unless it failed; of a traced one equinox raises, later."""
+    for sentence, failed in failures.items():
+        if concrete(failed) and failed:
+            raise RuntimeError(sentence)
+        if not concrete(failed):
+            states = eqx.error_if(run.ys, failed, sentence)
+            run = eqx.tree_at(lambda run: run.ys, run, states)
+    return run
+
+
+def _check_options(options: dict[str, Any]) -> None:
+    for name, value in options.items():
+        if name not in OPTIONS:
+            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
+        kind, must = OPTIONS[name]
+        if value is not None or kind is FLAG:
+            instance(name, value, kind, must)
 
 
 def _times(ts: Any) -> Float[Array, "T"]:
@@ -199,9 +285,6 @@ def _follow(equation, state, times, rtol, max_windows: int, options) -> Trajecto
     later = times - times[0]
     later = later - jax.lax.stop_gradient(later)
     states = motion.states + jax.vmap(equation)(times, motion.states) * later[:, None]
-    if options.get("throw", True):
-        lost = ~(motion.reached >= times[-1])
-        states = eqx.error_if(states, lost, LOST)
     emitted = motion.emitted if options.get("balance", False) else None
     found = Followed({"num_steps": motion.windows}, motion.reached)
     return Trajectory(equation, times, states, emitted, found)
@@ -261,7 +344,7 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
         max_steps=max_steps,
-        throw=options.get("throw", True),
+        throw=False,
     )
     ys: Any = solution.ys
     # What was not reached has no derivative, either: diffrax's constant inf would have 0. (A factor

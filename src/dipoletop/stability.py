@@ -17,7 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from ._checks import finite, or_nan, refuse, where_valid
+from ._checks import (
+    check_body,
+    check_single,
+    described,
+    finite,
+    or_nan,
+    refuse,
+    where_valid,
+)
 from ._linalg import dot, scale
 from .equations._general import SAME, seen_from_dipole
 from .equations.transverse import TransverseAveraged
@@ -35,10 +43,10 @@ class Equilibria(NamedTuple):
     direction: Float[Array, "*batch 3"]
     """n, a unit vector; NaN where only rest is fixed."""
 
-    def state(self, w: Any) -> Float[Array, "3"]:
+    def state(self, w: Any) -> Float[Array, "*batch 3"]:
         """The angular velocity w n: rest at w = 0, else NaN where only rest is fixed."""
         w = finite("w", w, batch=False)
-        return jnp.where(w == 0, 0.0, scale(w, self.direction))
+        return jnp.where(w == 0, 0.0, w * self.direction)
 
 
 class Spectrum(NamedTuple):
@@ -107,6 +115,7 @@ def equilibria(equation: Any) -> Equilibria:
         >>> equilibria(Full(Body([[2, 0, 0], [0, 3, 0], [0, 0, 4]], [3, 4, 0]))).direction.tolist()
         [nan, nan, nan]
     """
+    check_single(equation)
     return Equilibria(_direction(equation))
 
 
@@ -145,6 +154,7 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
         >>> bool(found.stable)
         True
     """
+    check_single(equation)
     state = finite("state", state, (3,), batch=False)
     found, fixed = _spectrum(equation, state)
     where_valid("state", state, fixed, "be 0, or along a dipole that is on a principal axis")
@@ -181,6 +191,11 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
     """
     from scipy.optimize import root_scalar
 
+    if not callable(family):
+        refuse("family", "be a function that gives the equation of a number", described(family))
+    lower = float(finite("lower", lower, batch=False))
+    upper = float(finite("upper", upper, batch=False))
+
     def growth(parameter: float) -> float:
         equation = family(parameter)
         return float(spectrum(equation, equilibria(equation).state(w)).growth)
@@ -193,8 +208,7 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
 
 def _body(equation: Any) -> Any:
     """The body of an equation that can stay on the line along its dipole."""
-    if not hasattr(equation, "body"):
-        refuse("equation", "have a body", f"{type(equation).__name__} has none")
+    check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
     if isinstance(equation, TransverseAveraged) or not spatial:
         kind = type(equation).__name__

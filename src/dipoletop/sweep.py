@@ -13,14 +13,14 @@ from jaxtyping import Bool, Int
 
 from . import lanes
 from . import store as disk
-from ._checks import refuse
+from ._checks import check_verdict, names_of, refuse
 from ._endings import Until
 from ._problems import Builder, Problem, block_digest, builder
 from ._settings import MAX_STEPS, absolute, budget, check_atol, tolerance
 from ._workers import in_parallel, workers
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
-from .outcomes import TILE, Value, check_verdict, classify_block, engines_for, goal, power_of_two
+from .outcomes import TILE, Value, classify_block, engines_for, goal, power_of_two
 
 
 def sweep(
@@ -247,7 +247,7 @@ def _versions() -> dict[str, str]:
 
 def _names(derivatives: Any, value: Value) -> tuple[str, ...]:
     """The arguments along which ω∞ is differentiated."""
-    names = (derivatives,) if isinstance(derivatives, str) else tuple(derivatives)
+    names = names_of("derivatives", derivatives)
     if len(set(names)) < len(names):
         refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
     if names and not value:

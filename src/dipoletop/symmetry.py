@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from ._checks import instance
 from .basin import Basin
 
 
@@ -26,7 +27,7 @@ def unfold(basin: Basin) -> Basin:
 
     Source: the symmetries of (4.2)–(4.4).
     """
-    whole = basin
+    whole = instance("basin", basin, Basin)
     if _divides(whole.coords.get("phi"), np.pi):
         whole = _go_round(whole)
     if _divides(whole.coords.get("phi"), 2 * np.pi) and _rises(whole.coords.get("w3")):

@@ -159,7 +159,9 @@ def numbers(name: str, values: Any) -> dict[str, float]:
     """A dict of finite numbers, at least one."""
     if not isinstance(values, Mapping) or not values:
         refuse(name, "be a dict of named numbers", f"is {values!r}")
-    return {key: float(finite(f"{name}[{key!r}]", value)) for key, value in values.items()}
+    return {
+        key: float(finite(f"{name}[{key!r}]", value, batch=False)) for key, value in values.items()
+    }
 
 
 def box(name: str, ranges: Any) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
@@ -262,7 +264,7 @@ def sobol(
     if target not in ("omega_inf", "residual"):
         refuse("target", "be 'omega_inf' or 'residual'", f"is {target!r}")
     n, seed = int(n), whole("seed", seed, 0)
-    most_unknown = float(finite("most_unknown", most_unknown))
+    most_unknown = float(finite("most_unknown", most_unknown, batch=False))
     rows = low + (high - low) * _rows(n, m, seed)
     points = Points(**dict(zip(names, rows.reshape(-1, m).T, strict=True)))
     values = _values(sweep(problem, points, **options), target).reshape(m + 2, n)

@@ -9,9 +9,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._checks import concrete, real, refuse, where_valid
+from .._checks import concrete, instance, real, refuse, where_valid
 from .._linalg import largest
 from .._types import Real, State, Vector
+from ..bodies import Body
 
 
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
@@ -19,6 +20,11 @@ def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
     array = real("delta", delta)
     known = np.asarray(array) if concrete(array) else array  # in NumPy, many are faster compared
     return where_valid("delta", array, (known >= -1) & (known < 1), "lie in [-1, 1)")
+
+
+def rigid_body(body: Any) -> Body:
+    """A body; an equation, or its parameter, is none."""
+    return instance("body", body, Body)
 
 
 def check_order(order: Any) -> None:

@@ -94,7 +94,8 @@ class LongitudinalReduced(eqx.Module):
         """Order 1: certain at once, proven. Orders 2–4: where |ω|² ≤ 0.1, not certified."""
         square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
         certain = jnp.isfinite(square) if self.order == 1 else square <= SMALL
-        return _settles(y, certain, self.order == 1)
+        found = _settles(y, certain, self.order == 1)
+        return found._replace(equation=LongitudinalReduced)
 
     body = property(_top)
 
@@ -133,7 +134,8 @@ class LongitudinalSemi(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Certain at once, proven: ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
-        return _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
+        found = _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
+        return found._replace(equation=LongitudinalSemi)
 
     body = property(_top)
 
@@ -178,7 +180,8 @@ class LongitudinalFull(eqx.Module):
         That is rotation about the dipole, by the balance of energy. Not certified: that the
         branch goes on is not proven.
         """
-        return _settles(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
+        found = _settles(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
+        return found._replace(equation=LongitudinalFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₁′, ω₂′)."""

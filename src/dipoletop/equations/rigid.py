@@ -16,7 +16,7 @@ from .._types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from . import _general
-from ._base import check_order, one_order_up, order_label, unchanged
+from ._base import check_order, one_order_up, order_label, rigid_body, unchanged
 from ._line import EXACT
 
 
@@ -42,10 +42,10 @@ class Reduced(eqx.Module):
         order: 1 … 4; each costs about four times the one before.
 
     Raises:
-        ValueError: an order that is not 1, 2, 3 or 4.
+        ValueError: something else than a `Body`, or an order that is not 1, 2, 3 or 4.
     """
 
-    body: Body
+    body: Body = eqx.field(converter=rigid_body)
     order: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
@@ -65,7 +65,7 @@ class Reduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, self.order)
+        return _general.verdict(self.body, y, self.order)._replace(equation=Reduced)
 
     @property
     def level(self) -> str:
@@ -81,9 +81,12 @@ class SemiReduced(eqx.Module):
 
     Args:
         body: inertia tensor and dipole, dimensionless.
+
+    Raises:
+        ValueError: something else than a `Body`.
     """
 
-    body: Body
+    body: Body = eqx.field(converter=rigid_body)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dΩ/dτ, shape (3,) or (3, B)."""
@@ -102,7 +105,7 @@ class SemiReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, None)
+        return _general.verdict(self.body, y, None)._replace(equation=SemiReduced)
 
     @property
     def level(self) -> str:
@@ -121,9 +124,12 @@ class Full(eqx.Module):
 
     Args:
         body: inertia tensor and dipole, dimensionless.
+
+    Raises:
+        ValueError: something else than a `Body`.
     """
 
-    body: Body
+    body: Body = eqx.field(converter=rigid_body)
 
     def __call__(
         self, t: Any, y: Float[Array, "6 *lanes"], args: Any = None
@@ -145,7 +151,7 @@ class Full(eqx.Module):
 
     def verdict(self, y: Float[Array, "6 *lanes"]) -> Verdict:
         """That of a state on the physical branch, by the same tests; not certified."""
-        return _general.verdict(self.body, self.omega(y), EXACT)
+        return _general.verdict(self.body, self.omega(y), EXACT)._replace(equation=Full)
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that is state, and runs away: a = PΩ̇."""

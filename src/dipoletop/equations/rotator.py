@@ -45,7 +45,7 @@ def _about_axis_3(self: Any, y: Float[Array, "n *lanes"]) -> Vector:
     return jnp.stack([zero, zero, y[0]])
 
 
-def _stops(self: Any, y: Float[Array, "n *lanes"]) -> Verdict:
+def _stops(y: Float[Array, "n *lanes"]) -> Verdict:
     """STOP, always, on the physical branch: ω falls like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
     outcome = jnp.where(jnp.isfinite(y[0]), int(Outcome.STOP), int(Outcome.FAILED))
@@ -70,7 +70,11 @@ class RotatorReduced(eqx.Module):
         """dω/dτ, shape (1,) or (1, B)."""
         return -(y**3)
 
-    lift, omega, verdict = _lift, _about_axis_3, _stops
+    lift, omega = _lift, _about_axis_3
+
+    def verdict(self, y: One) -> Verdict:
+        """STOP, proven."""
+        return _stops(y)._replace(equation=RotatorReduced)
 
     body = property(_rotator)
 
@@ -87,7 +91,11 @@ class RotatorBranch(eqx.Module):
         """dω/dτ, shape (1,) or (1, B)."""
         return critical_manifold(y)
 
-    lift, omega, verdict = _lift, _about_axis_3, _stops
+    lift, omega = _lift, _about_axis_3
+
+    def verdict(self, y: One) -> Verdict:
+        """STOP, proven."""
+        return _stops(y)._replace(equation=RotatorBranch)
 
     body = property(_rotator)
 
@@ -132,7 +140,11 @@ class RotatorFull(eqx.Module):
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
 
-    omega, verdict = _about_axis_3, _stops
+    omega = _about_axis_3
+
+    def verdict(self, y: Pair) -> Verdict:
+        """STOP, for a state on the physical branch."""
+        return _stops(y)._replace(equation=RotatorFull)
 
     def lyapunov(self, y: Pair) -> Real:
         """V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""

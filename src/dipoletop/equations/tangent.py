@@ -106,8 +106,9 @@ class Tangent(eqx.Module):
         return self.equation.omega(self._split(y)[0])
 
     def verdict(self, y: State) -> Verdict:
-        """That of the equation."""
-        return Verdict(*self.equation.verdict(self._split(y)[0]))
+        """That of the equation, whose motions these are."""
+        found = Verdict(*self.equation.verdict(self._split(y)[0]))
+        return found._replace(certified=found.certified_for(self.equation), equation=type(self))
 
     def slopes(self, y: State) -> Float[Array, "m *lanes"]:
         """The variations of ω∞, where the verdict on a state says that they are certain.

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import finite, real
+from .._checks import finite, refuse, where_valid
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
@@ -43,7 +43,7 @@ def to_cylindrical(self: Any, omega0: Vector) -> Vector:
 
 def to_cartesian(self: Any, y: Vector) -> Vector:
     """ω of a state (ω⊥, ω₃, φ)."""
-    return cylindrical(y[0], y[1], y[2])
+    return from_cylindrical(y[0], y[1], y[2])
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
@@ -113,7 +113,8 @@ class TransverseReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
-        return _regions.of_level(self.delta, y, self.order)
+        found = _regions.of_level(self.delta, y, self.order)
+        return found._replace(equation=TransverseReduced)
 
     body = property(top)
 
@@ -156,7 +157,7 @@ class TransverseSemi(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
-        return _regions.semi_reduced(self.delta, y)
+        return _regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
     body = property(top)
 
@@ -202,7 +203,7 @@ class TransverseFull(eqx.Module):
 
     def verdict(self, y: Float[Array, "5 *lanes"]) -> Verdict:
         """That of a state on the physical branch: the semi-reduced regions, uncertified."""
-        return _regions.full(self.delta, self.omega(y))
+        return _regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""
@@ -263,7 +264,8 @@ class TransverseCylindrical(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """As order 1 in Cartesian components."""
-        return _regions.first_order(self.delta, self.omega(y))
+        found = _regions.first_order(self.delta, self.omega(y))
+        return found._replace(equation=TransverseCylindrical)
 
     body = property(top)
 
@@ -357,12 +359,25 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
     Returns:
         Shape (3,), or (3, B) for arguments of shape (B,).
 
+    Raises:
+        ValueError: ω⊥ < 0, or a value that is not finite. A traced one gives NaN.
+
     Example:
         >>> import dipoletop as dt
         >>> dt.cylindrical(w_perp=0.2, w3=0.1, phi=0.0)
         Array([0.2, 0. , 0.1], dtype=float64)
     """
-    w, axial, angle = jnp.broadcast_arrays(real("w_perp", w_perp), real("w3", w3), real("phi", phi))
+    across = finite("w_perp", w_perp)
+    across = where_valid("w_perp", across, across >= 0, "not be negative")
+    given = across, finite("w3", w3), finite("phi", phi)
+    if len({x.shape for x in given} - {()}) > 1:
+        shapes = ", ".join(str(x.shape) for x in given)
+        refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")
+    return from_cylindrical(*jnp.broadcast_arrays(*given))
+
+
+def from_cylindrical(w: Real, axial: Real, angle: Real) -> Vector:
+    """ω of cylindrical variables of one shape; a right angle gives a component of exactly 0."""
     quarter = jnp.round(angle / (jnp.pi / 2))
     rest = angle - quarter * (jnp.pi / 2)  # exactly 0 at multiples of π/2, where ω₁ or ω₂ is 0
     cos, sin = jnp.cos(rest), jnp.sin(rest)

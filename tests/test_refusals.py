@@ -1,0 +1,106 @@
+"""Arguments of a wrong kind, as users meet them: without the type checks of the tests.
+
+Each is refused in one sentence that names the argument, whoever asks.
+"""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+SETTING = """
+import json, sys
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+import dipoletop as dt
+from dipoletop import adaptive, boundary, continuation, particles, planar, plots, radiation
+
+equation, start, times = dt.TransverseReduced(-0.2), jnp.array([0.2, 0.1, 0.2]), jnp.arange(3.0)
+grid = dt.Grid(w3=[0.1, 0.2], phi=[0.0, 1.0])
+basin = dt.Basin(grid.dims, grid.shape, grid.coords, {"outcome": np.zeros(4)}, {})
+two = dt.Body(jnp.stack([jnp.eye(3)] * 2), start)
+ends = {"z": np.zeros(1)}
+found = boundary.Crossings(min, ends, ends, np.zeros((1, 2)), np.ones((1, 2), int), {"rtol": 1e-8})
+field = lambda t, y, args=None: -y
+for code in json.load(sys.stdin):
+    try:
+        print(json.dumps(["returned", repr(eval(code))]))
+    except Exception as error:
+        print(json.dumps([type(error).__name__, str(error)]))
+"""
+EQUATION = "must be an equation of motion, callable and with methods .*, but is"
+CASES = {
+    "dt.simulate(field, start, times)": f"`equation` {EQUATION} of type function, .* no `lift`",
+    "dt.simulate(start, equation, times)": f"`equation` {EQUATION} of type ArrayImpl",
+    "dt.simulate(equation, times, start)": "`ts` must increase",
+    "dt.simulate(dt.TransverseSemi, start, times)": f"`equation` {EQUATION} the class Transverse",
+    "dt.simulate(planar.Planar(0.1), start, times)": f"`equation` {EQUATION} of type Planar",
+    "dt.simulate(None, start, times)": f"`equation` {EQUATION} None",
+    "dt.classify(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.classify_many(field, start[None])": f"`equations` {EQUATION} of type function",
+    "dt.classify(equation, start, value='no')": "`value` must be True, False or 'unchecked', but",
+    "dt.residual_rotation(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.decay_time(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.equilibria(field)": f"`equation` {EQUATION} of type function",
+    "dt.spectrum(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.slow_manifold(field, start)": "`equation` must be a full equation, but is function",
+    "dt.threshold(3, 0.1, -0.9, 0.5)": "`family` must be a function .*, but is 3",
+    "dt.sweep(lambda w3, phi: (field, start), grid)": f"`equation` {EQUATION} of type function",
+    "dt.sweep(lambda w3, phi: (equation, start), grid, derivatives=3)": "`derivatives` must be a n",
+    "boundary.minimal_kick(field, start)": f"`equation` {EQUATION} of type function",
+    "boundary.edge_state(field, start, start)": f"`equation` {EQUATION} of type function",
+    "boundary.fate(3)": "`basin` must be a Basin, but is 3",
+    "boundary.normal(3, 'z')": "`crossings` must be a Crossings, but is 3",
+    "boundary.normal(found, None)": "`names` must be a name or a sequence of names, but is None",
+    "boundary.normal(found, 'z', distance='x')": "`distance` must be a real number, but is 'x'",
+    "boundary.derivative(found, 3, 'z')": "`of` must be a name, but is 3",
+    "boundary.trace(3, {})": "`start` must be a Crossings, but is 3",
+    "boundary.trace(found, None)": "`bounds` must be a dict of pairs .*, but is None",
+    "dt.Sample(5, draw=3)": "`draw` must be a function of a random key, or None, but is 3",
+    "dt.Body(3, start)": r"`inertia` must have shape \(3, 3\), .*, but has shape \(\)",
+    "dt.SemiReduced(equation)": "`body` must be a Body, but is of type TransverseReduced",
+    "dt.TransverseReduced(np.eye(2), order=np.eye(2))": r"`delta` must have shape \(\)",
+    "dt.Sample(np.eye(2))": r"`n` must be a positive whole number, but is array\(\[\[1., 0.\], \[0",
+    "radiation.kinetic_energy(two, start)": "`body` must have its components on the leading axes",
+    "radiation.kinetic_energy(equation, start)": "`body` must be a Body, but is of type Transvers",
+    "radiation.radiated_power(equation.body, start[None], start)": r"`omega` must have shape \(3,",
+    "radiation.radiation_torque(equation.body, start, start, 3)": "`omega_ddot` must have shape",
+    "planar.saddle(0.1)": "`system` must be a Planar, but is 0.1",
+    "planar.boundary(None, 0.1)": "`system` must be a Planar, but is None",
+    "dt.exact.averaged(0.3, start, [])": "`tau` must hold at least one time, but holds none",
+    "particles.particle_table(3)": "`rotators` must hold rotators, .*, but is 3",
+    "continuation.thresholds(basin)": "`found` must be a Continuation, but is of type Basin",
+    "continuation.diagram('x')": "`found` must be a Continuation, but is 'x'",
+    "basin.column('no')": "`name` must be a column of this basin .*, but is 'no'",
+    "basin.derivative(3)": "`axis` must be among the `derivatives`",
+    "plots.basin(3)": "`basin` must be a Basin, but is 3",
+    "plots.basin(basin, ax=3)": "`ax` must be axes of matplotlib, or None, but is 3",
+    "plots.basin(basin, unfold='no')": "`unfold` must be True or False, but is 'no'",
+    "plots.compare(basin, None)": "`second` must be a Basin, but is None",
+    "plots.compare(basin, basin, axes=[1])": "`axes` must be a pair of axes, or None, but has 1",
+    "plots.trajectory('x')": "`trajectory` must be a Trajectory, but is 'x'",
+    "plots.unfold(dt)": "`basin` must be a Basin, but is of type module",
+}
+
+
+@pytest.fixture(scope="module")
+def answers():
+    done = subprocess.run(
+        [sys.executable, "-c", SETTING],
+        input=json.dumps(list(CASES)),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(zip(CASES, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize("code", CASES)
+def test_a_wrong_kind_is_refused_in_one_sentence(answers, code):
+    kind, sentence = answers[code]
+    assert kind == "ValueError", sentence
+    assert re.match(f"Argument {CASES[code]}", sentence), sentence
+    assert "\n" not in sentence
+    assert sentence.endswith(".")
