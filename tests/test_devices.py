@@ -60,7 +60,7 @@ def swept(devices, engine):
     def problem(rate, omega0):
         return Braked(rate), omega0
 
-    return dt.sweep(problem, GRID, devices=devices, engine=engine)
+    return dt.sweep(problem, GRID, devices=devices, engine=engine, value="unchecked")
 
 
 def classified(engine, device=None):
@@ -68,7 +68,8 @@ def classified(engine, device=None):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outcomes, "TILE", TILE)
         starts = jax.device_put(points["omega0"], device)
-        return dt.classify_many(Braked(points["rate"]), starts, engine=engine)
+        tops = Braked(points["rate"])
+        return dt.classify_many(tops, starts, engine=engine, value="unchecked")
 
 
 def digest(found):

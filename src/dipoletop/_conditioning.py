@@ -114,11 +114,12 @@ def checked_alone(run: Callable[..., Any], omega0: Float[Array, "3"], scale: Any
 
 
 def known(found: Any, more: Any, xp: Any) -> Any:
-    """A classification with more error of ω∞, which is NaN where its error exceeds it."""
+    """A classification with more error of ω∞; where that exceeds ω∞, it and its slopes are NaN."""
     error = found.omega_inf_error + more
     unknown = (found.outcome == Outcome.RESIDUAL) & ~(error < abs(found.omega_inf))
     value = xp.where(unknown, xp.nan, found.omega_inf)
-    return replace(found, omega_inf=value, omega_inf_error=error)
+    slopes = None if found.slopes is None else xp.where(unknown, xp.nan, found.slopes)
+    return replace(found, omega_inf=value, omega_inf_error=error, slopes=slopes)
 
 
 def is_known(found: Any, gradient: Any, start: Float[Array, "3"], scale: Any) -> Any:

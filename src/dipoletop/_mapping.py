@@ -240,6 +240,9 @@ def _column(run: Run) -> dict[str, str]:
     column = {name: shares[name] for name in ("residual", "stop", *shares) if name in shares}
     known = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
     column["certified for its level"] = f"{np.mean(basin.certified):.2%} of the starts"
+    unknown = (outcome == Outcome.RESIDUAL) & np.isnan(basin.omega_inf)
+    if unknown.any():
+        column["ω∞ not known"] = f"{np.sum(unknown)} residual starts: its error may exceed it"
     if "changed" in basin.columns:
         column["changed at second tolerance"] = f"{np.sum(basin.changed)} starts"
     new, seconds = size - run.before, basin.seconds - run.compiling

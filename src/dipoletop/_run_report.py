@@ -1,5 +1,6 @@
 """What `dipoletop simulate` prints of a run: states, its end, what another level says."""
 
+import math
 from typing import Any
 
 from . import _levels, outcomes
@@ -32,8 +33,19 @@ def ending(verdict: Any) -> str:
         proof = "not certified: in a region tested, not proven, to decide"
     return (
         f"Outcome: {_fate(verdict)}; {proof}, at τ = {float(verdict.time):.6g}.\n"
-        f"Residual angular velocity ω∞ = {float(verdict.omega_inf):.12g}"
+        f"Residual angular velocity ω∞ = {_rotation(verdict)}"
     )
+
+
+def _rotation(verdict: Any) -> str:
+    """ω∞, to the digits that its estimated error leaves."""
+    value, error = float(verdict.omega_inf), float(verdict.omega_inf_error)
+    if not math.isfinite(value):
+        return "not known: its estimated error exceeds it (a smaller --rtol may tell)"
+    if value == 0:
+        return "0"
+    digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1)) if error else 16
+    return f"{value:.{digits}g} ± {error:.1g}"
 
 
 def _fate(verdict: Any) -> str:
@@ -48,5 +60,5 @@ def by_consistent(delta: float, start: Any, settings: dict[str, Any]) -> str:
     """What the consistent level says of a start whose result is of order 1."""
     equation = _levels.equation(_levels.CONSISTENT, delta)
     verdict = outcomes.classify(equation, start, **settings)
-    value = f"{_fate(verdict)}, ω∞ = {float(verdict.omega_inf):.6g}"
+    value = f"{_fate(verdict)}, ω∞ = {_rotation(verdict)}"
     return f"{_levels.LACKS}; at the {equation.level} level this start ends so: {value}."
