@@ -17,6 +17,7 @@ from ._linalg import length
 from ._programs import array_digest, program_digest
 from ._types import Equation, Verdict
 from ._workers import inside
+from .equations._base import sizes_of
 from .equations.tangent import Tangent
 from .grids import Grid, Points, Sample
 from .manifold import physical
@@ -44,7 +45,7 @@ class Builder:
 
     def _mapped(self, points: Any) -> tuple[Any, Float[Array, "3 N"]]:
         one = self._varied if self.derivatives else self._at
-        with self._one_at_a_time:  # tracing a user's function from two threads is his risk
+        with self._one_at_a_time:  # so that the user's function need not be thread-safe
             return jax.vmap(one, out_axes=-1)(points)
 
     def _at(self, point: Any) -> tuple[Any, Float[Array, "3"]]:
@@ -77,6 +78,7 @@ class Builder:
                 "field": of(lambda equation, y: equation(0.0, y, None), state),
                 "lift": of(lambda equation, omega: equation.lift(omega), omegas),
                 "verdict": of(_verdict, state),
+                "sizes": of(lambda equation, y: sizes_of(equation)(y), state),
             }
             if isinstance(self.over, Sample):
                 found["draw"] = program_digest(self.over.draw, jax.random.key(0))
