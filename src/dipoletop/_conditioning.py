@@ -2,7 +2,9 @@
 
 A run of n steps, each with an error of at most rtol·|ω|, misses ω∞ by no more than
 
-    C(n)·rtol·(MIDWAY·|ω∞| + |ω₀|·|∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n.
+    C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n,
+
+s being what errors of the components of ω₀ are measured by (`scales_of`), |ω₀| or less.
 
 Both were measured (benchmarks/bench_residual.py). C is small, since Dopri8 estimates the error of
 the lower one of its two orders; MIDWAY is there since a motion may be more sensitive on its way
@@ -12,7 +14,8 @@ border between rotations in opposite senses or of the basin, the gradient is lar
 where ω∞ is not linear over the distance, not even at the second, smaller one, it is not known.
 """
 
-from collections.abc import Callable, Iterator
+import functools
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -22,8 +25,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import Outcome
+from .equations._base import Scales
 
-FIXED, PER_STEP, MIDWAY = 0.02, 3e-3, 5.0  # measured
+Run = Callable[[Any, Any], Any]
+"""From starts (3, N) and `Limits` to classifications."""
+
+FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
 COARSE = (1e3, 3.0)  # tolerances of the neighbours over rtol, one after the other
 COARSEST = 1e-4  # the largest of them
 LONG = 400  # steps from which neighbours are farther off, since their own errors are larger
@@ -33,7 +40,7 @@ LINEAR = 0.2  # of |ω∞|: the largest change that tells a gradient
 
 
 def integration_error(value: Any, steps: Any, change: Any, scale: Any) -> Any:
-    """The error of ω∞ by the formula above, with change = |ω₀|·|∂ω∞/∂ω₀|.
+    """The error of ω∞ by the formula above, with change = |s ∂ω∞/∂ω₀|.
 
     An absolute tolerance is the worse the slower the top is in the end.
     """
@@ -42,75 +49,91 @@ def integration_error(value: Any, steps: Any, change: Any, scale: Any) -> Any:
     return (FIXED + PER_STEP * steps) * (rtol + atol / size) * (MIDWAY * size + change)
 
 
-def checked(found: Any, run: Callable[..., Any], omegas: Any, limits: Any) -> Any:
+def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: Scales) -> Any:
     """Classifications with the integration's part of the error of ω∞; NaN for ω∞ if it exceeds it.
 
     Args:
         found: of the runs, in NumPy, with the rest of the error.
-        run: from starts (3, N) and `Limits` to classifications.
+        run: what made them.
         omegas: the starts, (3, N).
         limits: those of the runs.
+        scales: how the equation measures ω.
     """
-    ran = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
+    ran = _ran(found)
+    if not ran.any():
+        return known(found, 0.0, np)
+    starts = np.asarray(omegas)
+    moves = np.eye(3)[:, :, None] * np.asarray(_scaled(scales, starts))
     scale = float(limits.rtol), np.asarray(limits.atol)
     with np.errstate(all="ignore"):  # of runs that failed
-        change = _change(found, run, np.asarray(omegas), limits, ran)
+        change = _change(found, run, (starts, moves), limits, ran)
         error = integration_error(found.omega_inf, found.steps, change, scale)
     return known(found, np.where(ran, error, 0.0), np)
 
 
-def _change(found: Any, run: Any, starts: np.ndarray, limits: Any, wanted: np.ndarray) -> Any:
-    """|ω₀|·|∂ω∞/∂ω₀| of the wanted runs; infinite where it cannot be told."""
-    value, size = found.omega_inf, np.linalg.norm(starts, axis=0)
-    change = np.full(size.shape, np.inf, size.dtype)
-    rtol = float(limits.rtol)
+@functools.partial(jax.jit, static_argnums=0)
+def _scaled(scales: Scales, starts: Array) -> Array:
+    return scales(starts)
+
+
+def _change(found: Any, run: Run, around: Any, limits: Any, wanted: np.ndarray) -> np.ndarray:
+    """|s ∂ω∞/∂ω₀| of the wanted runs; infinite where it cannot be told.
+
+    `around` are the starts, shape (3, N), and the three directions of their neighbours.
+    """
+    value, (starts, moves) = found.omega_inf, around
+    change, rtol = np.full(value.shape, np.inf, value.dtype), float(limits.rtol)
     for coarse in dict.fromkeys(max(1.0, min(c, COARSEST / rtol)) for c in COARSE):
         part = coarse * rtol * np.maximum(1.0, found.steps / LONG)
         tried = wanted & np.isinf(change) & np.isfinite(value) & (part * found.steps <= TURNED)
         if not tried.any():
             continue
-        times = np.where(tried, np.inf, 0.0).astype(size.dtype)
         looser = replace(
-            limits, rtol=coarse * limits.rtol, atol=coarse * np.asarray(limits.atol), t1=times
+            limits,
+            rtol=coarse * limits.rtol,
+            atol=coarse * np.asarray(limits.atol),
+            t1=np.where(tried, np.inf, 0.0).astype(value.dtype),
         )
-        ends = [run(near, looser).omega_inf for near in _neighbours(starts, part * size)]
-        moved = [np.asarray(end) - value for end in ends]
-        linear = np.max(np.abs(moved), axis=0) <= LINEAR * np.abs(value)
+        ends = [np.asarray(run(starts + part * move, looser).omega_inf) for move in moves]
+        moved = [(end - value) / value for end in ends]
+        linear = np.max(np.abs(moved), axis=0) <= LINEAR
         change = np.where(tried & linear, np.linalg.norm(moved, axis=0) / part, change)
-    return change
+    return change * np.abs(value)
 
 
-def _neighbours(starts: np.ndarray, distance: np.ndarray) -> Iterator[np.ndarray]:
-    """The starts with one component moved, for each of the three."""
-    for axis in range(3):
-        near = starts.copy()
-        near[axis] += distance
-        yield near
+def checked_alone(
+    run: Callable[..., Any], start: Float[Array, "n"], sizes: Float[Array, "n"], scale: Any
+) -> Any:
+    """The same for one start, traced: run(start, (rtol, atol), whether it is to be run).
 
-
-def checked_alone(run: Callable[..., Any], omega0: Float[Array, "3"], scale: Any) -> Any:
-    """The same for one start, traced: run(ω₀, (rtol, atol), whether it is to be run)."""
+    `sizes` is what errors of its components are measured by.
+    """
     rtol, atol = scale
-    coarse, far = ALONE
-    distance = far * coarse * rtol * jnp.sqrt(jnp.sum(omega0**2))
-    moves = jnp.concatenate([jnp.zeros((1, 3), omega0.dtype), distance * jnp.eye(3)])
-    factors = jnp.where(jnp.arange(4) > 0, coarse, 1.0).astype(omega0.dtype)
+    most, far = ALONE
+    coarse = jnp.clip(COARSEST / rtol, 1.0, most)
+    part = far * coarse * rtol
+    n = start.shape[0]
+    moves = jnp.concatenate([jnp.zeros((1, n), start.dtype), part * jnp.diag(sizes)])
+    factors = jnp.where(jnp.arange(n + 1) > 0, coarse, 1.0)
 
     def one(wanted: Array, case: Any) -> Any:
         move, factor = case
-        found = run(omega0 + move, (factor * rtol, factor * atol), wanted)
-        moving = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
-        return wanted & moving, found
+        found = run(start + move, (factor * rtol, factor * atol), wanted)
+        return wanted & _ran(found), found
 
     _, every = jax.lax.scan(one, jnp.asarray(True), (moves, factors))
     found = jax.tree.map(lambda x: x[0], every)
     value = found.omega_inf
-    moved = every.omega_inf[1:] - value
-    linear = jnp.max(jnp.abs(moved)) <= LINEAR * jnp.abs(value)
-    change = jnp.where(linear, jnp.sqrt(jnp.sum(moved**2)) / (far * coarse * rtol), jnp.inf)
+    moved = (every.omega_inf[1:] - value) / jnp.where(value == 0, 1.0, value)
+    linear = jnp.max(jnp.abs(moved)) <= LINEAR
+    change = jnp.where(linear, jnp.sqrt(jnp.sum(moved**2)) / part, jnp.inf) * jnp.abs(value)
     error = integration_error(value, found.steps.astype(value.dtype), change, scale)
-    ran = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
-    return known(found, jnp.where(ran, error, 0.0), jnp)
+    return known(found, jnp.where(_ran(found), error, 0.0), jnp)
+
+
+def _ran(found: Any) -> Any:
+    """Whether ω∞ is not 0, and comes from an integration."""
+    return (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
 
 
 def known(found: Any, more: Any, xp: Any) -> Any:
@@ -122,10 +145,9 @@ def known(found: Any, more: Any, xp: Any) -> Any:
     return replace(found, omega_inf=value, omega_inf_error=error, slopes=slopes)
 
 
-def is_known(found: Any, gradient: Any, start: Float[Array, "3"], scale: Any) -> Any:
-    """Whether the error of ω∞ is less than its size, |∂ω∞/∂ω₀| being known from the variations."""
-    value, steps = found.omega_inf, found.steps.astype(start.dtype)
-    change = gradient * jnp.sqrt(jnp.sum(start**2))
-    error = jnp.where(steps > 0, integration_error(value, steps, change, scale), 0.0)
-    certain = error < jnp.abs(value)
-    return jax.lax.stop_gradient(certain | (found.outcome != Outcome.RESIDUAL))
+def is_known(found: Any, change: Any, scale: Any) -> Any:
+    """Whether the error of ω∞ is less than its size, change = |s ∂ω∞/∂ω₀| being known."""
+    value = found.omega_inf
+    error = integration_error(value, found.steps.astype(value.dtype), change, scale)
+    certain = (error < jnp.abs(value)) | ~_ran(found)
+    return jax.lax.stop_gradient(certain)

@@ -29,7 +29,7 @@ from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
 from ._types import Equation, Outcome, Real, Stop, Verdict
 from ._workers import in_parallel, workers
-from .equations._base import sizes_of
+from .equations._base import scales_of, sizes_of
 from .equations.tangent import Tangent
 
 TILE = 16384  # starts handed to the engine at once, at most
@@ -198,7 +198,8 @@ def _classify(equation: Any, start: Array, scale: Any, how: Any) -> Classificati
         return assemble(equation, ends, scale)
 
     if value is True and until != "time":
-        return checked_alone(run, start, scale)
+        measure = scales_of(equation) if from_omega else sizes_of(equation)
+        return checked_alone(run, start, measure(start), scale)
     return _unchecked(run(start, scale, jnp.asarray(True)), value, jnp)
 
 
@@ -269,7 +270,7 @@ def classify_block(
 
     found = run(omegas, limits)
     if value is True:
-        return checked(found, run, omegas, limits)
+        return checked(found, run, omegas, limits, scales_of(equation))
     return _unchecked(found, value, np)
 
 

@@ -20,7 +20,7 @@ from ._linalg import dot, length, scale
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
 from ._types import Equation
-from .equations._base import Sizes, sizes_of
+from .equations._base import Sizes, scales_of, sizes_of
 from .equations._invariant import infinity
 from .equations.tangent import Together
 from .outcomes import UNCHECKED, Value, classified
@@ -104,8 +104,8 @@ def residual_rotation(
         endless = infinity(x.dtype) * (irregular + jnp.sum(x - jax.lax.stop_gradient(x)))
         slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
         by_start = found.slopes[-3:]  # the start is what varies last, always
-        by_start = length(jnp.where(jnp.isinf(by_start), 0.0, by_start))
-        return or_nan(jnp.append(found.omega_inf, slopes), is_known(found, by_start, start, limits))
+        each = jnp.where(jnp.isinf(by_start), 0.0, by_start) * scales_of(equation)(start)
+        return or_nan(jnp.append(found.omega_inf, slopes), is_known(found, length(each), limits))
 
     return _with_gradient(value, with_slopes)(leaves, limits)
 

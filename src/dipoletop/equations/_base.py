@@ -62,17 +62,32 @@ def unchanged(self: Any, omega: Vector) -> Vector:
 
 
 Sizes = Callable[[State], State]
-"""What the relative error of each component is measured by."""
+"""What the relative error of each component of a state is measured by."""
+Scales = Callable[[Vector], Vector]
+"""The same for an angular velocity; a plain function of it."""
+
+
+def even(omega: Vector) -> Vector:
+    """The largest component, for all three."""
+    return jnp.broadcast_to(largest(jnp.abs(omega))[None], omega.shape)
+
+
+def scales_of(equation: Any) -> Scales:
+    """How an equation measures ω: by its own function `scales`, or by the largest component."""
+    return getattr(equation, "scales", even)
 
 
 def sizes_of(equation: Any) -> Sizes:
-    """How an equation measures its components: its own method `sizes`, or by the present |ω|."""
-    return getattr(equation, "sizes", Partial(present_size, equation))
+    """How an equation measures its state: by its own method `sizes`, or by the present ω."""
+    return getattr(equation, "sizes", Partial(present_sizes, equation))
 
 
-def present_size(equation: Any, y: State) -> State:
-    """The size of each component, or the largest component of ω where that is larger.
+def present_sizes(equation: Any, y: State) -> State:
+    """The scales of ω if that is the state, else |y| or the largest component of ω.
 
     A component that passes 0 then needs no short steps.
     """
-    return jnp.maximum(jnp.abs(y), largest(jnp.abs(equation.omega(y)))[None])
+    omega = equation.omega(y)
+    if omega is y:
+        return scales_of(equation)(y)
+    return jnp.maximum(jnp.abs(y), even(omega)[:1])

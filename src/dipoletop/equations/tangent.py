@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from .._linalg import cross, largest, matvec
 from .._types import Real, State, Vector, Verdict
 from ..bodies import Body
-from ._base import sizes_of
+from ._base import Scales, scales_of, sizes_of
 from ._general import constraints, rounding
 from ._invariant import infinite
 from ._line import guarded
@@ -100,6 +100,11 @@ class Tangent(eqx.Module):
             jnp.maximum(self.slack * largest(jnp.abs(each)), least)[None] for each in variations
         ]
         return jnp.concatenate([own, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
+
+    @property
+    def scales(self) -> Scales:
+        """Those of the equation."""
+        return scales_of(self.equation)
 
     def omega(self, y: State) -> Vector:
         """The angular velocity of a state."""

@@ -46,6 +46,16 @@ def to_cartesian(self: Any, y: Vector) -> Vector:
     return from_cylindrical(y[0], y[1], y[2])
 
 
+def scales(omega: Vector) -> Vector:
+    """What errors of ω are measured by: ω₁ and ω₂ by ω⊥, ω₃ by itself or by ω⊥ min(ω⊥, 1).
+
+    Near the residual line, and at a capture, ω₃ ~ ω⊥² where that is small.
+    """
+    w1, w2, w3 = jnp.abs(omega)
+    across = jnp.maximum(w1, w2)
+    return jnp.stack([across, across, jnp.maximum(w3, across * jnp.minimum(across, 1.0))])
+
+
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
     """ω′ from the balance of torques, with ω′ and ω″ on its right given."""
     w1, w2, w3 = w
@@ -110,6 +120,7 @@ class TransverseReduced(eqx.Module):
         return _reduced(self.delta, y, self.order)
 
     lift = omega = unchanged
+    scales = staticmethod(scales)
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
@@ -154,6 +165,7 @@ class TransverseSemi(eqx.Module):
         return jnp.stack([d * w2 * w3, p2, p3])
 
     lift = omega = unchanged
+    scales = staticmethod(scales)
 
     def verdict(self, y: Vector) -> Verdict:
         """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
@@ -204,6 +216,8 @@ class TransverseFull(eqx.Module):
     def verdict(self, y: Float[Array, "5 *lanes"]) -> Verdict:
         """That of a state on the physical branch: the semi-reduced regions, uncertified."""
         return _regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
+
+    scales = staticmethod(scales)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""
@@ -261,6 +275,7 @@ class TransverseCylindrical(eqx.Module):
         return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
 
     lift, omega = to_cylindrical, to_cartesian
+    scales = staticmethod(scales)
 
     def verdict(self, y: Vector) -> Verdict:
         """As order 1 in Cartesian components."""
