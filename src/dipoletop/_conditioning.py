@@ -59,7 +59,7 @@ def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: Scales) -> A
         limits: those of the runs.
         scales: how the equation measures ω.
     """
-    ran = _ran(found)
+    ran = integrated(found)
     if not ran.any():
         return known(found, 0.0, np)
     starts = np.asarray(omegas)
@@ -119,7 +119,7 @@ def checked_alone(
     def one(wanted: Array, case: Any) -> Any:
         move, factor = case
         found = run(start + move, (factor * rtol, factor * atol), wanted)
-        return wanted & _ran(found), found
+        return wanted & integrated(found), found
 
     _, every = jax.lax.scan(one, jnp.asarray(True), (moves, factors))
     found = jax.tree.map(lambda x: x[0], every)
@@ -128,12 +128,13 @@ def checked_alone(
     linear = jnp.max(jnp.abs(moved)) <= LINEAR
     change = jnp.where(linear, jnp.sqrt(jnp.sum(moved**2)) / part, jnp.inf) * jnp.abs(value)
     error = integration_error(value, found.steps.astype(value.dtype), change, scale)
-    return known(found, jnp.where(_ran(found), error, 0.0), jnp)
+    return known(found, jnp.where(integrated(found), error, 0.0), jnp)
 
 
-def _ran(found: Any) -> Any:
-    """Whether ω∞ is not 0, and comes from an integration."""
-    return (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
+def integrated(found: Any) -> Any:
+    """Whether ω∞ has the error of an integration: not if it is constant, known at once, or 0."""
+    some = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
+    return some & (found.omega_inf_error != 0)
 
 
 def known(found: Any, more: Any, xp: Any) -> Any:
@@ -149,5 +150,5 @@ def is_known(found: Any, change: Any, scale: Any) -> Any:
     """Whether the error of ω∞ is less than its size, change = |s ∂ω∞/∂ω₀| being known."""
     value = found.omega_inf
     error = integration_error(value, found.steps.astype(value.dtype), change, scale)
-    certain = (error < jnp.abs(value)) | ~_ran(found)
+    certain = (error < jnp.abs(value)) | ~integrated(found)
     return jax.lax.stop_gradient(certain)

@@ -57,16 +57,20 @@ class Verdict(NamedTuple):
     stop: Int[Array, "*lanes"] | int = 0
     """A member of `Stop`."""
     error: Real | float = 0.0
-    """Estimated error of `omega_inf`, relative to it."""
+    """Estimated error of `omega_inf`, relative to it; 0 where that is a constant of the motion."""
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
     equation: type | None = None
     """The class of equation that the regions belong to. `certified` counts only where that very
     class is integrated: not with another `__call__`, nor with a torque added from outside."""
 
+    def belongs_to(self, equation: Any) -> bool:
+        """Whether the regions are those of this equation."""
+        return self.equation is type(equation)
+
     def certified_for(self, equation: Any) -> Any:
         """`certified`, unless the regions are those of another equation."""
-        return self.certified & (self.equation is type(equation))
+        return self.certified & self.belongs_to(equation)
 
 
 # The class of an equation is no array: it stays out of what is traced.

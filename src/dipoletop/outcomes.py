@@ -23,7 +23,7 @@ from ._checks import (
     refuse,
     subnormal,
 )
-from ._conditioning import checked, checked_alone
+from ._conditioning import checked, checked_alone, integrated
 from ._engine import engine_for, judged
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
@@ -52,7 +52,8 @@ class Classification(eqx.Module):
     ended (for want of steps, or with `value=False`) before it was known to the tolerance, or if
     `omega_inf_error` exceeds it."""
     omega_inf_error: Float[Array, "*n"] | Float[np.ndarray, "*n"]
-    """Estimated absolute error of `omega_inf`; infinite where there is no estimate."""
+    """Estimated absolute error of `omega_inf`: 0 for STOP, and where ω₁ is constant; infinite where
+    there is no estimate."""
     time: Float[Array, "*n"] | Float[np.ndarray, "*n"]
     """τ at which the run ended, in units of τ₀."""
     steps: Int[Array, "*n"] | Int[np.ndarray, "*n"]
@@ -85,7 +86,7 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(settled, verdict.omega_inf, jnp.nan),
-        jnp.where(settled, _series_error(verdict), jnp.nan),
+        jnp.where(settled, _series_error(equation, verdict), jnp.nan),
         t,
         jnp.asarray(steps, int),
         known & verdict.certified_for(equation),
@@ -94,10 +95,15 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     )
 
 
-def _series_error(verdict: Verdict) -> Real:
-    """The error of ω∞ as the formula at the end of a run has it, rounding included."""
+def _series_error(equation: Equation, verdict: Verdict) -> Real:
+    """The error of ω∞ as the formula at the end of a run has it; 0 if ω∞ is constant and exact."""
     size = jnp.where(verdict.outcome == Outcome.RESIDUAL, jnp.abs(verdict.omega_inf), 0.0)
-    return (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
+    error = (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
+    if not verdict.belongs_to(equation):
+        return error
+    # Where ω₃ underflows ω₁ seems to be constant, and is not.
+    exact = (verdict.error == 0) & (size**2 >= jnp.finfo(size.dtype).tiny)
+    return jnp.where(exact, 0.0, error)
 
 
 def goal(equation: Any, value: Value) -> _endings.Until:
@@ -205,7 +211,7 @@ def _classify(equation: Any, start: Array, scale: Any, how: Any) -> Classificati
 
 def _unchecked(found: Classification, value: Value, xp: Any) -> Classification:
     """Without steps ω∞ is as exact as the formula that gives it; else there is no estimate."""
-    without = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
+    without = integrated(found)
     omega_inf = found.omega_inf
     if not value:
         omega_inf = xp.where(without, xp.nan, omega_inf)

@@ -113,7 +113,8 @@ class Tangent(eqx.Module):
     def verdict(self, y: State) -> Verdict:
         """That of the equation, whose motions these are."""
         found = Verdict(*self.equation.verdict(self._split(y)[0]))
-        return found._replace(certified=found.certified_for(self.equation), equation=type(self))
+        own = found.belongs_to(self.equation)
+        return found._replace(equation=type(self) if own else None)
 
     def slopes(self, y: State) -> Float[Array, "m *lanes"]:
         """The variations of ω∞, where the verdict on a state says that they are certain.
