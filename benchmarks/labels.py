@@ -17,6 +17,7 @@ import numpy as np
 from dipoletop import lanes, native
 from dipoletop._types import Outcome, Verdict
 from dipoletop.bodies import Body
+from dipoletop.equations._base import scales_of
 from dipoletop.equations.rigid import Reduced, SemiReduced
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
@@ -102,6 +103,10 @@ class Settling(eqx.Module):
 
     def omega(self, y):
         return y
+
+    @property
+    def scales(self):
+        return scales_of(self.equation)
 
     def verdict(self, y):
         own = self.equation.verdict(y)._replace(equation=Settling)
