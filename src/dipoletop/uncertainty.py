@@ -19,6 +19,7 @@ from ._settings import whole
 from ._types import Outcome
 from .basin import Basin, Share, wilson
 from .grids import Points, Sample
+from .outcomes import UNCHECKED
 from .sweep import sweep
 
 
@@ -106,7 +107,8 @@ def propagate(
         covariance: C, shape (m, m), in the order of `mean`; it may be singular.
         n: how many draws x ~ N(mean, C); one that the problem cannot take is FAILED.
         seed: of the draws; the i-th depends on (seed, i) only.
-        options: passed to `sweep`.
+        options: passed to `sweep`; a statistic needs no estimate of the error of each ω∞, so
+            `value` is "unchecked" if it is not given.
 
     Returns:
         A `Propagation`. Near a basin boundary, where draws have several fates, ω∞ is no linear
@@ -139,7 +141,7 @@ def propagate(
 
     one = sweep(problem, Points(**means), derivatives=names, **options)
     gradient = np.array([one.derivative(name)[0] for name in names])
-    many = sweep(problem, Sample(n=n, seed=seed, draw=draw), **options)
+    many = sweep(problem, Sample(n=n, seed=seed, draw=draw), **{"value": UNCHECKED, **options})
     with np.errstate(invalid="ignore"):  # infinity times 0, which is said by NaN
         linear = np.linalg.norm(gradient @ np.asarray(root))
     values = many.omega_inf[many.outcome == Outcome.RESIDUAL]
@@ -235,7 +237,8 @@ def sobol(
             and 0 for a stop.
         most_unknown: largest share of runs whose target is not known. A row of the m + 2 runs of
             one point of the sequence that holds such a run is replaced by another row.
-        options: passed to `sweep`.
+        options: passed to `sweep`; a statistic needs no estimate of the error of each ω∞, so
+            `value` is "unchecked" if it is not given.
 
     Returns:
         A `SobolIndices`. The intervals come from a bootstrap over rows, as if they were random:
@@ -267,7 +270,8 @@ def sobol(
     most_unknown = float(finite("most_unknown", most_unknown, batch=False))
     rows = low + (high - low) * _rows(n, m, seed)
     points = Points(**dict(zip(names, rows.reshape(-1, m).T, strict=True)))
-    values = _values(sweep(problem, points, **options), target).reshape(m + 2, n)
+    found = sweep(problem, points, **{"value": UNCHECKED, **options})
+    values = _values(found, target).reshape(m + 2, n)
     unknown, gaps = float(np.mean(np.isnan(values))), np.any(np.isnan(values), axis=0)
     if unknown > most_unknown or gaps.all():
         must = "be at least the share of runs whose target is not known"
