@@ -260,9 +260,12 @@ def test_colours_differ_to_every_eye(sight):
 @pytest.mark.parametrize(
     ("certified", "words"),
     [
-        (True, "all outcomes certified"),
-        (False, "no outcome certified"),
-        ([[True, True, False], [True, True, True]], "83.3 % of the outcomes certified"),
+        (True, "all outcomes certified for this level"),
+        (False, "no outcome certified for this level"),
+        (
+            [[True, True, False], [True, True, True]],
+            "83.3 % of the outcomes certified for this level",
+        ),
     ],
 )
 def test_the_title_says_the_level_what_is_fixed_and_what_is_certified(certified, words):

@@ -122,8 +122,9 @@ def _title(basin: Basin) -> str:
         if len(values) == 1
     ]
     share = float(np.mean(basin.certified))
-    words = {0.0: "no outcome certified", 1.0: "all outcomes certified"}
-    certified = words.get(share, f"{percent(share)} of the outcomes certified")
+    words = {0.0: "no outcome", 1.0: "all outcomes"}
+    which = words.get(share, f"{percent(share)} of the outcomes")
+    certified = f"{which} certified for this level"
     return f"{sentence(basin.level)}\n{', '.join([*fixed, certified])}"
 
 

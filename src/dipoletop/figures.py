@@ -351,9 +351,10 @@ def levels() -> Figure:
         label = rf"$z_s(\varphi)\,\omega_\perp^2$, limit of small $\omega$: {kind}"
         curve = data.small_boundary(corrected, turns)
         handles += ax.plot(turns, curve, color=colour, lw=1.6, label=label)
-    certified = percent(float(np.mean(found.semi.certified)))
+    share = percent(float(np.mean(found.semi.certified)))
+    certified = f"{share} of the outcomes certified for this level"
     where = rf"$\delta = {data.DELTA}$, $\omega_\perp = {data.AMPLITUDE}$"
-    ax.set_title(f"Semi-reduced equation, {where}; {certified} of the outcomes certified")
+    ax.set_title(f"Semi-reduced equation, {where}; {certified}")
     ax.set(xlim=(0, np.pi), ylim=(0, found.semi.coords["w3"][-1]))
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
