@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import Outcome
+from ._types import Outcome, Real, Verdict
 from .equations._base import Scales
 
 Run = Callable[[Any, Any], Any]
@@ -37,6 +37,17 @@ LONG = 400  # steps from which neighbours are farther off, since their own error
 TURNED = 0.01  # largest distance · steps: beyond, neighbours may be off by a whole turn
 ALONE = 10.0, 30.0  # of a single start: tolerance of the neighbours over rtol; distance over that
 LINEAR = 0.2  # of |ω∞|: the largest change that tells a gradient
+
+
+def series_error(equation: Any, verdict: Verdict) -> Real:
+    """The error of ω∞ as the formula at the end of a run has it; 0 if ω∞ is constant and exact."""
+    size = jnp.where(verdict.outcome == Outcome.RESIDUAL, jnp.abs(verdict.omega_inf), 0.0)
+    error = (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
+    if not verdict.belongs_to(equation):
+        return error
+    # Where ω₃ underflows ω₁ seems to be constant, and is not.
+    exact = (verdict.error == 0) & (size**2 >= jnp.finfo(size.dtype).tiny)
+    return jnp.where(exact, 0.0, error)
 
 
 def integration_error(value: Any, steps: Any, change: Any, scale: Any) -> Any:
@@ -129,6 +140,16 @@ def checked_alone(
     change = jnp.where(linear, jnp.sqrt(jnp.sum(moved**2)) / part, jnp.inf) * jnp.abs(value)
     error = integration_error(value, found.steps.astype(value.dtype), change, scale)
     return known(found, jnp.where(integrated(found), error, 0.0), jnp)
+
+
+def unchecked(found: Any, value: Any, xp: Any) -> Any:
+    """Without steps ω∞ is as exact as the formula that gives it; else there is no estimate."""
+    without = integrated(found)
+    omega_inf = found.omega_inf
+    if not value:
+        omega_inf = xp.where(without, xp.nan, omega_inf)
+    error = xp.where(without, xp.inf, found.omega_inf_error)
+    return replace(found, omega_inf=omega_inf, omega_inf_error=error)
 
 
 def integrated(found: Any) -> Any:

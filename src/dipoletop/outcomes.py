@@ -1,7 +1,6 @@
 """How a run ends: one start through diffrax, many through the lane engine."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import diffrax
@@ -23,11 +22,11 @@ from ._checks import (
     refuse,
     subnormal,
 )
-from ._conditioning import checked, checked_alone, integrated
+from ._conditioning import checked, checked_alone, series_error, unchecked
 from ._engine import engine_for, judged
 from ._settings import MAX_STEPS, absolute, budget, tolerance
 from ._steps import Controller
-from ._types import Equation, Outcome, Real, Stop, Verdict
+from ._types import Equation, Outcome, Stop, Verdict
 from ._workers import in_parallel, workers
 from .equations._base import scales_of, sizes_of
 from .equations.tangent import Tangent
@@ -86,24 +85,13 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(settled, verdict.omega_inf, jnp.nan),
-        jnp.where(settled, _series_error(equation, verdict), jnp.nan),
+        jnp.where(settled, series_error(equation, verdict), jnp.nan),
         t,
         jnp.asarray(steps, int),
         known & verdict.certified_for(equation),
         jnp.where(known, verdict.stop, Stop.NONE).astype(int),
         slopes,
     )
-
-
-def _series_error(equation: Equation, verdict: Verdict) -> Real:
-    """The error of ω∞ as the formula at the end of a run has it; 0 if ω∞ is constant and exact."""
-    size = jnp.where(verdict.outcome == Outcome.RESIDUAL, jnp.abs(verdict.omega_inf), 0.0)
-    error = (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
-    if not verdict.belongs_to(equation):
-        return error
-    # Where ω₃ underflows ω₁ seems to be constant, and is not.
-    exact = (verdict.error == 0) & (size**2 >= jnp.finfo(size.dtype).tiny)
-    return jnp.where(exact, 0.0, error)
 
 
 def goal(equation: Any, value: Value) -> _endings.Until:
@@ -206,17 +194,7 @@ def _classify(equation: Any, start: Array, scale: Any, how: Any) -> Classificati
     if value is True and until != "time":
         measure = scales_of(equation) if from_omega else sizes_of(equation)
         return checked_alone(run, start, measure(start), scale)
-    return _unchecked(run(start, scale, jnp.asarray(True)), value, jnp)
-
-
-def _unchecked(found: Classification, value: Value, xp: Any) -> Classification:
-    """Without steps ω∞ is as exact as the formula that gives it; else there is no estimate."""
-    without = integrated(found)
-    omega_inf = found.omega_inf
-    if not value:
-        omega_inf = xp.where(without, xp.nan, omega_inf)
-    error = xp.where(without, xp.inf, found.omega_inf_error)
-    return replace(found, omega_inf=omega_inf, omega_inf_error=error)
+    return unchecked(run(start, scale, jnp.asarray(True)), value, jnp)
 
 
 def _end_on_branch(equation, y0, scale, t1, max_steps: int, until: _endings.Until) -> Any:
@@ -277,7 +255,7 @@ def classify_block(
     found = run(omegas, limits)
     if value is True:
         return checked(found, run, omegas, limits, scales_of(equation))
-    return _unchecked(found, value, np)
+    return unchecked(found, value, np)
 
 
 def classify_many(

@@ -20,14 +20,7 @@ from .._checks import finite, refuse, where_valid
 from .._types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from . import _regions
-from ._base import (
-    check_order,
-    one_order_up,
-    order_label,
-    reciprocal,
-    shape_parameter,
-    unchanged,
-)
+from ._base import check_order, one_order_up, order_label, reciprocal, shape_parameter, unchanged
 
 
 def top(self: Any) -> Body:
