@@ -114,7 +114,7 @@ def _files(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
 )
 @_quantities
 @click.option("--size", type=Size(), metavar="N[xM]", default="512", help="Starts on x [and on y].")
-@click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance, also that of ω∞.")
+@click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")
 @click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of each run.")
 @click.option(
     "--confirm", type=NUMBER, metavar="RTOL", help="Run all again at this tolerance and compare."

@@ -48,7 +48,7 @@ class Classification(eqx.Module):
     """A member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps) or FAILED."""
     omega_inf: Float[Array, "*n"] | Float[np.ndarray, "*n"]
     """Residual angular velocity along the dipole, signed; 0 for STOP; NaN if undecided, if the run
-    ended (for want of steps, or with `value=False`) before it was known to the tolerance, or if
+    ended (for want of steps, or with `value=False`) before it was known, or if
     `omega_inf_error` exceeds it."""
     omega_inf_error: Float[Array, "*n"] | Float[np.ndarray, "*n"]
     """Estimated absolute error of `omega_inf`: 0 for STOP, and where ω₁ is constant; infinite where
@@ -122,7 +122,7 @@ def classify(
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
-        rtol: relative tolerance; also that of ω∞.
+        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
             rtol·|ω₀| with `value=False`.
         max_steps: budget; a run that exhausts it is UNDECIDED.
@@ -275,7 +275,7 @@ def classify_many(
             of N on every array field, as `TransverseReduced(delta=deltas)` has.
         omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite, or
             has a subnormal component (which processors take for 0), is FAILED, and harms no other.
-        rtol: relative tolerance; also that of ω∞.
+        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance, a number or shape (N,); None means none, since errors are measured
             by the present |ω|; or rtol·|ω₀| for each start with `value=False`.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.

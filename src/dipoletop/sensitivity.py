@@ -45,7 +45,8 @@ def residual_rotation(
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
-        rtol: relative tolerance of ω∞ and of its derivatives; of second ones rtol^(4/5) or so.
+        rtol: relative tolerance of every step. The errors of ω∞ and of its derivatives are larger
+            where these change fast with ω₀; those of second ones are rtol^(4/5) or so.
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|.
         max_steps: budget.
 

@@ -45,7 +45,7 @@ def sweep(
         problem: a function of the grid's axes (by name) or of the sample's start that gives the
             equation and the start; pure JAX, since it is vectorised.
         over: a `Grid`, `Points` or a `Sample`.
-        rtol: relative tolerance; also that of ω∞.
+        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
             rtol·|ω₀| for each start with `value=False`.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
