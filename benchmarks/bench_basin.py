@@ -14,7 +14,8 @@ import dipoletop as dt
 import measure
 import peers
 import problem
-from dipoletop import lanes, native
+from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines import native_engine as native
 
 RTOL = 1e-8
 OURS, IN_JAX = "dipoletop, native engine", "dipoletop, JAX engine"

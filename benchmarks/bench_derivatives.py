@@ -17,7 +17,7 @@ import dipoletop as dt
 import measure
 import report
 from differences import Function, certain, chosen_steps, differences, off
-from dipoletop._levels import LEVELS, equation
+from dipoletop.equations.levels import LEVELS, equation
 from families import NAMES, TRUTH, Family, families
 from tables import Table, layout
 

@@ -18,7 +18,7 @@ import dipoletop as dt
 import measure
 import peer_diffrax
 import problem
-from dipoletop import lanes
+from dipoletop._engines import jax_engine as lanes
 
 RTOL = 1e-8
 

@@ -19,7 +19,7 @@ import measure
 import problem
 from bench_basin import RTOL
 from differences import differences
-from dipoletop._levels import equation
+from dipoletop.equations.levels import equation
 from families import TRUTH, body, top
 
 NAMES = ("delta", "w3", "w1")  # that a sweep differentiates by: the first, the first two, …

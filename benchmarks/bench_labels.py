@@ -21,7 +21,7 @@ import numpy as np
 
 import measure
 import report
-from dipoletop._types import Outcome, Stop
+from dipoletop._base.types import Outcome, Stop
 from labels import FAMILIES, LEVELS, RTOL, compare, starts
 
 MANY = {"1": 4000, "semi": 4000, "2": 1000, "3": 500, "4": 250}  # starts of a general family

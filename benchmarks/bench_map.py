@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 import dipoletop as dt
 import measure
-from dipoletop._monitoring import COMPILING
+from dipoletop._base.monitoring import COMPILING
 
 LEVELS, ENGINES = ("order-1", "semi"), ("native", "jax")
 REPEATS = 3

@@ -29,7 +29,8 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 import measure
 import problem
-from dipoletop import lanes, native
+from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines import native_engine as native
 
 try:
     import heyoka

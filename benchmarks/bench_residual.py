@@ -18,7 +18,7 @@ import numpy as np
 import dipoletop as dt
 import measure
 import report
-from dipoletop._levels import equation
+from dipoletop.equations.levels import equation
 from tables import layout
 from truth import Truth
 

@@ -18,9 +18,11 @@ import bench_precision
 import dipoletop as dt
 import measure
 import problem
-from dipoletop import adaptive, lanes, native
-from dipoletop._endings import Until
-from dipoletop.symmetry import unfold
+from dipoletop import adaptive
+from dipoletop._base.stopping import Until
+from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines import native_engine as native
+from dipoletop._maps.symmetry import unfold
 
 RTOL = 1e-8
 LATE = (0.9, 0.99)  # of the runs have their value by the late times

@@ -23,8 +23,9 @@ import dipoletop as dt
 import labels
 import measure
 import report
-from dipoletop import lanes, native
-from dipoletop._types import Outcome
+from dipoletop._base.types import Outcome
+from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines import native_engine as native
 
 PIECE = 5000  # starts followed together
 BLOCKS = ("mixed", "slow", "tiny")

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 import dipoletop as dt
 import problem
-from dipoletop._levels import LEVELS, equation
+from dipoletop.equations.levels import LEVELS, equation
 
 TRUTH = 1e-13  # relative tolerance of the values that are subtracted
 BODIES: dict[str, Callable[[dt.Body], Any]] = {

@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dipoletop import lanes, native
-from dipoletop._types import Outcome, Verdict
+from dipoletop._base.types import Outcome, Verdict
+from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines import native_engine as native
 from dipoletop.bodies import Body
-from dipoletop.equations._base import scales_of
+from dipoletop.equations._common import scales_of
 from dipoletop.equations.rigid import Reduced, SemiReduced
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 

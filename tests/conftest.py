@@ -33,7 +33,7 @@ hypothesis.settings.load_profile("repeatable")
 
 def compile_lanes_as_users_do():
     """With the older emitters the last bits of a lane depend on its place."""
-    from dipoletop import lanes
+    from dipoletop._engines import jax_engine as lanes
 
     if OLDER_EMITTERS:
         lanes.CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True

@@ -8,8 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from dipoletop import _figure_data, planar
-from dipoletop._types import Outcome, Stop
+from dipoletop import planar
+from dipoletop._base.types import Outcome, Stop
 from dipoletop.continuation import (
     Continuation,
     _continuous,
@@ -18,6 +18,7 @@ from dipoletop.continuation import (
     follow_spectrum,
     thresholds,
 )
+from dipoletop.paper import figure_data as _figure_data
 
 MODULE = sys.modules[continuation.__module__]
 N = 8000

@@ -5,8 +5,15 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from . import exact, planar, radiation
-from ._types import Outcome, Stop, Verdict
-from .basin import Basin
+from ._base.types import Outcome, Stop, Verdict
+from ._branch.march import slow_manifold
+from ._maps.basin import Basin
+from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
+from ._maps.store import StoreDamaged
+from ._maps.sweep import sweep
+from ._runs.classify_many import Classification, classify, classify_many
+from ._runs.sensitivity import decay_time, residual_rotation
+from ._runs.trajectory import Trajectory, simulate
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
 from .equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
 from .equations.rigid import Full, Reduced, SemiReduced
@@ -27,14 +34,7 @@ from .equations.transverse import (
     TransverseSemi,
     cylindrical,
 )
-from .grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
-from .manifold import slow_manifold
-from .outcomes import Classification, classify, classify_many
-from .sensitivity import decay_time, residual_rotation
-from .simulate import Trajectory, simulate
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
-from .store import StoreDamaged
-from .sweep import sweep
 
 if TYPE_CHECKING:
     from . import (

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._checks import finite, refuse
-from ._settings import budget, check_settings
-from ._types import Outcome
-from .basin import FIELDS, Basin
+from ._base.checks import finite, refuse
+from ._base.tolerances import budget, check_settings
+from ._base.types import Outcome
+from ._maps.basin import FIELDS, Basin
+from ._maps.grids import Grid, Points
+from ._maps.sweep import Problem, sweep
 from .boundary import fate
-from .grids import Grid, Points
-from .sweep import Problem, sweep
 
 Cells = Int[np.ndarray, "_ 2"]
 """Cells of a lattice by the numbers of their first row and column."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from dipoletop._checks import concrete, finite, refuse, where_valid
+from ._base.checks import concrete, finite, refuse, where_valid
 
 AXES = {"transverse": (1.0, 0.0, 0.0), "longitudinal": (0.0, 0.0, 1.0)}
 """Named directions of the dipole; the symmetry axis is the third."""

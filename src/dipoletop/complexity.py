@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
-from ._checks import finite, refuse
-from ._settings import budget, check_settings, whole
-from .basin import Basin
+from ._base.checks import finite, refuse
+from ._base.tolerances import budget, check_settings, whole
+from ._maps.basin import Basin
+from ._maps.grids import Grid, Points
+from ._maps.sweep import Problem, sweep
+from ._runs.classify_many import UNCHECKED
 from .boundary import fate
-from .grids import Grid, Points
-from .outcomes import UNCHECKED
-from .sweep import Problem, sweep
 
 AROUND = (-1, 0, 1)  # a point and its two companions, in units of ε
 

@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from . import planar
-from ._checks import finite, instance, refuse, where_valid
-from ._levels import LEVELS, equation
-from ._types import Outcome, Stop
-from .basin import Basin, wilson
-from .equations._base import shape_parameter
-from .grids import Grid, Sample
+from ._base.checks import finite, instance, refuse, where_valid
+from ._base.types import Outcome, Stop
+from ._maps.basin import Basin, wilson
+from ._maps.grids import Grid, Sample
+from ._maps.sweep import sweep
+from .equations._common import shape_parameter
+from .equations.levels import LEVELS, equation
 from .stability import Spectrum, spectrum, threshold
-from .sweep import sweep
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -91,7 +91,8 @@ class Continuation:
         """Shares of residual rotation, 95 % bands, thresholds; hatched where not decided."""
         import matplotlib.pyplot as plt
 
-        from . import _maps, plots
+        from .plots import basins
+        from .plots import plane as _maps
 
         if ax is None:
             _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
@@ -102,7 +103,7 @@ class Continuation:
             known, colour = most[k] - share <= high - low, style["color"]
             ax.plot(x, np.where(known, share, np.nan), label=_maps.sentence(basin.level), **style)
             ax.fill_between(x, low, high, where=known, color=colour, alpha=0.3, lw=0)
-            ax.fill_between(x, share, most[k], fc="none", ec=colour, hatch=plots.HATCH, lw=0)
+            ax.fill_between(x, share, most[k], fc="none", ec=colour, hatch=basins.HATCH, lw=0)
         (fixed,) = {"delta", "amplitude"} - {self.parameter}
         at = f"{_maps.SYMBOLS[fixed]} = ${self.basins[0].coords[fixed][0]:g}$"
         ax.set_title(f"{self.n} isotropic starts at each value, {at}", fontsize="medium")
@@ -110,7 +111,7 @@ class Continuation:
         ax.set(ylim=(-0.02, 1.02), ylabel="share of residual rotation")
         if self.parameter == "delta":
             _mark(ax, thresholds(self))
-        elif plots._scale(x) == "log":
+        elif basins._scale(x) == "log":
             ax.set_xscale("log")
         ax.legend(frameon=True, framealpha=1, edgecolor="none")
         return ax
@@ -345,7 +346,7 @@ def diagram(found: Continuation, w: Any = LINE) -> "matplotlib.figure.Figure":
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from . import figures
+    from .paper import figures
 
     marks, fine = thresholds(found, w), np.linspace(found.values[0], found.values[-1], 200)
     branches = follow_spectrum(fine, w, levels=found.levels)

@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import manifold
-from ._checks import finite, refuse, where_valid
-from ._problems import Problem
-from ._settings import budget, tolerance, whole
-from .grids import Points
-from .simulate import Trajectory, simulate
-from .sweep import sweep
+from ._base.checks import finite, refuse, where_valid
+from ._base.tolerances import budget, tolerance, whole
+from ._branch import march as manifold
+from ._maps.grids import Points
+from ._maps.problems import Problem
+from ._maps.sweep import sweep
+from ._runs.trajectory import Trajectory, simulate
 from .uncertainty import box, numbers
 
 Observe = Callable[[Trajectory], Float[Array, "..."]]

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.constants import c, e, epsilon_0
 
-from dipoletop._batches import over_batch
-from dipoletop._checks import finite, instance, refuse, where_valid
-from dipoletop._linalg import dot, matvec
-from dipoletop.bodies import Body, box, rod, spheroid
+from ._base.batches import over_batch
+from ._base.checks import finite, instance, refuse, where_valid
+from ._base.linalg import dot, matvec
+from .bodies import Body, box, rod, spheroid
 
 RADIATION = 1 / (6 * math.pi * epsilon_0 * c**3)
 """k = 1/(6πε₀c³), in kg m² s/(C m)²: the strength of the radiation torque in SI units."""

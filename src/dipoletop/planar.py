@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._checks import finite, instance, or_nan, refuse
-from ._types import Real
-from .equations._base import order_label, shape_parameter
-from .equations._regions import WOBBLING_FROM
+from ._base.checks import finite, instance, or_nan, refuse
+from ._base.types import Real
+from .equations._common import order_label, shape_parameter
+from .equations._verdicts.transverse import WOBBLING_FROM
 
 Point = Float[Array, "2 *#lanes"]
 """A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""

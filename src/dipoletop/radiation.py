@@ -12,9 +12,9 @@ torque therefore loses E − d₁·d₂ at the rate |d₂|², and L − d×d₂ 
 import numpy as np
 from jaxtyping import Array, Float
 
-from dipoletop._checks import instance, refuse
-from dipoletop._linalg import Vec, cross, dot, matvec, scale
-from dipoletop.bodies import Body
+from ._base.checks import instance, refuse
+from ._base.linalg import Vec, cross, dot, matvec, scale
+from .bodies import Body
 
 
 def dipole_derivatives(body: Body, omega: Vec, omega_dot: Vec) -> tuple[Vec, Vec]:

@@ -17,19 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from ._checks import (
-    check_body,
-    check_single,
-    described,
-    finite,
-    or_nan,
-    refuse,
-    where_valid,
-)
-from ._linalg import dot, scale
-from .equations._general import SAME, seen_from_dipole
+from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
+from ._base.linalg import dot, scale
+from ._branch.march import is_full
+from .equations._verdicts.any_body import SAME, seen_from_dipole
 from .equations.transverse import TransverseAveraged
-from .manifold import is_full
 
 SWEEPS = 128  # of S = −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
 

@@ -12,15 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._checks import finite, refuse
-from ._crossings import UNDECIDED, fate
-from ._problems import Problem
-from ._settings import whole
-from ._types import Outcome
-from .basin import Basin, Share, wilson
-from .grids import Points, Sample
-from .outcomes import UNCHECKED
-from .sweep import sweep
+from ._base.checks import finite, refuse
+from ._base.tolerances import whole
+from ._base.types import Outcome
+from ._maps.basin import Basin, Share, wilson
+from ._maps.grids import Points, Sample
+from ._maps.problems import Problem
+from ._maps.sweep import sweep
+from ._runs.classify_many import UNCHECKED
+from .boundary.crossings import UNDECIDED, fate
 
 
 class Estimate(NamedTuple):

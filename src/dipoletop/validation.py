@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import exact, radiation
-from ._types import Outcome
+from ._base.types import Outcome
+from ._maps.grids import Sample
+from ._runs.classify_many import classify, classify_many
+from ._runs.trajectory import simulate
 from .equations.rigid import Reduced, SemiReduced
 from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
-from .grids import Sample
-from .outcomes import classify, classify_many
-from .simulate import simulate
 
 RTOL = 1e-12
 TIMES = np.array([0.0, 10.0, 100.0, 1000.0, 10_000.0])

@@ -14,9 +14,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._types import Outcome, Real, Stop, Vector, Verdict
+from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._base import check_order, one_order_up, order_label, shape_parameter, unchanged
+from ._common import check_order, one_order_up, order_label, shape_parameter, unchanged
 
 Whole = Float[Array, "5 *lanes"]
 SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted

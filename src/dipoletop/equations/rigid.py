@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import dot, inverse, matvec, scale, solve, trace
-from .._types import Real, Vector, Verdict
+from .._base.linalg import dot, inverse, matvec, scale, solve, trace
+from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from . import _general
-from ._base import check_order, one_order_up, order_label, rigid_body, unchanged
-from ._line import EXACT
+from ._common import check_order, one_order_up, order_label, rigid_body, unchanged
+from ._verdicts import any_body as _general
+from ._verdicts.residual_line import EXACT
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._chebyshev import rule
-from .._checks import real, where_valid
-from .._types import Outcome, Real, Stop, Vector, Verdict
+from .._base.chebyshev import rule
+from .._base.checks import real, where_valid
+from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._base import order_label
+from ._common import order_label
 
 SERIES = 0.11  # |ω| up to which the divergent series of f serves, to rounding
 TERMS = 34  # they fall until (2n + 8)ω² = 1, and what is left is as large as the last one

@@ -16,11 +16,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import finite, refuse, where_valid
-from .._types import Real, Vector, Verdict
+from .._base.checks import finite, refuse, where_valid
+from .._base.types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from . import _regions
-from ._base import check_order, one_order_up, order_label, reciprocal, shape_parameter, unchanged
+from ._common import check_order, one_order_up, order_label, reciprocal, shape_parameter, unchanged
+from ._verdicts import transverse as _regions
 
 
 def top(self: Any) -> Body:

@@ -7,16 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from . import (
-    _averaged,
-    _claims,
-    _conclusions,
-    _general,
-    _longitudinal,
-    _rotator,
-    _transverse,
-)
-from ._entry import Entry as Entry
+from . import ledger_averaged as _averaged
+from . import ledger_claims as _claims
+from . import ledger_conclusions as _conclusions
+from . import ledger_equation_of_motion as _general
+from . import ledger_longitudinal as _longitudinal
+from . import ledger_rotator as _rotator
+from . import ledger_transverse as _transverse
+from .ledger_entry import Entry as Entry
 
 PARTS = (
     _general.rotator,

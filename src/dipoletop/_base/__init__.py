@@ -1,0 +1,1 @@
+"""Words and tools that every other part shares; no physics in them."""

@@ -1,0 +1,1 @@
+"""The physical branch of the full equations, window by window."""

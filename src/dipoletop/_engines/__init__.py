@@ -1,0 +1,1 @@
+"""Engines: many trajectories at once, from their starts to their end states."""

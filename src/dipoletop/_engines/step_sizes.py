@@ -1,0 +1,102 @@
+"""Step sizes: how large an error is, which one is allowed, and how long the first step is.
+
+Errors are relative to the present |ω|, not to that of the start: a top may be caught in its
+residual rotation after |ω| has fallen by many orders of magnitude, and ω∞ is decided there.
+"""
+
+import functools
+import math
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._base.linalg import largest
+from .._base.types import Real, State
+from ..equations._common import Sizes
+
+FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
+
+
+def error_ratio(sizes: Sizes, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
+    """The largest component of the error of a step over what (rtol, atol) allow."""
+    rtol, atol = scale
+    allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
+    return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
+
+
+def first_step(equation: Any, sizes: Sizes, y: State, f: State, scale: Any, order: int) -> Real:
+    """Step size to begin with: that of a step whose error is about the tolerance.
+
+    With y, ẏ, ÿ measured by the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order): in
+    proportion to the time scale, whatever the unit of time is.
+    """
+    ratio = functools.partial(error_ratio, sizes, ends=(y, jnp.zeros_like(y)), scale=scale)
+    d0, d1 = ratio(y), ratio(f)
+    moves = (d0 > 0) & (d1 > 0)
+    h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
+    f1 = equation(h0, y + h0[None] * f, None)
+    d2 = jnp.maximum(ratio(f1 - f) / h0, jnp.finfo(h0.dtype).tiny)
+    time = jnp.minimum(100 * h0, jnp.sqrt(d0 / d2))
+    time = jnp.minimum(time, float(jnp.finfo(h0.dtype).max) ** 0.5)  # where squares underflow
+    return jnp.where(moves, FIRST * time / root(jnp.where(moves, d0, 1.0), order), h0)
+
+
+def root(x: Real, order: int) -> Real:
+    """x^(1/order), the order rounded to a power of two: square roots are fast, logarithms slow."""
+    for _ in range(max(1, round(math.log2(order)))):
+        x = jnp.sqrt(x)
+    return x
+
+
+class Controller(diffrax.AbstractAdaptiveStepSizeController):
+    """diffrax's `PIDController` with errors measured by `sizes` and the first step of `first_step`.
+
+    Attributes:
+        rtol: relative tolerance.
+        atol: absolute tolerance.
+        sizes: what the relative error of each component is measured by.
+        pid: what chooses the next step.
+    """
+
+    rtol: Real
+    atol: Real
+    sizes: Sizes
+    pid: diffrax.PIDController
+
+    def __init__(self, rtol: Real, atol: Real, sizes: Sizes) -> None:
+        self.rtol, self.atol, self.sizes = rtol, atol, sizes
+        least = jnp.finfo(jnp.result_type(float)).tiny  # diffrax divides by what is allowed
+        self.pid = diffrax.PIDController(rtol, jnp.maximum(atol, least), norm=self.norm)
+
+    @staticmethod
+    def norm(x: State) -> Float[Array, ""]:
+        """The largest component."""
+        return jnp.max(jnp.abs(x))
+
+    def wrap(self, direction: Any) -> "Controller":
+        """See diffrax."""
+        return eqx.tree_at(lambda c: c.pid, self, self.pid.wrap(direction))
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order: Any):
+        """See diffrax."""
+        if dt0 is None:
+
+            def field(h: Any, y: State, _: Any) -> State:
+                return func(terms, t0 + h, y, args)
+
+            f0 = field(0.0, y0, None)
+            order = int(error_order)
+            dt0 = first_step(field, self.sizes, y0, f0, (self.rtol, self.atol), order)
+            dt0 = jax.lax.stop_gradient(dt0)
+        return self.pid.init(terms, t0, t1, y0, dt0, args, func, error_order)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """See diffrax; it looks at y₀ and y₁ only to measure the error."""
+        ends = self.sizes(y0), self.sizes(y1_candidate)
+        return self.pid.adapt_step_size(t0, t1, *ends, args, y_error, error_order, controller_state)

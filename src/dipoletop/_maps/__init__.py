@@ -1,0 +1,1 @@
+"""Maps: grids and samples of starts, sweeps over them, and the stores on disk."""

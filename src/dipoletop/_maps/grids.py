@@ -1,0 +1,237 @@
+"""Which starts and shapes a sweep visits: a grid of named axes, listed points, a random sample."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._base.checks import described, finite, real, refuse, where_valid
+from .._base.tolerances import budget, whole
+
+Draw = Callable[[Array], Any]
+"""From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
+
+
+class Header(NamedTuple):
+    """What a grid, points or a sample are, as plain values and arrays."""
+
+    kind: str
+    settings: dict[str, Any]
+    values: dict[str, np.ndarray]
+
+
+class Grid:
+    """Every combination of the values on named axes.
+
+    The names are those of the arguments of the sweep's `problem`: any of δ, ω⊥, ω₃, φ, an
+    amplitude, a direction, an inertia ratio, ….
+
+    Args:
+        axes: name = values; shape (n,) for numbers, or (n, …) for vectors such as directions. A
+            single number is an axis of length 1.
+
+    Raises:
+        ValueError: no axis, or one that is empty, or not finite, or not made of numbers.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Grid(delta=[-0.2, 0.2], phi=[0.0, 1.0, 2.0]).shape
+        (2, 3)
+    """
+
+    def __init__(self, **axes: Any) -> None:
+        if not axes:
+            refuse("axes", "name at least one axis", "names none")
+        self.axes = {name: _axis(name, values) for name, values in axes.items()}
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the axes, in order."""
+        return tuple(self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values on each axis."""
+        return tuple(len(values) for values in self.axes.values())
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """The values on each axis."""
+        return self.axes
+
+    @property
+    def header(self) -> Header:
+        """All that makes it what it is."""
+        return Header("Grid", {}, self.axes)
+
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+        """The arguments of the problem at flat indices (C order)."""
+        places = np.unravel_index(index, self.shape)
+        return {
+            name: jnp.asarray(values[place])
+            for (name, values), place in zip(self.axes.items(), places, strict=True)
+        }
+
+
+class Points:
+    """Single points, listed one by one.
+
+    Args:
+        columns: name = values, all of the same length; the names are those of the arguments of
+            the sweep's `problem`. Shape (n,) for numbers, or (n, …) for vectors such as starts.
+
+    Raises:
+        ValueError: no column, or one that is not finite, or columns of different lengths.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Points(w3=[0.1, 0.2, 0.3], phi=[0.0, 1.0, 2.0]).shape
+        (3,)
+    """
+
+    dims = ("point",)
+
+    def __init__(self, **columns: Any) -> None:
+        if not columns:
+            refuse("columns", "name at least one column", "names none")
+        self.columns = {name: _axis(name, values) for name, values in columns.items()}
+        lengths = {name: len(values) for name, values in self.columns.items()}
+        if len(set(lengths.values())) > 1:
+            shown = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            refuse("columns", "all have the same length", f"have lengths {shown}")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of points."""
+        return (len(next(iter(self.columns.values()))),)
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Points have no axis but their number; `columns` holds their values."""
+        return {}
+
+    @property
+    def header(self) -> Header:
+        """All that makes them what they are."""
+        return Header("Points", {}, self.columns)
+
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+        """The arguments of the problem at these numbers."""
+        return {name: jnp.asarray(values[index]) for name, values in self.columns.items()}
+
+
+def _axis(name: str, values: Any) -> np.ndarray:
+    array = np.atleast_1d(np.asarray(real(name, values, (-1,) * np.ndim(values))))
+    if array.size == 0:
+        refuse(name, "hold at least one value", "holds none")
+    # In NumPy: JAX would compile a look at every new number of points.
+    if not np.isfinite(array).all():
+        finite(name, array, (-1,) * array.ndim)
+    return array
+
+
+def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:
+    """One symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
+
+    The symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which every level of the equation has,
+    give the rest; `plots.basin` unfolds it.
+
+    Args:
+        n_phi: points on φ.
+        n_w3: points on ω₃.
+        w3_max: the largest ω₃, dimensionless.
+
+    Raises:
+        ValueError: fewer points than one, or a largest ω₃ that is not positive.
+    """
+    n_phi, n_w3 = budget("n_phi", n_phi), budget("n_w3", n_w3)
+    most = finite("w3_max", w3_max, batch=False)
+    most = where_valid("w3_max", most, most > 0, "be positive")
+    phi = np.arange(n_phi) * (np.pi / n_phi)
+    return Grid(w3=np.linspace(0.0, float(most), n_w3), phi=phi)
+
+
+class Sample:
+    """Random starts; the i-th depends on (seed, i) only.
+
+    Args:
+        n: how many.
+        amplitude: |ω₀| of isotropic starts; a pair (least, most) draws it log-uniformly.
+        seed: a whole number.
+        draw: another distribution in place of that, such as `uniform_box(low, high)`: a
+            function of a random key that gives ω₀, or a dict of the `problem`'s arguments.
+
+    Raises:
+        ValueError: n < 1, an amplitude that is not positive, or a `draw` that is no function.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.Sample(n=1000, amplitude=0.2, seed=0).shape
+        (1000,)
+    """
+
+    dims = ("sample",)
+
+    def __init__(
+        self, n: Any, amplitude: Any = 1.0, *, seed: Any = 0, draw: Draw | None = None
+    ) -> None:
+        must = "be a whole number"
+        self.n, self.seed = budget("n", n), whole("seed", seed, -(2**63), must)
+        if draw is not None and not callable(draw):
+            refuse("draw", "be a function of a random key, or None", described(draw))
+        self.amplitude = None if draw else amplitude
+        self.draw = draw if draw else isotropic(amplitude)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of starts."""
+        return (self.n,)
+
+    @property
+    def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """A sample has no axis but its number; `points` gives the starts."""
+        return {}
+
+    @property
+    def header(self) -> Header:
+        """All that makes it what it is, but the function `draw`."""
+        size = None if self.amplitude is None else np.asarray(self.amplitude, float).tolist()
+        return Header("Sample", {"seed": self.seed, "amplitude": size}, {})
+
+    def points(self, index: Int[np.ndarray, "n"]) -> Any:
+        """The starts with these numbers, shape (n, 3), or a dict of arrays."""
+        key = jax.random.key(self.seed)
+        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(index))
+        return jax.vmap(self.draw)(keys)
+
+
+def isotropic(amplitude: Any) -> Draw:
+    """Isotropic starts with |ω₀| = amplitude, or log-uniform in a pair (least, most)."""
+    bounds = np.atleast_1d(np.asarray(finite("amplitude", amplitude)))
+    if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
+        refuse("amplitude", "be positive, or a pair 0 < least ≤ most", f"is {amplitude}")
+    low, high = np.log(bounds[0]), np.log(bounds[-1])
+
+    def draw(key: Array) -> Float[Array, "3"]:
+        way, size = jax.random.split(key)
+        normal = jax.random.normal(way, (3,), float)
+        unit = normal / jnp.sqrt(jnp.sum(normal**2))
+        return jnp.exp(jax.random.uniform(size, (), float, low, high)) * unit
+
+    return draw
+
+
+def uniform_box(low: Any, high: Any) -> Draw:
+    """Starts uniform in the box low ≤ ω₀ ≤ high; both of shape (3,)."""
+    least = finite("low", low, (3,), batch=False)
+    most = finite("high", high, (3,), batch=False)
+    if bool(jnp.any(least > most)):
+        refuse("low", "nowhere exceed `high`", f"is {low}")
+
+    def draw(key: Array) -> Float[Array, "3"]:
+        return jax.random.uniform(key, (3,), float, least, most)
+
+    return draw

@@ -1,0 +1,57 @@
+"""`dipoletop store`: are the data on disk what was written, and if not, compute them again."""
+
+import sys
+
+import click
+
+from .._maps.tiles import StoreDamaged
+from .command import computing
+
+
+@click.group("store", short_help="Verify and repair the data of a sweep.")
+def store() -> None:
+    """Verify and repair the data that `dipoletop map` and `dipoletop.sweep` keep in a folder."""
+
+
+@store.command(short_help="Is every bit what was written?")
+@click.argument("path")
+@computing
+def verify(path: str) -> None:
+    """Read all data of the store PATH and list the tiles that are damaged.
+
+    The exit status is 1 if there is damage. A tile that a sweep has not come to is none: the same
+    sweep goes on with it.
+    """
+    from .._maps.store import verify
+
+    try:
+        found = verify(path)
+    except StoreDamaged as error:
+        click.echo(str(error))
+        raise SystemExit(1) from None
+    for tile, reason in found.damaged.items():
+        click.echo(f"tile {tile}: {reason}")
+    if not found.checksums:
+        click.echo("It has no checksums, so only what is missing or unreadable was looked for.")
+    left = f", {len(found.unfinished)} not computed yet" if found.unfinished else ""
+    click.echo(f"{len(found.damaged)} of {found.tiles} tiles damaged{left}.")
+    raise SystemExit(1 if found.damaged else 0)
+
+
+@store.command(short_help="Compute damaged tiles of a map again.")
+@click.argument("path")
+@click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
+@computing
+def repair(path: str, progress: bool | None) -> None:
+    """Compute the damaged tiles of a map again, and those that are missing.
+
+    PATH is the store of one level, as `dipoletop map` names it; it holds all that is needed, if
+    its metadata are sound. If they are not, `dipoletop map --repair` with the options of the map
+    writes them anew. The store of another sweep is repaired by that sweep: dt.sweep(...,
+    repair=True).
+    """
+    from . import maps as _mapping
+
+    show = sys.stderr.isatty() if progress is None else progress
+    run, computed = _mapping.repair(path, progress=show)
+    click.echo(f"{computed} starts computed again: {run.store} is as it was written.")

@@ -1,0 +1,1 @@
+"""Verdicts: the regions of state space that decide the outcome, with ω∞ and its error."""

@@ -1,0 +1,265 @@
+"""Exact solutions and asymptotics of the rotator and of the axisymmetric top.
+
+Dimensionless, body axes; τ ≥ 0 since the start. A negative time is refused (NaN, if traced).
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.checks import finite, real, refuse, where_valid
+from ..equations._common import shape_parameter
+from ..equations.transverse import from_cylindrical
+from . import averaged_quadrature as _averaged
+
+Times = Float[Array, "*n"]
+
+
+def rotator(w: Any, tau: Any) -> Times:
+    """ω = ω₀/√(1 + 2ω₀²τ): the reduced plane rotator (2.4).
+
+    Args:
+        w: ω₀, one number.
+        tau: τ, shape () or (T,).
+
+    Returns:
+        ω, of the shape of `tau`.
+
+    Raises:
+        ValueError: a value that is not finite, or τ < 0.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> print(f"{dt.exact.rotator(1.0, 4.0):.6f}")
+        0.333333
+    """
+    start, time = finite("w", w, batch=False), _times(tau)
+    return start * _braked(start**2, jnp.zeros(()), time)
+
+
+def rotator_closed_time(w: Any) -> Times:
+    """G(ω) = √(1+2ω²)/(2ω²) + arsinh(1/(√2 ω)): τ − τᵢ = G(ω) − G(ωᵢ) for `closed_manifold`.
+
+    Args:
+        w: ω > 0, any shape.
+    """
+    array = real("w", w, np.shape(w))
+    array = where_valid("w", array, array > 0, "be positive")
+    return jnp.sqrt(1 + 2 * array**2) / (2 * array**2) + jnp.arcsinh(1 / (jnp.sqrt(2) * array))
+
+
+def rotator_late(tau: Any) -> Times:
+    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, but for O(1/τ) (A.4).
+
+    The logarithm is missing in the paper. The O(1/τ) depends on the start.
+
+    Args:
+        tau: τ > 0, shape () or (T,).
+    """
+    time = _times(tau)
+    return (1 + 3 * jnp.log(2 * time) / (4 * time)) / jnp.sqrt(2 * time)
+
+
+def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
+    """ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), s = ζω₃, φ = φ₀ − δω₃τ, ω₃ constant (3.11)–(3.12).
+
+    Order 1. The limits s → 0 are in it: a rod, δ = 1, and ω₃ = 0 (3.13).
+
+    Args:
+        delta: shape δ = 1 − ζ in [−1, 1]; 1, a rod without inertia about its axis, is allowed.
+        omega0: ω₀, shape (3,).
+        tau: τ, shape () or (T,).
+
+    Returns:
+        ω, shape (3,) or (T, 3).
+
+    Raises:
+        ValueError: δ outside [−1, 1], a value that is not finite, or τ < 0.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.exact.longitudinal(1.0, [0.3, 0.4, 0.0], 48.0).round(12).tolist()
+        [0.06, 0.08, 0.0]
+    """
+    d = real("delta", delta, batch=False)
+    d = where_valid("delta", d, (d >= -1) & (d <= 1), "lie in [-1, 1]")
+    w1, w2, w3 = finite("omega0", omega0, (3,), batch=False)
+    time = _times(tau)
+    size = _braked(w1**2 + w2**2, (1 - d) * w3, time)
+    angle = d * w3 * time
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    parts = (size * (w1 * cos + w2 * sin), size * (w2 * cos - w1 * sin), jnp.full_like(time, w3))
+    return jnp.stack(parts, axis=-1)
+
+
+def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
+    """α₋, α₊ = ½ ∓ ½√(½(1 + √(1+16s²))) and B = s/(1 − 2α₋), s = ζω₃ (B.10)–(B.11).
+
+    In the full equation ω⊥ ~ e^{α₋τ} and φ′ → B − ω₃ on the physical branch; off it, e^{α₊τ}.
+
+    Args:
+        delta: shape δ in [−1, 1).
+        w3: ω₃, any shape.
+    """
+    s = (1 - shape_parameter(delta)) * real("w3", w3, np.shape(w3))
+    root = jnp.sqrt(1 + 16 * s**2)
+    half = jnp.sqrt((1 + root) / 2)
+    below = -4 * s**2 / ((1 + root) * (1 + half))  # (1 − half)/2, without its cancellation
+    return below, 1 - below, s / half
+
+
+def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
+    """Where order 1 of the transverse top has a closed solution: (4.5), (4.6), and the sphere.
+
+        ω₃ = 0, or δ = 0:   ω₁ constant, x = |(ω₂, ω₃)|:  x′ = −(ω₁² + x²)x
+        ω⊥ = 0:             ω₃ = ω₃₀/√(1 + 2ω₃₀²τ/(1−δ))
+
+    Args:
+        delta: shape δ in [−1, 1).
+        omega0: ω₀, shape (3,); on ω₃ = 0 or on ω⊥ = 0, unless δ = 0.
+        tau: τ, shape () or (T,).
+
+    Returns:
+        ω, shape (3,) or (T, 3).
+
+    Raises:
+        ValueError: a start without a closed solution, δ outside [−1, 1), τ < 0.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.exact.transverse(0.5, [0.0, 0.0, 1.0], 0.75).tolist()
+        [0.0, 0.0, 0.5]
+    """
+    d = shape_parameter(finite("delta", delta, batch=False))
+    start = finite("omega0", omega0, (3,), batch=False)
+    axial = (start[0] == 0) & (start[1] == 0)
+    known = (start[2] == 0) | axial | (d == 0)
+    w1, w2, w3 = where_valid(
+        "omega0", start, known, "have ω₃ = 0 or ω₁ = ω₂ = 0 where δ is not 0, to be solved"
+    )
+    time = _times(tau)
+    plane = _braked(w2**2 + w3**2, w1, time)
+    falling = jnp.where(axial, _braked(w3**2, jnp.zeros(()), time / (1 - d)), plane)
+    return jnp.stack([jnp.full_like(time, w1), w2 * falling, w3 * falling], axis=-1)
+
+
+def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
+    """The averaged transverse top (4.13)–(4.15) at given times, by (4.16)–(4.19).
+
+        v = Cξ^{−q}|(1+2δ)ξ + 1+δ³|^p,   u = ξv,   τ = (1−δ) ∫ dξ/{ξv[(1+2δ)ξ + 1+δ³]}
+
+    with u = ω⊥², v = ω₃², ξ = u/v, q = 2/(1+δ³) and the corrected exponent
+    p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]; the limits δ = −1, −1/2, 0 are in it. The time is inverted
+    by a bracketed root find.
+
+    Args:
+        delta: shape δ in [−1, 1).
+        omega0: ω₀, shape (3,).
+        tau: τ, shape () or (T,).
+
+    Returns:
+        ω, shape (3,) or (T, 3), with the averaged angle φ̄.
+
+    Raises:
+        ValueError: δ outside [−1, 1), a value that is not finite, or τ < 0.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> late = dt.exact.averaged(0.3, [0.2, 0.0, 0.2], 1e8)  # ω⊥² → 1/τ, (4.21)
+        >>> print(f"{late[0] ** 2 + late[1] ** 2:.3e}")
+        1.000e-08
+    """
+    d = shape_parameter(finite("delta", delta, batch=False))
+    start = finite("omega0", omega0, (3,), batch=False)
+    time = _times(tau)
+    u, v = start[0] ** 2 + start[1] ** 2, start[2] ** 2
+    whole = (u > 0) & (v > 0)
+    orbit = _averaged.Orbit(d, jnp.where(whole, u, 1.0), jnp.where(whole, v, 1.0))
+    point, turn = _averaged.solve(orbit, jnp.atleast_1d(time))
+    # Where one of u, v is 0 the other has a closed solution.
+    across = _braked(u / 2, jnp.zeros(()), time)
+    along = _braked(v, jnp.zeros(()), time / (1 - d))
+    across = jnp.where(whole, jnp.exp(point.log_u / 2).reshape(time.shape), across)
+    along = jnp.where(whole, jnp.exp(point.log_v / 2).reshape(time.shape), along)
+    angle = jnp.arctan2(start[1], start[0]) - d * jnp.sign(start[2]) * jnp.where(
+        whole, turn.reshape(time.shape), 0.0
+    )
+    omega = from_cylindrical(jnp.sqrt(u) * across, start[2] * along, angle)
+    return jnp.moveaxis(omega, 0, -1)
+
+
+def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
+    """When the averaged top comes by ω⊥²/ω₃² = ξ: the integral (4.17).
+
+    Args:
+        delta: shape δ in [−1, 1).
+        omega0: ω₀, shape (3,), with ω⊥ ≠ 0 and ω₃ ≠ 0.
+        xi: ξ, one number, between ξ₀ and the end of the way: ξ* = −(1+δ³)/(1+2δ) for δ < −1/2, ∞
+            otherwise.
+
+    Returns:
+        τ ≥ 0.
+
+    Raises:
+        ValueError: ξ outside that interval, or a start on an axis.
+    """
+    d = shape_parameter(finite("delta", delta, batch=False))
+    w = finite("omega0", omega0, (3,), batch=False)
+    u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
+    where_valid("omega0", w, (u > 0) & (v > 0), "have ω⊥ ≠ 0 and ω₃ ≠ 0")
+    orbit = _averaged.Orbit(d, u, v)
+    ratio = finite("xi", xi, batch=False)
+    x = orbit.way(ratio)
+    x = where_valid("xi", jnp.where(x >= 0, x, jnp.nan), x >= 0, "lie between ξ₀ and its limit")
+    return _averaged.mesh(orbit, x)[1][-1]
+
+
+def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
+    """ω⊥² and ω₃² of the averaged top for τ → ∞, to leading order: (4.20), (4.21).
+
+        −1 < δ < −1/2:  v → (1−δ)/{[(2+δ)ξ* + 2]τ},  u → ξ*v,  ξ* = −(1+δ³)/(1+2δ)
+        −1/2 < δ < 1:   u → 1/τ,  v → K(Kτ)^{−(2+δ)/(1−δ)},  K = C(1+2δ)^p
+        δ = −1/2:       u → 1/τ,  v → (12/7)/(τ ln τ)
+        δ = −1:         u → 2/(τ ln τ),  v → 1/τ
+
+    The logarithms of the last two are missing in the paper.
+
+    Args:
+        delta: shape δ in [−1, 1), one number.
+        omega0: ω₀, shape (3,), with ω⊥ ≠ 0 and ω₃ ≠ 0.
+        tau: τ > 1, shape () or (T,).
+    """
+    d = shape_parameter(finite("delta", delta, batch=False))
+    w = finite("omega0", omega0, (3,), batch=False)
+    time = _times(tau)
+    a, b = 1 + 2 * d, 1 + d**3
+    xi = (w[0] ** 2 + w[1] ** 2) / w[2] ** 2
+    # K from ln v = ln K − (2+δ)/a ln ξ, which (4.16) becomes for large ξ.
+    safe = jnp.where(a > 0, a, 1.0)
+    p = d * (1 - d) * (3 + 3 * d + d**2) / (safe * jnp.where(b > 0, b, 1.0))
+    k = w[2] ** 2 * xi ** ((2 + d) / safe) * (1 + b / (safe * xi)) ** -p
+    limit = -b / jnp.where(a < 0, a, -1.0)
+    both = (1 - d) / (((2 + d) * limit + 2) * time)
+    log = jnp.log(time)
+    cases = [d == -1, d < -0.5, d == -0.5]
+    u = jnp.select(cases, [2 / (time * log), limit * both, 1 / time], 1 / time)
+    power = k * (k * time) ** (-(2 + d) / (1 - d))
+    return u, jnp.select(cases, [1 / time, both, 12 / (7 * time * log)], power)
+
+
+def _braked(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
+    """√(u/u₀) of u′ = −2(s² + u)u: e^{−s²τ}/√(1 + 2u₀τ (1 − e^{−2s²τ})/(2s²τ))."""
+    x = 2 * s**2 * time
+    safe = jnp.where(x > 0, x, 1.0)
+    mean = jnp.where(x > 0, -jnp.expm1(-safe) / safe, 1.0)
+    return jnp.exp(-x / 2) / jnp.sqrt(1 + 2 * u * time * mean)
+
+
+def _times(tau: Any) -> Times:
+    time = finite("tau", tau)
+    if time.size == 0:
+        refuse("tau", "hold at least one time", "holds none")
+    since: Bool[Array, "*n"] = time >= 0
+    return where_valid("tau", time, since, "not be before the start, τ = 0")

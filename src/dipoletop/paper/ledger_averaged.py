@@ -1,0 +1,256 @@
+"""(4.16)–(4.21): the averaged transverse top, against integrations of (4.13)–(4.15)."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import quad, solve_ivp
+
+from .. import exact
+from ..equations.transverse import TransverseAveraged, cylindrical
+from .ledger_entry import Entry, gap, shapes, unsolved
+
+ORBITS = {-0.8: (1.2, 0.5, -0.4, 1.0), -0.3: (0.5, 0.6, -0.2, 3.0), 0.4: (0.5, 0.6, -0.2, 3.0)}
+ORBITS[0.7] = ORBITS[0.4]
+"""δ: ω⊥, ω₃ and φ̄ at the start, and for how long the motion is followed."""
+BEGIN = 4.0
+"""τᵢ, the time of the start."""
+DECADES = {-1.0: (50, 300), -0.8: (20, 50), -0.5: (50, 300), -0.3: (20, 50), 0.3: (20, 50)}
+"""δ: the two log₁₀ τ where the asymptotics are read, far out where they contain ln τ."""
+
+Exponent = Callable[[Any], Any]
+
+
+def p_right(d: Any) -> Any:
+    """The p that (4.19) must have."""
+    return d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * (1 + d**3))
+
+
+def p_printed(d: Any) -> Any:
+    """The p that the paper prints."""
+    return d * (1 - d) * (3 + 3 * d + d**3) / ((1 + 2 * d) * (1 + d))
+
+
+def q_printed(d: Any) -> Any:
+    """The q of (4.19), right as it is printed."""
+    return 2 / (1 + d**3)
+
+
+class Orbit(NamedTuple):
+    """One motion of the averaged top, integrated."""
+
+    delta: float
+    time: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    phi: np.ndarray
+
+    @property
+    def xi(self) -> np.ndarray:
+        """ξ = ω⊥²/ω₃², which runs one way."""
+        return self.u / self.v
+
+
+def integrated(field: Callable) -> list[Orbit]:
+    """The motions ORBITS."""
+    found = []
+    for delta, (*start, span) in ORBITS.items():
+        run = solve_ivp(
+            lambda t, y, d=delta: np.asarray(field(d, y)),
+            (BEGIN, BEGIN + span),
+            start,
+            method="DOP853",
+            t_eval=BEGIN + span * np.linspace(0, 1, 5),
+            rtol=1e-13,
+            atol=1e-15,
+        )
+        found.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
+    return found
+
+
+def orbits() -> Iterator[Entry]:
+    """(4.16)–(4.19)."""
+    field = jax.jit(lambda delta, y: TransverseAveraged(delta)(0.0, y))
+    runs = integrated(field)
+    claim = "u = ξv = Cξ^{1−q}|(1+2δ)ξ + 1+δ³|^p, with the right p of (4.19)"
+    yield Entry("(4.16)", claim, max(off_the_orbit(o, p_right) for o in runs), 1e-11)
+    yield from times(runs)
+    residual = max(gap(quadrature(o, angle=True), np.abs(o.phi - o.phi[0])[1:]) for o in runs)
+    claim = "|φ̄ − φ̄ᵢ| = |δ|(1−δ)C^{−1/2}|∫ξ^{q/2−1}|(1+2δ)ξ + 1+δ³|^{−p/2−1}dξ|"
+    yield Entry("(4.18)", claim, residual, 1e-11)
+    yield from exponents(runs)
+
+
+def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
+    """How far v ξ^q |aξ + b|^{−p} is from constant."""
+    d = orbit.delta
+    edge = np.abs((1 + 2 * d) * orbit.xi + 1 + d**3)
+    constant = orbit.v * orbit.xi ** q_printed(d) * edge ** -p(d)
+    return gap(constant / constant[0], np.ones_like(constant))
+
+
+def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
+    """The times since the start by (4.17), or the angles by (4.18), with moduli."""
+    d, p, q = orbit.delta, p_right(orbit.delta), q_printed(orbit.delta)
+    a, b, first = 1 + 2 * d, 1 + d**3, orbit.xi[0]
+    c = orbit.v[0] * first**q * abs(a * first + b) ** -p
+    half = 2 if angle else 1
+    factor = abs(d) * (1 - d) / np.sqrt(c) if angle else (1 - d) / c
+    return np.array(
+        [
+            factor
+            * abs(
+                quad(
+                    lambda x: x ** (q / half - 1) * abs(a * x + b) ** (-p / half - 1),
+                    first,
+                    xi,
+                    epsabs=0,
+                    epsrel=1e-13,
+                )[0]
+            )
+            for xi in orbit.xi[1:]
+        ]
+    )
+
+
+def times(runs: list[Orbit]) -> Iterator[Entry]:
+    """(4.17)."""
+    since = [quadrature(o) for o in runs]
+    residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
+    # The braces are negative along the whole first orbit: one power of −1 is all that they change.
+    turned = complex(-1) ** (-p_right(runs[0].delta) - 1)
+    printed = min(abs(turned - 1), abs(turned + 1))
+    claim = "τ − τᵢ = ((1−δ)/C)|∫ξ^{q−1}|(1+2δ)ξ + 1+δ³|^{−p−1}dξ|"
+    wrong = "{(1+2δ)ξ + 1+δ³}^{−p−1}, which is not real for {…} < 0"
+    edge = (1 + 2 * runs[0].delta) * runs[0].xi + 1 + runs[0].delta ** 3
+    yield Entry("(4.17)", claim, residual, 1e-11, wrong, printed if np.all(edge < 0) else 0.0)
+    unit = max(gap(t, o.time[1:] - 1.0) for o, t in zip(runs, since, strict=True))
+    claim, wrong = "its τᵢ is the time of the start", "its τ₀ is the unit of time, 1 here"
+    yield Entry("(4.17)", claim, residual, 1e-11, wrong, unit)
+
+
+def exponents(runs: list[Orbit]) -> Iterator[Entry]:
+    """(4.19), put into (4.13)–(4.14): d ln v/d ln ξ for many ξ and every δ, and along orbits."""
+    deltas = np.asarray(shapes())
+    deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # elsewhere p has a limit only
+    xi = np.array([1e-14, 0.3, 2.0, 40.0, 1e3])[:, None]
+    one = np.ones_like(xi * deltas)
+    y = jnp.stack([np.sqrt(xi) * one, one, 0 * one])
+    rate = np.asarray(jax.vmap(lambda y: TransverseAveraged(deltas)(0.0, y), 1, 1)(y))
+    fall = 2 * rate[1]  # of ln v, at v = 1
+    slope = fall / (2 * rate[0] / np.sqrt(xi) - fall)
+    edge = (1 + 2 * deltas) * xi
+    near = slope[:1], -q_printed(deltas)[None]
+    yield Entry("(4.19)", "q = 2/(1+δ³)", gap(*near), 1e-11)
+
+    def lack(p: Exponent) -> float:
+        law = -q_printed(deltas) + p(deltas) * edge / (edge + 1 + deltas**3)
+        return float(np.max(np.abs(slope / law - 1)))
+
+    claim = "p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]"
+    wrong = "p = δ(1−δ)(3+3δ+δ³)/[(1+2δ)(1+δ)]"
+    residual = max(lack(p_right), *(off_the_orbit(o, p_right) for o in runs))
+    printed = min(off_the_orbit(o, p_printed) for o in runs)
+    yield Entry("(4.19)", claim, residual, 1e-10, wrong, printed)
+
+
+def limits() -> Iterator[Entry]:
+    """`exact.averaged`, which has the limits δ = −1, −1/2 and 0, too."""
+    solution = jax.jit(exact.averaged)
+    start, at = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
+
+    def lack(delta: float) -> float:
+        equation = TransverseAveraged(delta)
+
+        def field(t: float, omega: jnp.ndarray) -> jnp.ndarray:
+            y = equation.lift(omega)
+            return jax.jvp(equation.omega, (y,), (equation(t, y),))[1]
+
+        return unsolved(field, lambda t: solution(delta, start, t), at)
+
+    residual = max(lack(delta) for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6))
+    claim = "their limits at δ = −1, −1/2 and 0 solve (4.13)–(4.15), too"
+    yield Entry("(4.16)–(4.19)", claim, residual, 1e-11)
+
+
+class Late(NamedTuple):
+    """An averaged motion at two late times."""
+
+    log_tau: np.ndarray
+    u: np.ndarray
+    """τω⊥²."""
+    v: np.ndarray
+    """τω₃²."""
+    phi: np.ndarray
+    """φ̄ − φ̄ᵢ."""
+    turn: np.ndarray
+    """dφ̄/d ln τ."""
+
+
+def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
+    """From τ = 1 on, over the logarithm of time: ln τω⊥², ln τω₃² and φ̄."""
+
+    def rate(s: float, y: np.ndarray) -> np.ndarray:
+        w, w3 = np.exp(y[:2] / 2)
+        across, along, turn = np.asarray(field(delta, np.array([w, w3, 0.0])))
+        return np.array([1 + 2 * across / w, 1 + 2 * along / w3, turn * np.exp(s / 2)])
+
+    late = np.log(10.0) * np.array(DECADES[delta])
+    y0 = [2 * np.log(start[0]), 2 * np.log(start[1]), 0.0]
+    run = solve_ivp(rate, (0, late[-1]), y0, method="DOP853", t_eval=late, rtol=1e-11, atol=1e-11)
+    turn = np.array([rate(s, y)[2] for s, y in zip(late, run.y.T, strict=True)])
+    return Late(late, np.exp(run.y[0]), np.exp(run.y[1]), run.y[2], turn)
+
+
+def late() -> Iterator[Entry]:
+    """(4.20), (4.21)."""
+    field = jax.jit(lambda delta, y: TransverseAveraged(delta)(0.0, y))
+    start = (0.8, 0.6)
+    runs = {delta: followed(field, delta, start) for delta in DECADES}
+    yield from powers(runs, start)
+    yield from angles(runs)
+
+
+def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entry]:
+    """ω⊥² and ω₃²."""
+
+    def off(delta: float) -> float:
+        run, tau = runs[delta], np.exp(runs[delta].log_tau[1])
+        late = exact.averaged_late(delta, np.array([start[0], 0.0, start[1]]), tau - 1)
+        return gap(np.array([run.u[1], run.v[1]]) / (tau * np.array(late)), np.ones(2))
+
+    yield Entry("(4.20)", "u, v ~ 1/τ for −1 < δ < −1/2", off(-0.8), 1e-6)
+    for delta, claim, which in (
+        (-1.0, "δ = −1: u ~ 2/(τ ln τ), v ~ 1/τ", "u"),
+        (-0.5, "δ = −1/2: v ~ (12/7)/(τ ln τ), u ~ 1/τ", "v"),
+    ):
+        first, last = getattr(runs[delta], which)
+        yield Entry("(4.20)", claim, off(delta), 0.01, f"{which} ~ 1/τ", gap(last, first))
+    claim = "u ~ 1/τ, v ~ τ^{−(2+δ)/(1−δ)} for −1/2 < δ < 1"
+    yield Entry("(4.21)", claim, max(off(-0.3), off(0.3)), 1e-6)
+
+
+def angles(runs: dict[float, Late]) -> Iterator[Entry]:
+    """How φ̄ grows."""
+
+    def grows(delta: float, power: float) -> float:
+        """How far d ln|φ̄ − φ̄ᵢ|/d ln τ is from a power."""
+        return abs(float(runs[delta].turn[1] / runs[delta].phi[1]) / power - 1)
+
+    residual = max(grows(-1.0, 0.5), grows(-0.8, 0.5))
+    yield Entry("(4.20)", "|φ̄| ~ τ^{1/2} for −1 ≤ δ < −1/2", residual, 1e-3)
+    edge = runs[-0.5]
+    root = np.abs(edge.phi) * np.exp(-edge.log_tau / 2)
+    residual = gap(root[1] * np.sqrt(edge.log_tau[1] / (12 / 7)), 1.0)
+    claim, printed = "δ = −1/2: |φ̄| ~ √(12/7) (τ/ln τ)^{1/2}", "|φ̄| ~ τ^{1/2}"
+    yield Entry("(4.20)", claim, residual, 0.01, printed, gap(root[1], root[0]))
+    power = {d: -3 * d / (2 * (1 - d)) for d in (-0.3, 0.3)}
+    claim = "|φ̄| ~ τ^{−3δ/(2(1−δ))} for −1/2 < δ < 0"
+    yield Entry("(4.21)", claim, grows(-0.3, power[-0.3]), 1e-6)
+    some = runs[0.3]
+    residual = abs(float(some.turn[0] / (some.phi[0] - some.phi[1])) / power[0.3] - 1)
+    claim = "φ̄ → φ̄∞, |φ̄ − φ̄∞| ~ τ^{−3δ/(2(1−δ))} for δ > 0"
+    printed = "|φ̄| ~ τ^{−3δ/(2(1−δ))}"
+    yield Entry("(4.21)", claim, residual, 1e-3, printed, grows(0.3, power[0.3]))

@@ -1,0 +1,149 @@
+"""The ledger of the paper: lines that hold, and that would not if either form were another."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import dipoletop as dt
+from dipoletop import cli, paper
+from dipoletop.paper import Entry
+from dipoletop.paper import ledger_averaged as _averaged
+from dipoletop.paper import ledger_conclusions as _conclusions
+from dipoletop.paper import ledger_equation_of_motion as _general
+from dipoletop.paper import ledger_longitudinal as _longitudinal
+from dipoletop.paper import ledger_rotator as _rotator
+from dipoletop.paper import ledger_transverse as _transverse
+
+# The parts that are quick to compile, and where they correct the paper. The others run with
+# `dipoletop validate --paper`.
+QUICK = {
+    _general.rotator: [],
+    _general.motion: ["(3.2)"],
+    _longitudinal.equations: [],
+    _transverse.equations: ["(4.6)", "after (4.6)", "after (4.12)"],
+    _averaged.orbits: ["(4.17)", "(4.17)", "(4.19)"],
+    _averaged.late: ["(4.20)", "(4.20)", "(4.20)", "(4.21)"],
+    _conclusions.conclusions: ["conclusions", "conclusions"],
+    _longitudinal.braking_time: [],
+    _rotator.phase_plane: ["(A.11)"],
+    _rotator.manifold: ["end of appendix A"],
+    _rotator.asymptotics: ["(A.3)–(A.4)"],
+    _longitudinal.changed_variables: [],
+    _longitudinal.blow_up: ["(B.13)"],
+}
+
+
+@pytest.mark.parametrize("part", QUICK, ids=lambda part: part.__name__)
+def test_lines_hold(part):
+    lines = list(part())
+    assert lines
+    assert [line for line in lines if not line.holds] == []
+    corrected = [line for line in lines if line.verdict == "corrected"]
+    assert [line.place for line in corrected] == QUICK[part]
+    assert all(line.printed_residual > 10 * line.limit for line in corrected)
+
+
+def test_a_verdict_needs_a_form_that_holds_and_a_printed_one_that_does_not():
+    confirmed = Entry("(1)", "x", 1e-15, 1e-14)
+    assert confirmed.verdict == "confirmed"
+    assert confirmed._replace(residual=1e-13).verdict == "FAILED"
+    assert confirmed._replace(residual=np.nan).verdict == "FAILED"
+    corrected = confirmed._replace(printed="y", printed_residual=0.3)
+    assert corrected.verdict == "corrected"
+    assert corrected._replace(residual=1e-13).verdict == "FAILED"
+    assert corrected._replace(printed_residual=1e-16).verdict == "FAILED"  # the paper is right
+    assert corrected._replace(printed_residual=np.nan).verdict == "FAILED"
+    assert confirmed._replace(printed="y").verdict == "FAILED"  # not tried
+
+
+def scaled(function, factor):
+    """The function with its numbers multiplied."""
+
+    def larger(*args, **options):
+        return jax.tree.map(lambda x: x * factor, function(*args, **options))
+
+    return larger
+
+
+def heavier(delta):
+    """The full equation of a top whose ζ is smaller by 0.05."""
+    return dt.LongitudinalFull(delta + 0.05)
+
+
+LATE, TORQUE = dt.exact.averaged_late, dt.radiation.radiation_torque
+PLANTS = [
+    (_general.rotator, dt.exact, "rotator", scaled(dt.exact.rotator, 1 + 1e-9), "(2.4)"),
+    (_general.motion, dt.radiation, "radiation_torque", scaled(TORQUE, 1 + 1e-9), "(3.2)"),
+    # The p that the paper prints in place of the right one, and the reverse.
+    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.16)"),
+    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.17)"),
+    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.19)"),
+    (_averaged.orbits, _averaged, "p_printed", _averaged.p_right, "(4.19)"),
+    (_averaged.orbits, _averaged, "q_printed", scaled(_averaged.q_printed, 1.001), "(4.18)"),
+    (_averaged.late, dt.exact, "averaged_late", scaled(LATE, 12.2 / 12), "(4.20)"),
+    (_conclusions.conclusions, dt.particles, "RADIATION", 2.4e-16, "conclusions"),
+    (_conclusions.conclusions, _conclusions, "FASTER", 0.5, "conclusions"),
+    (_rotator.phase_plane, _rotator, "separatrix", dt.critical_manifold, "(A.11)"),
+    (_rotator.phase_plane, _rotator, "ROOT", 1.42, "(A.7)–(A.12)"),
+    (_longitudinal.changed_variables, _longitudinal, "LongitudinalFull", heavier, "(B.6)–(B.8)"),
+    (_longitudinal.blow_up, _longitudinal, "LongitudinalFull", heavier, "(B.13)"),
+]
+
+
+@pytest.mark.parametrize(
+    ("part", "module", "name", "wrong", "place"),
+    PLANTS,
+    ids=[f"{name}-{place}" for _, _, name, _, place in PLANTS],
+)
+def test_a_wrong_form_is_found(part, module, name, wrong, place, monkeypatch):
+    monkeypatch.setattr(module, name, wrong)
+    assert place in [line.place for line in part() if not line.holds]
+
+
+def test_the_logarithm_of_the_stop_is_measured(monkeypatch):
+    monkeypatch.setattr(_rotator, "LOGARITHM", 0.7)
+    assert not next(_rotator.asymptotics()).holds
+
+
+def test_a_linearisation_of_the_right_equations_is_needed():
+    line = _transverse.linearised()
+    assert (line.place, line.verdict) == ("before (4.22)", "corrected")
+
+
+def test_other_fixed_points_are_found(monkeypatch):
+    """Without braking of ω₂ every ω with ω₃ = 0 is fixed."""
+    flat = jnp.array([1.0, 1.0, 0.0])
+
+    def unbraked(delta):
+        first = dt.TransverseReduced(delta)
+        return lambda t, y: first(t, y) - jnp.stack([0 * y[0], first(t, y * flat)[1], 0 * y[0]])
+
+    monkeypatch.setattr(_transverse, "TransverseReduced", unbraked)
+    assert _transverse.elsewhere() > 0.5
+
+
+def test_the_command_prints_both_forms(monkeypatch):
+    def breaks():
+        raise ValueError("no such thing")
+
+    def corrects():
+        yield Entry("(1)", "right", 1e-15, 1e-14, "wrong", 0.25)
+
+    monkeypatch.setattr(paper, "PARTS", (_general.rotator, corrects, breaks))
+    result = CliRunner().invoke(cli.main, ["validate", "--paper"])
+    assert result.exit_code == 1
+    head, *lines = result.output.splitlines()[1:]
+    right, wrong = lines[4:6]
+    assert lines[3].startswith("confirmed  (2.4)")
+    assert right.startswith("corrected  (1)")
+    assert "1.0e-15   1.0e-14  right" in right
+    assert "the paper has:" in wrong
+    assert "2.5e-01" in wrong
+    columns = [head.index(word) for word in ("where", "what holds")]
+    assert columns == [right.index("(1)"), right.index("right")]
+    assert wrong.index("wrong") == columns[1]
+    assert lines[6].startswith("FAILED     breaks")
+    assert "no such thing" in lines[6]
+    assert result.output.endswith("1 failed.\n")

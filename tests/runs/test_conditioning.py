@@ -1,0 +1,147 @@
+"""ω∞ and its estimated error, held to an integrator that shares nothing with the library.
+
+The values are those of `benchmarks/bench_residual.py --digits`: heyoka's Taylor method in long
+double, with units that follow the motion.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop._base.types import Outcome
+from dipoletop.equations.levels import equation
+
+TRUTH = [
+    (
+        "order-1",
+        0.05,
+        (0.0075448639831482275, 0.030977464484466803, -0.29830097505973624),
+        -3.0960054153299601e-15,
+    ),
+    ("order-1", -0.3, (0.25, 0.12, 0.05), 2.1460229648056200e-01),
+    ("order-1", 0.1, (0.02, 0.03, 0.28), 7.1068957777967480e-06),
+    ("order-1", 0.3, (-0.004, 0.01, 0.027), 1.4183107246440512e-04),
+    ("order-1", 0.81, (0.01, -0.02, 0.3), 6.2277358101532638e-03),
+    ("order-1", 0.97, (0.3, 0.8, -0.5), 2.6609279377080062e-01),
+    ("semi", -0.9, (0.28, 0.05, 0.02), 2.6407263806130186e-01),
+    ("semi", -0.2, (0.2, 0.1, -0.1), 1.9987950186204739e-01),
+    ("semi", 0.05, (0.01, -0.04, 0.29), -9.9299746941081269e-15),
+    ("semi", 0.3, (0.004, 0.01, 0.027), -1.4031618882459565e-04),
+    ("semi", 0.6, (-0.1, 0.2, 0.2), 9.9375527536465196e-02),
+    ("semi", 0.9, (0.2, 0.01, 0.1), 2.0155461937164281e-01),
+]
+TRUSTED = 3.0  # an error may exceed its estimate by this factor
+engines = pytest.mark.parametrize("engine", ["native", "jax"])
+
+
+def known(found, index=()):
+    return float(found.omega_inf[index]), float(found.omega_inf_error[index])
+
+
+def of_level(level):
+    """Shapes, starts and values of a level."""
+    rows = [row[1:] for row in TRUTH if row[0] == level]
+    deltas, starts, values = zip(*rows, strict=True)
+    return jnp.asarray(deltas), jnp.asarray(starts), np.asarray(values)
+
+
+@engines
+@pytest.mark.parametrize("level", ["order-1", "semi"])
+def test_values_of_many_are_as_exact_as_they_say(level, engine):
+    deltas, starts, exact = of_level(level)
+    for rtol, largest in ((1e-8, 1e-3), (1e-11, 3e-6)):
+        found = dt.classify_many(equation(level, deltas), starts, rtol=rtol, engine=engine)
+        assert np.all(found.outcome == Outcome.RESIDUAL)
+        assert np.all(np.abs(found.omega_inf - exact) <= TRUSTED * found.omega_inf_error)
+        assert np.all(found.omega_inf_error <= largest * np.abs(exact))
+
+
+@pytest.mark.parametrize("level", ["order-1", "semi"])
+def test_values_of_one_are_as_exact_as_they_say(level):
+    deltas, starts, exact = of_level(level)
+
+    @jax.jit
+    def found(delta, start):
+        top = equation(level, delta)
+        return dt.classify(top, start), dt.residual_rotation(top, start, rtol=1e-11)
+
+    for delta, start, value in zip(deltas, starts, exact, strict=True):
+        one, rotation = found(delta, start)
+        assert abs(float(one.omega_inf) - value) <= TRUSTED * float(one.omega_inf_error)
+        assert float(one.omega_inf_error) <= 1e-3 * abs(value)
+        assert float(rotation) == pytest.approx(value, rel=1e-7)
+
+
+def test_a_value_beside_a_derivative_is_that_value():
+    level, delta, start, value = TRUTH[0]
+    both = jax.value_and_grad(lambda d: dt.residual_rotation(equation(level, d), jnp.array(start)))
+    assert float(both(delta)[0]) == pytest.approx(value, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def sign_change():
+    """The φ at which ω∞ of a start passes 0, to rounding, and the problem."""
+
+    def problem(phi):
+        return dt.TransverseReduced(0.3), dt.cylindrical(0.1, 0.2, phi)
+
+    phi = jnp.linspace(0, jnp.pi, 60)
+    signs = np.sign(dt.sweep(problem, dt.Points(phi=phi)).omega_inf)
+    k = int(np.flatnonzero(signs[1:] * signs[:-1] < 0)[0])
+    found = dt.boundary.bisect(problem, {"phi": phi[k : k + 1]}, {"phi": phi[k + 1 : k + 2]})
+    return problem, float(found.at(found.s)["phi"][0])
+
+
+def test_a_sign_that_is_not_certain_is_not_given(sign_change):
+    problem, phi = sign_change
+    beside = phi + np.array([-1e-4, -1e-12, 0.0, 1e-12, 1e-4])
+    found = dt.sweep(problem, dt.Points(phi=beside))
+    assert np.all(found.outcome == Outcome.RESIDUAL)
+    np.testing.assert_array_equal(np.isnan(found.omega_inf), [False, True, True, True, False])
+    assert found.omega_inf[0] * found.omega_inf[-1] < 0
+    unchecked = dt.sweep(problem, dt.Points(phi=beside), value="unchecked")
+    assert np.all(np.isfinite(unchecked.omega_inf))
+    assert np.all(unchecked.omega_inf_error == np.inf)
+    top, start = problem(jnp.asarray(phi))
+    assert int(dt.classify(top, start).outcome) == Outcome.RESIDUAL
+    assert np.isnan(dt.classify(top, start).omega_inf)
+    assert np.isnan(dt.residual_rotation(top, start, rtol=1e-8))
+    value, _ = jax.value_and_grad(lambda w: dt.residual_rotation(top, w, rtol=1e-8))(start)
+    assert np.isnan(value)
+
+
+def bodies(n):
+    """General bodies with a principal axis along the dipole, and starts."""
+    rng = np.random.default_rng(11)
+    moments = 1 - rng.dirichlet(np.ones(3), n)
+    starts = rng.normal(size=(n, 3)) * 10 ** rng.uniform(-1.5, -0.3, (n, 1))
+    inertia = jnp.asarray(moments[:, None, :] * np.eye(3))
+    return dt.Body(inertia, jnp.tile(jnp.array([1.0, 0.0, 0.0]), (n, 1))), jnp.asarray(starts)
+
+
+@pytest.mark.parametrize("level", [dt.Reduced, dt.SemiReduced])
+def test_bodies_against_a_closer_tolerance(level):
+    body, starts = bodies(128)
+    found = dt.classify_many(level(body), starts, max_steps=5000)
+    exact = dt.classify_many(level(body), starts, rtol=1e-13, value="unchecked", max_steps=20000)
+    residual = (found.outcome == Outcome.RESIDUAL) & np.isfinite(found.omega_inf + exact.omega_inf)
+    assert residual.sum() > 40
+    off = np.abs(found.omega_inf - exact.omega_inf)[residual]
+    assert np.all(off <= TRUSTED * found.omega_inf_error[residual])
+    assert np.median(found.omega_inf_error[residual] / np.abs(exact.omega_inf[residual])) < 1e-6
+
+
+def test_what_needs_no_estimate_has_none():
+    """Exact values, stops, labels, and an absolute tolerance, which makes errors larger."""
+    starts = jnp.array([[0.2, 0.1, 0.0], [0.0, 0.2, 0.0], [0.1, 0.1, 0.9], [0.2, 0.1, 0.1]])
+    top = dt.TransverseReduced(-0.2)
+    found, labels = dt.classify_many(top, starts), dt.classify_many(top, starts, value=False)
+    coarse = dt.classify_many(top, starts, atol=1e-6)
+    np.testing.assert_array_equal(found.omega_inf_error[:3], 0.0)  # ω₃ = 0 keeps ω₁; stops
+    np.testing.assert_array_equal(labels.outcome, found.outcome)
+    assert labels.omega_inf[0] == found.omega_inf[0]
+    assert np.isnan(labels.omega_inf[3])
+    assert coarse.omega_inf_error[3] > 50 * found.omega_inf_error[3]
+    assert abs(coarse.omega_inf[3] - found.omega_inf[3]) <= TRUSTED * coarse.omega_inf_error[3]
