@@ -17,7 +17,7 @@ import dipoletop as dt
 import measure
 import report
 from differences import Function, certain, chosen_steps, differences, off
-from dipoletop.equations.levels import LEVELS, equation
+from dipoletop import Level, equation_at
 from families import NAMES, TRUTH, Family, families
 from tables import Table, layout
 
@@ -59,7 +59,7 @@ def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
     def hessian(row: Any, rtol: Any) -> Any:
         def value(moves: Any) -> Any:
             x = row + moves @ directions
-            return dt.residual_rotation(equation(level, x[0]), x[1:], rtol=rtol)
+            return dt.residual_rotation(equation_at(level, x[0]), x[1:], rtol=rtol)
 
         return jax.hessian(value)(jnp.zeros(len(directions)))
 
@@ -128,7 +128,9 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=50, help="of each kind of start")
     parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
     parser.add_argument("--first", nargs="*", choices=NAMES, default=NAMES, help="default: all")
-    parser.add_argument("--second", nargs="*", choices=LEVELS, default=LEVELS, help="default: all")
+    parser.add_argument(
+        "--second", nargs="*", choices=list(Level), default=list(Level), help="default: all"
+    )
     parser.add_argument("--write", action="store_true", help="keep the results of each family")
     args = parser.parse_args()
     run = {"run": measure.this_run()}

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 import dipoletop as dt
 import problem
-from dipoletop.equations.levels import LEVELS, equation
+from dipoletop import Level, equation_at
 
 TRUTH = 1e-13  # relative tolerance of the values that are subtracted
 BODIES: dict[str, Callable[[dt.Body], Any]] = {
@@ -21,7 +21,7 @@ COSTLY = {"full": ("semi", ("delta", "w3")), "body, full": ("body, semi", ("i1",
 FRACTION, PATIENCE = 5, 1e4
 """Each start takes seconds: such families have the starts and steps that suit one a hundred times
 faster, vary less, at a part of the starts, and only at those decided before τ = PATIENCE."""
-NAMES = (*LEVELS, *BODIES)
+NAMES = (*Level, *BODIES)
 
 
 class Family(NamedTuple):
@@ -60,7 +60,7 @@ class Family(NamedTuple):
 
 def made(name: str) -> Family:
     """The family of that name."""
-    return top(name) if name in LEVELS else body(name)
+    return top(name) if name in list(Level) else body(name)
 
 
 def families(name: str, count: int) -> tuple[Family, Family, int]:
@@ -76,7 +76,7 @@ def top(level: str) -> Family:
     """Axisymmetric tops of the mixed basin with a transverse dipole."""
 
     def made(delta: Any, w1: Any, w2: Any, w3: Any) -> Any:
-        return equation(level, delta), jnp.stack([w1, w2, w3])
+        return equation_at(level, delta), jnp.stack([w1, w2, w3])
 
     def draw(n: int) -> np.ndarray:
         deltas, omegas = problem.mixed_basin(n, seed=3)

@@ -15,6 +15,7 @@ from ._runs.classify_many import Classification, classify, classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
 from ._runs.trajectory import Trajectory, simulate
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
+from .equations.levels import Level
 from .equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
 from .equations.rigid import Full, Reduced, SemiReduced
 from .equations.rotator import (
@@ -33,6 +34,7 @@ from .equations.transverse import (
     TransverseReduced,
     TransverseSemi,
     cylindrical,
+    equation_at,
 )
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
 
@@ -56,6 +58,7 @@ __all__ = [
     "Equilibria",
     "Full",
     "Grid",
+    "Level",
     "LongitudinalFull",
     "LongitudinalReduced",
     "LongitudinalSemi",
@@ -91,6 +94,7 @@ __all__ = [
     "critical_manifold",
     "cylindrical",
     "decay_time",
+    "equation_at",
     "equilibria",
     "exact",
     "fitting",

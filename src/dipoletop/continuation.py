@@ -21,7 +21,8 @@ from ._maps.basin import Basin, wilson
 from ._maps.grids import Grid, Sample
 from ._maps.sweep import sweep
 from .equations._common import shape_parameter
-from .equations.levels import LEVELS, equation
+from .equations.levels import Level
+from .equations.transverse import equation_at
 from .stability import Spectrum, spectrum, threshold
 
 if TYPE_CHECKING:
@@ -171,7 +172,7 @@ def continuation(
 
     def outcomes(level: str) -> Basin:
         def problem(delta: Array, amplitude: Array, direction: Array) -> tuple[Any, Array]:
-            return equation(level, delta), amplitude * direction
+            return equation_at(level, delta), amplitude * direction
 
         return sweep(problem, grid, **{"value": False, **settings})
 
@@ -230,7 +231,7 @@ def follow_spectrum(delta: Any, w: Any = LINE, *, levels: Levels = USUAL) -> Bra
     line = jnp.stack([w, jnp.zeros_like(w), jnp.zeros_like(w)])
 
     def spectra(level: str) -> Spectrum:
-        return jax.vmap(lambda d: spectrum(equation(level, d), line))(jnp.asarray(fine))
+        return jax.vmap(lambda d: spectrum(equation_at(level, d), line))(jnp.asarray(fine))
 
     found = [spectra(level) for level in chosen]
     slow = np.stack([_continuous(fine, np.asarray(one.slow[:, 1:])) for one in found])
@@ -316,7 +317,7 @@ def _events(level: str, branches: Branches, k: int) -> list[tuple[str, Outcome, 
         low, high = branches.delta[at : at + 2]
         beyond = (high - low) / 1000  # one of them may be the root, but for rounding
         low, high = np.clip([low - beyond, high + beyond], *branches.delta[[0, -1]]).tolist()
-        delta = threshold(lambda d: equation(level, d), branches.w, low, high)
+        delta = threshold(lambda d: equation_at(level, d), branches.w, low, high)
         events.append(("line changes stability", Outcome.RESIDUAL, delta))
     return events
 
@@ -366,7 +367,7 @@ def diagram(found: Continuation, w: Any = LINE) -> "matplotlib.figure.Figure":
 
 def _style(level: str) -> dict[str, Any]:
     """A curve: where levels coincide, the thin one of a later level lies on the wide one."""
-    k, dash = LEVELS.index(level), (0, (4, 3)) if level == "full" else "-"
+    k, dash = list(Level).index(Level(level)), (0, (4, 3)) if level == "full" else "-"
     return {"color": COLOURS[k], "lw": WIDTHS[k], "ls": dash}
 
 
@@ -382,8 +383,8 @@ def _mark(ax: "matplotlib.axes.Axes", marks: list[Threshold], label: bool = True
 def _chosen(levels: Levels) -> tuple[str, ...]:
     several = tuple(levels) if isinstance(levels, Iterable) else ()
     chosen = (levels,) if isinstance(levels, str) else several
-    if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= set(LEVELS):
-        refuse("levels", f"name some of {', '.join(LEVELS)}, each once", f"is {levels!r}")
+    if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= set(Level):
+        refuse("levels", f"name some of {', '.join(Level)}, each once", f"is {levels!r}")
     return chosen
 
 

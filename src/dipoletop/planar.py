@@ -21,8 +21,9 @@ from jaxtyping import Array, Bool, Float
 
 from ._base.checks import finite, instance, or_nan, refuse
 from ._base.types import Real
-from .equations._common import order_label, shape_parameter
+from .equations._common import shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM
+from .equations.levels import Level
 
 Point = Float[Array, "2 *#lanes"]
 """A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
@@ -72,7 +73,7 @@ class Planar(eqx.Module):
     @property
     def level(self) -> str:
         """Which limit this is, for labels."""
-        return f"small amplitude, {'corrected' if self.corrected else order_label(1)}"
+        return f"small amplitude, {'corrected' if self.corrected else Level.ORDER_1.label}"
 
 
 class Saddle(NamedTuple):

@@ -16,7 +16,7 @@ SIDES = RNG.normal(size=(2, 3, 6, 4))
 
 BESIDE = """
 import jax, jax.numpy as jnp
-from dipoletop._dense import solve
+from dipoletop._base.dense import solve
 matrices = jnp.eye(96, dtype="float32") + 0.01 * jnp.arange(8.0)[:, None, None, None]
 matrices = jnp.broadcast_to(matrices, (8, 4, 96, 96))
 every = jax.jit(lambda matrices: [jax.vmap(solve)(m, m[..., :7]) for m in matrices])

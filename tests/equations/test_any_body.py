@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from dipoletop import radiation
+from dipoletop import Level, radiation
 from dipoletop._base.types import Outcome, Stop
 from dipoletop.bodies import Body
 from dipoletop.equations._verdicts import any_body as _general
@@ -19,7 +19,7 @@ from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
 LANES = 16  # of each kind of body
 MANY = 320  # states to be judged: always as many, so that a level compiles once
-LEVELS = {"1": 1, "2": 2, "semi": None}
+LEVELS = {"1": Level.ORDER_1, "2": Level.ORDER_2, "semi": Level.SEMI}
 
 
 def _script():
@@ -166,7 +166,7 @@ def test_axisymmetric_body_is_judged_as_the_transverse_top(level):
     unit = strength / size
     sample = turned(rng, j, dipole, w / unit[:, None])
     general = verdicts(level, sample)
-    order = LEVELS[level]
+    order = LEVELS[level].order
     shapes = jnp.asarray(delta)
     closed = TransverseSemi(shapes) if order is None else TransverseReduced(shapes, order)
     expected = judge(closed, jnp.asarray(w.T))
@@ -246,12 +246,12 @@ def test_slowness_decides_nothing():
     assert judge(body, 1e-12 * jnp.array([0.3, 1.0, 0.2])).outcome == Outcome.UNDECIDED
 
 
-@pytest.mark.parametrize("level", [2, _line.EXACT])
+@pytest.mark.parametrize("level", [Level.ORDER_2, Level.FULL])
 def test_the_line_decides_at_any_amplitude(level):
     # dipole on the largest axis, |d|²|Ω|√tr(I⁻²) = 0.3: where levels above order 1 differ
     body = Body(np.diag([1.0, 0.8, 0.75]), [1.0, 0.0, 0.0])
-    equation = Full(body) if level == _line.EXACT else Reduced(body, level)
-    rates = jnp.zeros(3 if level == _line.EXACT else 0)  # which decide nothing
+    equation = Full(body) if level is Level.FULL else Reduced(body, level.order)
+    rates = jnp.zeros(3 if level is Level.FULL else 0)  # which decide nothing
 
     def at(beside):
         omega = jnp.array([-0.15, beside, -beside])

@@ -491,7 +491,7 @@ import multiprocessing, os, sys, warnings
 import jax
 jax.config.update("jax_enable_x64", True)
 import dipoletop as dt
-from dipoletop._problems import builder
+from dipoletop._maps.problems import builder
 warnings.simplefilter("ignore")  # JAX's and Python's own, at the fork
 
 equation, omega0 = dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, 0.1)

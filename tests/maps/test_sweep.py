@@ -1,6 +1,5 @@
 """Sweeps: grids and samples, agreement with `classify`, fractions, storage, refusals."""
 
-import importlib
 import shutil
 
 import jax
@@ -251,7 +250,7 @@ def files(folder):
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """Killed half-way, with a torn tile: the same bytes as a run in one go."""
-    monkeypatch.setattr(importlib.import_module("dipoletop.sweep"), "TILE", 128)
+    monkeypatch.setattr("dipoletop._maps.sweep.TILE", 128)
     grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
     whole = dt.sweep(reduced, grid, store=tmp_path / "whole.zarr")
     place = tmp_path / "again.zarr"

@@ -30,7 +30,7 @@ GRID = dt.Grid(rate=np.linspace(0.5, 2.0, 24), omega0=0.3 * WAYS)
 
 FORKED = """
 import os
-from dipoletop._workers import pool
+from dipoletop._base.parallel import pool
 assert pool(2).submit(int).result() == 0
 child = os.fork()
 if not child:

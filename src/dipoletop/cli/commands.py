@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from ..equations import levels as _levels
+from ..equations.levels import CONSISTENT, LACKS, Level
 from .command import Command
 from .command import computing as _computing
 from .parameters import Number, Size
 from .store_commands import store
 
-FULL_TOO = click.Choice(_levels.LEVELS)
-LEVELS = click.Choice([level for level in _levels.LEVELS if level != "full"])
+FULL_TOO = click.Choice([level.value for level in Level])
+LEVELS = click.Choice([level.value for level in Level if level is not Level.FULL])
 NAMES = click.Choice(["delta", "w-perp", "w3", "phi", "amplitude", "theta"])
 FORMATS = click.Choice(["png", "pdf", "svg"])
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
@@ -173,7 +173,7 @@ def map_(**options: Any) -> None:
     _draw([run.basin for run in runs], axes, picture)
     click.echo(_mapping.report(runs))
     if levels == ("order-1",):
-        click.echo(f"{_levels.LACKS}; outcomes may differ at the consistent levels (--level semi).")
+        click.echo(f"{LACKS}; outcomes may differ at the consistent levels (--level semi).")
     click.echo(f"Picture: {picture}")
     for run in runs:
         if run.store:
@@ -205,7 +205,7 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
     "--level",
     type=FULL_TOO,
     metavar="LEVEL",
-    default=_levels.CONSISTENT,
+    default=CONSISTENT.value,
     help="Level of the equation; order-1 is the paper's.",
 )
 @_quantities
@@ -229,13 +229,14 @@ def simulate(**options: Any) -> None:
     from .. import plots
     from .._runs import classify_many as outcomes
     from .._runs.trajectory import simulate
+    from ..equations.transverse import equation_at
     from . import maps as _mapping
     from . import run_report as _run_report
 
     if options["tau_max"] <= 0:
         raise ValueError(f"--tau-max must be positive, but is {options['tau_max']:g}.")
     at = _mapping.quantities(_given(options))
-    equation, start = _levels.equation(options["level"], at["delta"]), _mapping.start(at)
+    equation, start = equation_at(options["level"], at["delta"]), _mapping.start(at)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, options["tau_max"], options["points"])
     trajectory = simulate(equation, start, times, throw=False, **settings)
@@ -314,14 +315,15 @@ def spectrum(delta: float, w: float, level: tuple[str, ...]) -> None:
 
     The slow ones belong to physical motions, those of runaways to the full equation only.
     """
+    from ..equations.transverse import equation_at
     from . import tables as _reports
 
-    for line in _reports.spectra([_levels.equation(name, delta) for name in level], w):
+    for line in _reports.spectra([equation_at(name, delta) for name in level], w):
         click.echo(line)
     if set(level) == {"order-1"}:
-        consistent = _levels.equation(_levels.CONSISTENT, delta)
+        consistent = equation_at(CONSISTENT, delta)
         first, slow, *_ = _reports.spectra([consistent], w)
-        click.echo(f"{_levels.LACKS}; {first}, {' '.join(slow.split())}.")
+        click.echo(f"{LACKS}; {first}, {' '.join(slow.split())}.")
 
 
 @main.command(short_help="Check this installation against exact values.")

@@ -20,8 +20,8 @@ from .._maps.grids import Grid
 from .._maps.store import finished, opened, verify
 from .._maps.sweep import sweep
 from .._maps.symmetry import unfold
-from ..equations.levels import LEVELS, equation
-from ..equations.transverse import TransverseReduced, cylindrical
+from ..equations.levels import Level
+from ..equations.transverse import TransverseReduced, cylindrical, equation_at
 
 
 class Quantity(NamedTuple):
@@ -158,7 +158,7 @@ def run_level(level: str, grid: Grid, store: Path | None, **settings: Any) -> Ru
 
     def problem(**point: Any) -> tuple[Any, Any]:
         at = {name.replace("_", "-"): value for name, value in point.items()}
-        return equation(level, at["delta"]), start(at)
+        return equation_at(level, at["delta"]), start(at)
 
     before = 0 if store is None else finished(store, settings.get("repair", False))
     try:
@@ -183,7 +183,7 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     whole = verify(path)
     tiles = opened(path)
     attrs, axes = tiles.header["attrs"], tiles.header["axes"]
-    level = [name for name in LEVELS if equation(name, 0.0).level == attrs["level"]]
+    level = [level.value for level in Level if level.label == attrs["level"]]
     names = {name.replace("_", "-") for name in axes}
     if not level or names not in ({"delta", "phi", *ways} for ways in (CYLINDRICAL, SPHERICAL)):
         must = "be the store of a `dipoletop map`"

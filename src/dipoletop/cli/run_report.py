@@ -5,7 +5,8 @@ from typing import Any
 
 from .._base.types import Outcome, Stop
 from .._runs import classify_many as outcomes
-from ..equations import levels as _levels
+from ..equations.levels import CONSISTENT, LACKS
+from ..equations.transverse import equation_at
 
 
 def states(rows: Any) -> str:
@@ -59,7 +60,7 @@ def _fate(verdict: Any) -> str:
 
 def by_consistent(delta: float, start: Any, settings: dict[str, Any]) -> str:
     """What the consistent level says of a start whose result is of order 1."""
-    equation = _levels.equation(_levels.CONSISTENT, delta)
+    equation = equation_at(CONSISTENT, delta)
     verdict = outcomes.classify(equation, start, **settings)
     value = f"{_fate(verdict)}, ω∞ = {_rotation(verdict)}"
-    return f"{_levels.LACKS}; at the {equation.level} level this start ends so: {value}."
+    return f"{LACKS}; at the {equation.level} level this start ends so: {value}."

@@ -51,11 +51,6 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
     return found, -(found**2) * change
 
 
-def order_label(order: int) -> str:
-    """What a reduced equation is called in tables and pictures."""
-    return f"reduced, order {order}" + (" (the paper's)" if order == 1 else "")
-
-
 def unchanged(self: Any, omega: Vector) -> Vector:
     """The state is the angular velocity itself, shape (3,) or (3, B)."""
     return omega

@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._common import check_order, one_order_up, order_label, shape_parameter, unchanged
+from ._common import check_order, one_order_up, shape_parameter, unchanged
+from .levels import Level
 
 Whole = Float[Array, "5 *lanes"]
 SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
@@ -102,7 +103,7 @@ class LongitudinalReduced(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return order_label(self.order)
+        return Level.of_order(self.order).label
 
 
 class LongitudinalSemi(eqx.Module):
@@ -142,7 +143,7 @@ class LongitudinalSemi(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "semi-reduced"
+        return Level.SEMI.label
 
 
 class LongitudinalFull(eqx.Module):
@@ -210,4 +211,4 @@ class LongitudinalFull(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "full"
+        return Level.FULL.label

@@ -15,9 +15,9 @@ from .._base.linalg import dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from ._common import check_order, one_order_up, order_label, rigid_body, unchanged
+from ._common import check_order, one_order_up, rigid_body, unchanged
 from ._verdicts import any_body as _general
-from ._verdicts.residual_line import EXACT
+from .levels import Level
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
@@ -65,12 +65,12 @@ class Reduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, self.order)._replace(equation=Reduced)
+        return _general.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return order_label(self.order)
+        return Level.of_order(self.order).label
 
 
 class SemiReduced(eqx.Module):
@@ -105,12 +105,12 @@ class SemiReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, None)._replace(equation=SemiReduced)
+        return _general.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
 
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "semi-reduced"
+        return Level.SEMI.label
 
 
 class Full(eqx.Module):
@@ -151,7 +151,7 @@ class Full(eqx.Module):
 
     def verdict(self, y: Float[Array, "6 *lanes"]) -> Verdict:
         """That of a state on the physical branch, by the same tests; not certified."""
-        return _general.verdict(self.body, self.omega(y), EXACT)._replace(equation=Full)
+        return _general.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that is state, and runs away: a = PΩ̇."""
@@ -196,4 +196,4 @@ class Full(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "full"
+        return Level.FULL.label

@@ -17,7 +17,7 @@ from .._base.chebyshev import rule
 from .._base.checks import real, where_valid
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._common import order_label
+from .levels import Level
 
 SERIES = 0.11  # |ω| up to which the divergent series of f serves, to rounding
 TERMS = 34  # they fall until (2n + 8)ω² = 1, and what is left is as large as the last one
@@ -81,7 +81,7 @@ class RotatorReduced(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return order_label(1)
+        return Level.ORDER_1.label
 
 
 class RotatorBranch(eqx.Module):
@@ -102,7 +102,7 @@ class RotatorBranch(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "full"
+        return Level.FULL.label
 
 
 class Domain(NamedTuple):
@@ -171,7 +171,7 @@ class RotatorFull(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "full"
+        return Level.FULL.label
 
 
 def critical_manifold(w: Any) -> Float[Array, "*n"]:

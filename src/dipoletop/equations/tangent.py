@@ -15,6 +15,7 @@ from ._common import Scales, scales_of, sizes_of
 from ._verdicts.any_body import constraints, rounding
 from ._verdicts.nonsmooth import infinite
 from ._verdicts.residual_line import guarded
+from .levels import Level
 
 LEAST = 1e-2  # of |ω|: variations below it, for a change by 1, need not be exact
 
@@ -157,9 +158,10 @@ class Tangent(eqx.Module):
     def _moved(self, state: State, variations: list[Any]) -> tuple[Array, Array]:
         """Which variations move, by more than rounding, each of the two `constraints`."""
         order = getattr(self.equation, "order", None)
+        level = Level.SEMI if order is None else Level.of_order(order)
 
         def tied(equation: Any, y: State) -> Any:
-            return constraints(equation.body, equation.omega(y), order)
+            return constraints(equation.body, equation.omega(y), level)
 
         _, moved = self._push(tied, state, variations)
         sizes = self._apply(functools.partial(_relative, self.equation, state), variations)

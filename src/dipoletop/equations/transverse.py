@@ -19,8 +19,9 @@ from jaxtyping import Array, Float
 from .._base.checks import finite, refuse, where_valid
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._common import check_order, one_order_up, order_label, reciprocal, shape_parameter, unchanged
+from ._common import check_order, one_order_up, reciprocal, shape_parameter, unchanged
 from ._verdicts import transverse as _regions
+from .levels import Level
 
 
 def top(self: Any) -> Body:
@@ -117,7 +118,7 @@ class TransverseReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
-        found = _regions.of_level(self.delta, y, self.order)
+        found = _regions.of_level(self.delta, y, Level.of_order(self.order))
         return found._replace(equation=TransverseReduced)
 
     body = property(top)
@@ -125,7 +126,7 @@ class TransverseReduced(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return order_label(self.order)
+        return Level.of_order(self.order).label
 
 
 class TransverseSemi(eqx.Module):
@@ -169,7 +170,7 @@ class TransverseSemi(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "semi-reduced"
+        return Level.SEMI.label
 
 
 class TransverseFull(eqx.Module):
@@ -239,7 +240,30 @@ class TransverseFull(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return "full"
+        return Level.FULL.label
+
+
+def equation_at(
+    level: Level | str, delta: Any
+) -> TransverseReduced | TransverseSemi | TransverseFull:
+    """The equation of the transverse top at a level.
+
+    Args:
+        level: a `Level`, or its word.
+        delta: δ = 1 − I₃/I₁, from −1 (a disc) up to but not 1 (a needle).
+
+    Raises:
+        ValueError: an unknown level, or δ out of range.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.equation_at(dt.Level.ORDER_2, -0.2).level
+        'reduced, order 2'
+    """
+    level = Level.named(level)
+    if level.order is not None:
+        return TransverseReduced(delta, level.order)
+    return TransverseSemi(delta) if level is Level.SEMI else TransverseFull(delta)
 
 
 class TransverseCylindrical(eqx.Module):
@@ -280,7 +304,7 @@ class TransverseCylindrical(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return order_label(1)
+        return Level.ORDER_1.label
 
 
 class TransverseAveraged(eqx.Module):
@@ -318,7 +342,7 @@ class TransverseAveraged(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return f"{order_label(1)}, averaged"
+        return f"{Level.ORDER_1.label}, averaged"
 
 
 class TransverseLinearised(eqx.Module):
@@ -353,7 +377,7 @@ class TransverseLinearised(eqx.Module):
     @property
     def level(self) -> str:
         """Which equation this is, for labels."""
-        return f"{order_label(1)}, linearised"
+        return f"{Level.ORDER_1.label}, linearised"
 
 
 def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:

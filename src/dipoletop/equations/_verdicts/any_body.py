@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 from ..._base.linalg import cross, dot, inverse, matvec, scale, trace
 from ..._base.types import Outcome, Real, Stop, Vector, Verdict
 from ...bodies import Body
+from ..levels import Level
 from . import transverse as _regions
 from .residual_line import (
     Form,
@@ -46,6 +47,7 @@ REACH = 0.2  # |d|²|Ω|/J below which the reduced levels keep the balance law w
 # the largest is 1.0 at order 1 and 2.1 at the others (orders from 2 on: within REACH; beyond it
 # times a power of the excess, as high as that of |Ω| at order 4 over the cube).
 ODD, GROWTH = 3.0, 6
+TAME = (Level.ORDER_1, Level.SEMI)  # of which no motion runs away at large amplitude
 DRIFT = 0.1  # largest relative change of w that a residual region may allow
 NODES = 16  # on which the slow flow is searched for a barrier
 WAVER = 4.0  # the slow flow is exact up to this times |d|²|Ω|/J, measured in x and in f
@@ -77,14 +79,13 @@ class Frame(NamedTuple):
     """Whether n is a principal axis, to rounding."""
 
 
-def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
+def verdict(body: Body, y: Vector, level: Level) -> Verdict:
     """What an equation of any body says of the state y.
 
     Args:
         body: the body.
         y: Ω, shape (3,) or (3, B).
-        order: that of a reduced equation; `None`: semi-reduced; `EXACT`: the physical branch of
-            the full equation.
+        level: that of the equation; the full one is on its physical branch.
 
     Returns:
         RESIDUAL where a Lyapunov function of the line shows that it attracts y; STOP where no
@@ -93,16 +94,16 @@ def verdict(body: Body, y: Vector, order: int | None) -> Verdict:
     frame = seen_from_dipole(body, y)
     reach = _reach(body, frame) / REACH
     round_about_n, round_across = _symmetry(frame)
-    found = _residual(frame, order, reach)
-    general = _general(frame, order, reach, round_about_n, found)
+    found = _residual(frame, level, reach)
+    general = _general(frame, level, reach, round_about_n, found)
     return jax.tree.map(
         lambda one, two: jnp.where(round_across, one, two),
-        _transverse(frame, order, found),
+        _transverse(frame, level, found),
         general,
     )
 
 
-def constraints(body: Body, omega: Vector, order: int | None) -> tuple[Vector, Vector]:
+def constraints(body: Body, omega: Vector, level: Level) -> tuple[Vector, Vector]:
     """What is 0, and has to stay so where the residual rotation depends on it.
 
     In units of the body and of |Ω|. First d × Id: with the dipole off its principal axis there is
@@ -113,7 +114,7 @@ def constraints(body: Body, omega: Vector, order: int | None) -> tuple[Vector, V
     round_about_n, round_across = _symmetry(frame)
     spin = round_about_n & frame.principal & _on_other_axis(frame, round_about_n)
     delta, _, top = _top(frame)
-    plane = round_across & _stays_in_plane(delta, top, order)
+    plane = round_across & _stays_in_plane(delta, top, level)
     size, moments = guarded(frame.size), trace(body.inertia)
     d, unit, length = body.dipole, scale(1 / size, omega), jnp.sqrt(frame.strength)
     lean = scale(1 / (frame.strength * moments), cross(d, matvec(body.inertia, d)))
@@ -124,18 +125,16 @@ def constraints(body: Body, omega: Vector, order: int | None) -> tuple[Vector, V
     return lean, jnp.stack([torque, third, jnp.zeros_like(torque)])
 
 
-def _general(
-    frame: Frame, order: int | None, reach: Real, round_about_n: Flag, found: Found
-) -> Verdict:
+def _general(frame: Frame, level: Level, reach: Real, round_about_n: Flag, found: Found) -> Verdict:
     """The verdict but for an axisymmetric body with its dipole across the axis."""
     near = reach <= 1
     caught, value, error, slope = found
     spin = _on_other_axis(frame, round_about_n)
     steady = round_about_n  # then w is constant
-    if order is not None and order > 1:  # at large amplitude these levels run away
+    if level not in TAME:  # at large amplitude the others run away
         steady = steady & near
     keeps = steady & (frame.w != 0)
-    middle = near & _no_stable_line(frame, order)
+    middle = near & _no_stable_line(frame, level)
     held = near & _behind_barrier(frame)
     stop = jnp.where(frame.principal, spin | (~keeps & (middle | held)), near)
     residual = frame.principal & ~stop & (keeps | caught)
@@ -208,7 +207,7 @@ def _reach(body: Body, frame: Frame) -> Real:
     return frame.strength * frame.size * jnp.sqrt(sum(dot(back[i], back[i]) for i in range(3)))
 
 
-def _residual(frame: Frame, order: int | None, reach: Real) -> Found:
+def _residual(frame: Frame, level: Level, reach: Real) -> Found:
     """Whether a Lyapunov function shows that the line attracts the state.
 
     With V = yᵀPy, ℓᵀP + Pℓ = −1 at the present w, let V₀ be its present value. As long as
@@ -217,7 +216,7 @@ def _residual(frame: Frame, order: int | None, reach: Real) -> Found:
     """
     one = guarded(jnp.abs(frame.w))
     a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength * one / frame.jd
-    matrix = line(a, b, mu, order)
+    matrix = line(a, b, mu, level)
     s = balancing(matrix)
     y = frame.xa / one, jnp.sign(frame.w) * frame.xb / (one * s)
     now = scaled(matrix, s)
@@ -229,11 +228,11 @@ def _residual(frame: Frame, order: int | None, reach: Real) -> Found:
     g = a - b
     eta = jnp.abs(g) * s * v
     square = jnp.maximum(1.0, s**2) * v / jnp.where(low > 0, low, 1.0)  # bounds |y|²
-    largest = ODD if order is None or order == 1 else ODD * jnp.maximum(reach, 1.0) ** GROWTH
+    largest = ODD if level in TAME else ODD * jnp.maximum(reach, 1.0) ** GROWTH
     odd = largest * mu / jnp.minimum(a, b) * square
     held = stable & (low > 0) & (eta <= DRIFT) & (8 * high * odd <= 1)
     for part in (1 - eta, 1 + eta):
-        held = held & (_decay(scaled(line(a, b, mu * part, order), s), p) * part >= 0.75)
+        held = held & (_decay(scaled(line(a, b, mu * part, level), s), p) * part >= 0.75)
     form = lyapunov(now, (none, s / 2, none))  # gS
     size = jnp.maximum(*map(jnp.abs, extremes(form)))
     # What the fourth power of y adds, and its derivatives with respect to y and to g.
@@ -268,7 +267,7 @@ def _on_other_axis(frame: Frame, round_about_n: Flag) -> Flag:
     return (jnp.abs(frame.w) <= none) & other
 
 
-def _no_stable_line(frame: Frame, order: int | None) -> Flag:
+def _no_stable_line(frame: Frame, level: Level) -> Flag:
     """Dipole on the middle axis, and energy too small to reach a stable part of the line.
 
     The line is unstable while μ² + (1 − a)(1 − b) < 0 (physics of the full equation), which the
@@ -278,7 +277,7 @@ def _no_stable_line(frame: Frame, order: int | None) -> Flag:
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     energy = frame.w**2 + a * frame.xa**2 + b * frame.xb**2
     mu = frame.strength * root(energy) / frame.jd
-    m11, m12, m21, m22 = line(a, b, mu, order)
+    m11, m12, m21, m22 = line(a, b, mu, level)
     return (4 * mu**2 <= (a - 1) * (1 - b)) & (m11 * m22 < m12 * m21)
 
 
@@ -338,16 +337,16 @@ def _ratio_e_k(m: Nodes) -> Nodes:
 # --- axisymmetric body, dipole across the axis ------------------------------------------------
 
 
-def _transverse(frame: Frame, order: int | None, found: Found) -> Verdict:
+def _transverse(frame: Frame, level: Level, found: Found) -> Verdict:
     """The regions of the transverse top, in its units: ω = |d|²Ω/J_d, δ = 1 − J₃/J_d.
 
     Its ω∞ is more exact than that of `found` but knows of no J_a ≠ J_d: the derivatives are
     those of `found`, where that is at hand.
     """
     delta, unit, omega = _top(frame)
-    top = _regions.of_level(delta, scale(unit, omega), order)
+    top = _regions.of_level(delta, scale(unit, omega), level)
     caught, value, _, slope = found
-    plane = _stays_in_plane(delta, omega, order)  # there no state is caught
+    plane = _stays_in_plane(delta, omega, level)  # there no state is caught
     residual = top.outcome == Outcome.RESIDUAL
     known = residual & (caught | plane)
     value, slope = jnp.where(plane, frame.w, value), jnp.where(plane, 0.0, slope)
@@ -372,6 +371,6 @@ def _top(frame: Frame) -> tuple[Real, Real, Vector]:
     return delta, frame.strength / frame.jd, jnp.stack([frame.w, *across])
 
 
-def _stays_in_plane(delta: Real, omega: Vector, order: int | None) -> Flag:
+def _stays_in_plane(delta: Real, omega: Vector, level: Level) -> Flag:
     """At order 1 and δ ≤ −1/2 only what is in the plane ω₃ = 0 keeps rotating: ω₁ is constant."""
-    return (delta <= -0.5) & (omega[2] == 0) & (omega[0] != 0) & (order == 1)
+    return (delta <= -0.5) & (omega[2] == 0) & (omega[0] != 0) & (level is Level.ORDER_1)

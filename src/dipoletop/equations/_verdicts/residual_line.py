@@ -12,14 +12,14 @@ import jax
 import jax.numpy as jnp
 
 from ..._base.types import Real
+from ..levels import Level
 
 Two = tuple[Real, Real, Real, Real]
 """A 2×2 matrix, by rows."""
 Form = tuple[Real, Real, Real]
 """A symmetric 2×2 matrix: its elements 11, 12 and 22."""
 
-EXACT = 30
-"""In place of an order: the full equation, by so many sweeps of a fixed-point iteration."""
+SWEEPS = 30  # of the fixed-point iteration for the full equation
 
 
 def guarded(denominator: Real) -> Real:
@@ -33,18 +33,18 @@ def root(square: Real) -> Real:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def line(a: Real, b: Real, mu: Real, order: int | None) -> Two:
+def line(a: Real, b: Real, mu: Real, level: Level) -> Two:
     """ℓ(μ), the linear part of the equation across its residual line.
 
-    `order` is that of a reduced equation; `None`: semi-reduced; `EXACT`: the physical branch of
-    the full equation. Across the line I⊥ℓ₀ is the gyroscopic part, Ω̇ = ℓ₋x and Ω̈ = ℓ₋²x with ℓ₋
-    the order before, and the torque of radiation is μ(−1 + ℓ₋² + 2n×ℓ₋)x.
+    The full equation is on its physical branch. Across the line I⊥ℓ₀ is the gyroscopic part,
+    Ω̇ = ℓ₋x and Ω̈ = ℓ₋²x with ℓ₋ the order before, and the torque of radiation is
+    μ(−1 + ℓ₋² + 2n×ℓ₋)x.
     """
-    if order == EXACT:
+    if level is Level.FULL:
         return _solvent(a, b, mu)
     free = ((b - 1) / a, -(a - 1) / b)
     both = free[0] * free[1]
-    if order is None:
+    if level is Level.SEMI:
         # (I⊥ − 2μ n×) ℓ = I⊥ℓ₀ + μ(−1 + ℓ₀²)
         drag, det = mu * (both - 1), a * b + 4 * mu**2
         up, down = b - 1, 1 - a
@@ -55,7 +55,7 @@ def line(a: Real, b: Real, mu: Real, order: int | None) -> Two:
             (a * drag + 2 * mu * up) / det,
         )
     l11, l12, l21, l22 = jnp.zeros_like(both), free[0], free[1], jnp.zeros_like(both)
-    for _ in range(order):
+    for _ in range(level.order or 0):
         cross_term, trace = l12 * l21, l11 + l22
         l11, l12, l21, l22 = (
             mu / a * (l11**2 + cross_term - 1 - 2 * l21),
@@ -82,7 +82,7 @@ def _solvent(a: Real, b: Real, mu: Real) -> Two:
 
     none = jnp.zeros_like(a * b * mu)
     # A loop, since all of them written out compile for minutes in a second derivative.
-    return jax.lax.fori_loop(0, EXACT, swept, (none, none, none, none), unroll=5)
+    return jax.lax.fori_loop(0, SWEEPS, swept, (none, none, none, none), unroll=5)
 
 
 def lyapunov(m: Two, q: Form) -> Form:

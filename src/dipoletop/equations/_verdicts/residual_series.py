@@ -9,6 +9,7 @@ order 1, where they fall short by less than a factor 2.
 import jax.numpy as jnp
 
 from ..._base.types import Real, Vector
+from ..levels import Level
 from .residual_line import line, lyapunov, quadratic, scaled
 
 LEVEL_GAP = 20.0
@@ -64,11 +65,11 @@ def residual_semi_reduced(d: Real, w: Vector) -> Series:
     return value, 2.5 * _second_order(d, t, z, v) * size**2, _slope(size, z)
 
 
-def second_power(d: Real, w: Vector, order: int | None) -> Real:
+def second_power(d: Real, w: Vector, level: Level) -> Real:
     """Q₂ of a level, from how motions beside the line decay."""
     t, z, v = _scaled(w)
     mu, none = jnp.sqrt(v), jnp.zeros_like(d * v)
-    across = scaled(line(1 + none, 1 - d, mu, order), mu)
+    across = scaled(line(1 + none, 1 - d, mu, level), mu)
     return quadratic(lyapunov(across, (none, d * mu / 2, none)), (t, z))
 
 
@@ -76,7 +77,7 @@ def residual_higher_order(d: Real, w: Vector, own: Real) -> Series:
     """ω∞ and its errors at a level whose Q₂ is `own`; Q₄ is semi-reduced, right up to O(v)."""
     t, z, v = _scaled(w)
     value, error, slope = residual_semi_reduced(d, w)
-    value = value + w[0] * (own - second_power(d, w, None))
+    value = value + w[0] * (own - second_power(d, w, Level.SEMI))
     size = t**2 + (v + d**2) * z**2
     gap = LEVEL_GAP * v / (1 - d) ** 2 * size
     slope = slope + SLOPE * gap * jnp.sqrt(size) * (1 + jnp.abs(z))

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ..._base.types import Outcome, Real, Stop, Vector, Verdict
+from ..levels import Level
 from .nonsmooth import invariant
-from .residual_line import EXACT
 from .residual_series import (
     Series,
     residual_first_order,
@@ -200,7 +200,7 @@ def full(delta: Real, w: Vector) -> Verdict:
     and δ: of its characteristic polynomial the constant term, ω₁⁴, is positive. Tested only.
     """
     d = delta
-    own = second_power(d, w, EXACT)
+    own = second_power(d, w, Level.FULL)
     found = _small(d, w, own)
     one = _guarded(w[0])
     off = (w[1] / one) ** 2 + (w[2] / (one * jnp.minimum(jnp.abs(one), 1.0))) ** 2
@@ -212,9 +212,9 @@ def full(delta: Real, w: Vector) -> Verdict:
     return Verdict(outcome, omega_inf, found.certified, found.stop, error, slope)
 
 
-def higher_order(delta: Real, w: Vector, order: int) -> Verdict:
-    """Orders 2–4, or `EXACT`: the semi-reduced regions at small amplitude, tested only."""
-    return _small(delta, w, second_power(delta, w, order))
+def higher_order(delta: Real, w: Vector, level: Level) -> Verdict:
+    """Orders 2–4 and full: the semi-reduced regions at small amplitude, tested only."""
+    return _small(delta, w, second_power(delta, w, level))
 
 
 def _small(d: Real, w: Vector, own: Real) -> Verdict:
@@ -239,8 +239,8 @@ def _small(d: Real, w: Vector, own: Real) -> Verdict:
     )
 
 
-def of_level(delta: Real, w: Vector, order: int | None) -> Verdict:
-    """The verdict of a level: an order, `None` for semi-reduced, `EXACT` for the full equation."""
-    if order is None:
+def of_level(delta: Real, w: Vector, level: Level) -> Verdict:
+    """The verdict of a level."""
+    if level is Level.SEMI:
         return semi_reduced(delta, w)
-    return first_order(delta, w) if order == 1 else higher_order(delta, w, order)
+    return first_order(delta, w) if level is Level.ORDER_1 else higher_order(delta, w, level)
