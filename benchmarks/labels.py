@@ -18,7 +18,7 @@ from dipoletop._base.types import Outcome, Verdict
 from dipoletop._engines import jax_engine as lanes
 from dipoletop._engines import native_engine as native
 from dipoletop.bodies import Body
-from dipoletop.equations._common import scales_of
+from dipoletop.equations._common import omega_scale_of
 from dipoletop.equations.rigid import Reduced, SemiReduced
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
@@ -106,8 +106,8 @@ class Settling(eqx.Module):
         return y
 
     @property
-    def scales(self):
-        return scales_of(self.equation)
+    def omega_scale(self):
+        return omega_scale_of(self.equation)
 
     def verdict(self, y):
         own = self.equation.verdict(y)._replace(equation=Settling)

@@ -15,27 +15,27 @@ from ._runs.classify_many import Classification, classify, classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
 from ._runs.trajectory import Trajectory, simulate
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
-from .equations.levels import Level
-from .equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
-from .equations.rigid import Full, Reduced, SemiReduced
-from .equations.rotator import (
+from .equations import (
+    Full,
+    Level,
+    LongitudinalFull,
+    LongitudinalReduced,
+    LongitudinalSemi,
+    Reduced,
     RotatorBranch,
     RotatorFull,
     RotatorReduced,
-    closed_manifold,
-    critical_manifold,
-    separatrix,
-)
-from .equations.transverse import (
+    SemiReduced,
     TransverseAveraged,
     TransverseCylindrical,
     TransverseFull,
     TransverseLinearised,
     TransverseReduced,
     TransverseSemi,
-    cylindrical,
     equation_at,
 )
+from .equations.coordinates import cylindrical
+from .equations.rotator_curves import closed_manifold, critical_manifold, separatrix
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
 
 if TYPE_CHECKING:

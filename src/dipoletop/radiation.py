@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._base.checks import instance, refuse
-from ._base.linalg import Vec, cross, dot, matvec, scale
+from ._base.linalg import cross, dot, matvec, scale
+from ._base.types import Vector
 from .bodies import Body
 
 
-def dipole_derivatives(body: Body, omega: Vec, omega_dot: Vec) -> tuple[Vec, Vec]:
+def dipole_derivatives(body: Body, omega: Vector, omega_dot: Vector) -> tuple[Vector, Vector]:
     """d₁ = Ω×d and d₂ = Ω×(Ω×d) + Ω̇×d, the lab-frame derivatives of the dipole in body axes.
 
     Args:
@@ -33,7 +34,7 @@ def dipole_derivatives(body: Body, omega: Vec, omega_dot: Vec) -> tuple[Vec, Vec
     return first, cross(omega, first) + cross(omega_dot, body.dipole)
 
 
-def angular_momentum(body: Body, omega: Vec) -> Vec:
+def angular_momentum(body: Body, omega: Vector) -> Vector:
     """L = IΩ.
 
     Args:
@@ -47,7 +48,7 @@ def angular_momentum(body: Body, omega: Vec) -> Vec:
     return matvec(body.inertia, omega)
 
 
-def _check(body: Body, **vectors: Vec) -> None:
+def _check(body: Body, **vectors: Vector) -> None:
     """Refuse what has no components on its leading axes, such as a batch from `jax.vmap`."""
     instance("body", body, Body)
     if body.inertia.shape[:2] != (3, 3) or body.dipole.shape[:1] != (3,):
@@ -58,7 +59,7 @@ def _check(body: Body, **vectors: Vec) -> None:
             refuse(name, "have shape (3, ...)", f"has shape {np.shape(vector)}")
 
 
-def kinetic_energy(body: Body, omega: Vec) -> Float[Array, "..."]:
+def kinetic_energy(body: Body, omega: Vector) -> Float[Array, "..."]:
     """E = ½ Ω·IΩ.
 
     Args:
@@ -71,7 +72,7 @@ def kinetic_energy(body: Body, omega: Vec) -> Float[Array, "..."]:
     return dot(omega, angular_momentum(body, omega)) / 2
 
 
-def gyroscopic_torque(body: Body, omega: Vec) -> Vec:
+def gyroscopic_torque(body: Body, omega: Vector) -> Vector:
     """N = Ω×IΩ, so that the lab-frame rate of angular momentum is IΩ̇ + N.
 
     Args:
@@ -84,7 +85,7 @@ def gyroscopic_torque(body: Body, omega: Vec) -> Vec:
     return cross(omega, angular_momentum(body, omega))
 
 
-def radiation_torque(body: Body, omega: Vec, omega_dot: Vec, omega_ddot: Vec) -> Vec:
+def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: Vector) -> Vector:
     """T = d×{ d×(Ω²Ω − Ω̈) + (d·Ω̇)Ω + 2(d·Ω)Ω̇ }, which is d × d⃛.
 
     Args:
@@ -118,7 +119,7 @@ def radiation_torque(body: Body, omega: Vec, omega_dot: Vec, omega_ddot: Vec) ->
     return cross(d, third)
 
 
-def radiated_power(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."]:
+def radiated_power(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
     """|d₂|², the power that leaves with the radiation (Larmor's formula).
 
     Args:
@@ -133,7 +134,7 @@ def radiated_power(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."
     return dot(second, second)
 
 
-def schott_energy(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."]:
+def schott_energy(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
     """d₁·d₂, the energy lent by the near field: d/dt(E − d₁·d₂) = −|d₂|².
 
     Args:
@@ -147,7 +148,7 @@ def schott_energy(body: Body, omega: Vec, omega_dot: Vec) -> Float[Array, "..."]
     return dot(*dipole_derivatives(body, omega, omega_dot))
 
 
-def schott_angular_momentum(body: Body, omega: Vec, omega_dot: Vec) -> Vec:
+def schott_angular_momentum(body: Body, omega: Vector, omega_dot: Vector) -> Vector:
     """d×d₂, which the near field lends: d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
 
     Args:

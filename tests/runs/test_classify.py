@@ -12,7 +12,7 @@ from dipoletop import Outcome, Stop, radiation
 from dipoletop._base.linalg import solve
 from dipoletop._engines import jax_engine as lanes
 from dipoletop._runs.classify_many import assemble
-from dipoletop.equations.tangent import Tangent, Together
+from dipoletop.equations.tangent import Tangent
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
 OMEGA_INF = 0.09887029638156489613509  # Fig. 2a, extended precision
@@ -304,8 +304,9 @@ def test_variations_keep_the_certificate_of_their_equation():
     for equation, certified in ((ORDER_ONE, True), (Faster(0.1), False)):
         parameters = jax.tree.map(jnp.ones_like, equation)
         parameters = jax.tree.map(lambda leaf: leaf[None], parameters)
-        for kind in (Tangent, Together):
-            varied = kind(equation, parameters, jnp.zeros((1, 3)), jnp.asarray(0.2))
+        for basis in (False, True):
+            variations = parameters, jnp.zeros((1, 3))
+            varied = Tangent(equation, *variations, jnp.asarray(0.2), basis=basis)
             assert bool(varied.verdict(state).certified_for(varied)) == certified
 
 

@@ -11,7 +11,7 @@ import dipoletop as dt
 from dipoletop._base.types import Verdict
 from dipoletop._runs.sensitivity import decay_time
 from dipoletop.equations._verdicts.transverse import STEEP_FROM
-from dipoletop.equations.tangent import Tangent, Together
+from dipoletop.equations.tangent import Tangent
 
 AXES = ("delta", "w3", "phi")
 
@@ -136,7 +136,7 @@ def test_variations_of_a_general_body_are_those_of_the_closed_form():
         one = tangent(lambda d: dt.Reduced(dt.axisymmetric(d)), -0.3)
         two = tangent(dt.TransverseReduced, -0.3)
         y = two.lift(y)
-        return [(top.lift(y[:3]), top(0.0, y), top.slopes(y)) for top in (one, two)]
+        return [(top.lift(y[:3]), top(0.0, y), top.omega_inf_tangents(y)) for top in (one, two)]
 
     for one, two in zip(*found(jnp.array([0.2, 3e-6, 4e-6])), strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12)
@@ -207,7 +207,7 @@ def along_the_way(turn):
 
     made, push = jax.linearize(held, *jnp.zeros(3))
     tangent = Tangent(made, jax.vmap(push)(*jnp.eye(3)), jnp.zeros((3, 3)), jnp.ones(()))
-    return tangent.slopes(tangent.lift(jnp.array([0.2, 0.1, 0.1])))
+    return tangent.omega_inf_tangents(tangent.lift(jnp.array([0.2, 0.1, 0.1])))
 
 
 def test_slopes_where_the_value_is_known_at_once():
@@ -342,8 +342,10 @@ def test_infinite_only_along_changes_that_leave_what_keeps_a_body_rotating():
         assert equation.lift(omega) is omega  # a state is ω, so their variations are the same
         slope = equation.verdict(omega).slope
         return slope, *(
-            kind(equation, *along, jnp.ones(())).slopes(jnp.concatenate([omega, *along[1]]))
-            for kind in (Tangent, Together)
+            Tangent(equation, *along, jnp.ones(()), basis=basis).omega_inf_tangents(
+                jnp.concatenate([omega, *along[1]])
+            )
+            for basis in (False, True)
         )
 
     def along(**parts):

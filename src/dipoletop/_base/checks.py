@@ -160,7 +160,7 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
 
 def check_body(equation: Any) -> None:
     """Refuse an equation of which no body is known."""
-    if not hasattr(equation, "body"):
+    if getattr(equation, "body", None) is None:
         refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
 
 

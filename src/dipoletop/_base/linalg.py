@@ -7,19 +7,17 @@ tops. Written out in components: XLA fuses these, and batched library calls on 3
 import functools
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-Scalar = Float[Array, "*#lanes"]
-Vec = Float[Array, "3 *#lanes"]
-Mat = Float[Array, "3 3 *#lanes"]
+from .types import Matrix, Real, Vector
 
 
-def largest(components: Array) -> Scalar:
+def largest(components: Array) -> Real:
     """The largest component; a chain, since XLA:CPU does not vectorise `max`."""
     return functools.reduce(jnp.maximum, list(components))
 
 
-def length(a: Vec) -> Scalar:
+def length(a: Vector) -> Real:
     """|a|, without underflow of the squares."""
     sizes = jnp.abs(a)
     most = largest(sizes)
@@ -27,41 +25,41 @@ def length(a: Vec) -> Scalar:
     return most * jnp.sqrt((sizes[0] / one) ** 2 + (sizes[1] / one) ** 2 + (sizes[2] / one) ** 2)
 
 
-def scale(s: Scalar, a: Vec) -> Vec:
+def scale(s: Real, a: Vector) -> Vector:
     """Product s a."""
     return jnp.stack([s * a[0], s * a[1], s * a[2]])
 
 
-def dot(a: Vec, b: Vec) -> Scalar:
+def dot(a: Vector, b: Vector) -> Real:
     """a·b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a: Vec, b: Vec) -> Vec:
+def cross(a: Vector, b: Vector) -> Vector:
     """a×b."""
     return jnp.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
-def matvec(m: Mat, a: Vec) -> Vec:
+def matvec(m: Matrix, a: Vector) -> Vector:
     """Product m a."""
     return jnp.stack([dot(m[0], a), dot(m[1], a), dot(m[2], a)])
 
 
-def trace(m: Mat) -> Scalar:
+def trace(m: Matrix) -> Real:
     """Sum of the diagonal."""
     return m[0, 0] + m[1, 1] + m[2, 2]
 
 
-def solve(m: Mat, b: Vec) -> Vec:
+def solve(m: Matrix, b: Vector) -> Vector:
     """Solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
     r0, r1, r2 = cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])
     det = dot(m[0], r0)
     return jnp.stack([(r0[i] * b[0] + r1[i] * b[1] + r2[i] * b[2]) / det for i in range(3)])
 
 
-def inverse(m: Mat) -> Mat:
+def inverse(m: Matrix) -> Matrix:
     """The inverse of m."""
     rows = jnp.stack([cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])])
     return jnp.swapaxes(rows, 0, 1) / dot(m[0], rows[0])[None, None]

@@ -13,6 +13,16 @@ from .linalg import length
 
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # what engines count in 32 bits
+TANGENT_SLACK = 10.0
+"""How much larger the relative error of a first variation may be than that of the state.
+
+At the same tolerance derivatives are then less exact than values of the equation alone, but not
+next to a boundary. Those of bodies, whose precession gets out of phase, are the least exact: their
+errors grow with the number of turns of a run, about as its square."""
+TANGENT_SLACK_ALONE = 3.0
+"""The same for a single initial condition, where steps cost less than compilation."""
+TANGENT_FLOOR = 1e-2
+"""A part of |ω|: smaller variations, for a change by 1, need not be exact."""
 SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
 
 

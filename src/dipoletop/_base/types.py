@@ -1,6 +1,7 @@
-"""Words that every module shares: outcomes, the ways of stopping, and a verdict."""
+"""Names that every module shares: array types, outcomes, verdicts, and what an equation offers."""
 
 import enum
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -10,8 +11,16 @@ Real = Float[Array, "*#lanes"]
 """One real number for each lane; no lane axis for a single top."""
 Vector = Float[Array, "3 *#lanes"]
 """Three body-frame components on axis 0, lanes (if any) behind."""
+Matrix = Float[Array, "3 3 *#lanes"]
+"""A 3×3 matrix in body axes, its two indices on axes 0 and 1, lanes (if any) behind."""
+Flag = Bool[Array, "*#lanes"]
+"""One truth value for each lane."""
 State = Float[Array, "n *#lanes"]
 """The state of an equation: components on axis 0, lanes (if any) behind."""
+ErrorScale = Callable[[State], State]
+"""From a state to the magnitude that the relative error of each component refers to."""
+OmegaScale = Callable[[Vector], Vector]
+"""The same for an angular velocity."""
 
 
 class Outcome(enum.IntEnum):
@@ -81,11 +90,11 @@ jax.tree_util.register_pytree_node(
 
 @runtime_checkable
 class Equation(Protocol):
-    """What the library asks of a first-order equation of motion, yours included.
+    """An equation of motion dy/dτ = F(y): what the library needs to integrate it.
 
-    Make it an `equinox.Module` whose array fields are its parameters. A method `verdict(y)` is
-    needed only by runs that are to end at an outcome: it returns a `Verdict`, whose last field,
-    `equation`, is the class itself, written out, if its regions are proven for that class.
+    Make it an `equinox.Module` whose array fields are its parameters. `DecidingEquation` and
+    `FullEquation` add what ends a run and what describes a physical branch; `OptionalMembers`
+    lists what an equation may add besides.
     """
 
     def __call__(self, t: Any, y: State, args: Any = None, /) -> State:
@@ -93,9 +102,86 @@ class Equation(Protocol):
         ...
 
     def lift(self, omega0: Vector, /) -> State:
-        """The state that starts at the angular velocity `omega0`."""
+        """The initial state whose angular velocity is `omega0`."""
         ...
 
     def omega(self, y: State, /) -> Vector:
         """The angular velocity of a state, in body axes."""
         ...
+
+
+@runtime_checkable
+class DecidingEquation(Equation, Protocol):
+    """An equation that can end a run: `classify`, `sweep` and all that is built on them need it."""
+
+    def verdict(self, y: State, /) -> Verdict:
+        """The outcome, as soon as the state makes it certain; cheap enough for every step.
+
+        The last field of the `Verdict`, `equation`, is the class itself, written out, if its
+        regions are proven for that class. A plain tuple of the first fields is taken, too.
+        """
+        ...
+
+
+class FullEquation(DecidingEquation, Protocol):
+    """A full equation: runaways leave a slow manifold, its physical branch, at the rates named.
+
+    The state is (ω, a), with a the part of ω′ that is free. `_branch` follows the branch by
+    boundary-value problems and asks for every member. An equation with a `branch` (see
+    `OptionalMembers`) needs of these only `runaway_rate`.
+    """
+
+    @property
+    def runaway_rate(self) -> Real | float:
+        """The slowest rate at which a distance from the branch grows near rest, per unit of τ.
+
+        An equation is full if this is there and not None (`_common.is_full`).
+        """
+        ...
+
+    @property
+    def body(self) -> Any:
+        """The `Body` that moves."""
+        ...
+
+    def omega_dot(self, y: State, /) -> Vector:
+        """ω′ of a state."""
+        ...
+
+    def fast(self, omega_dot: Vector, /) -> State:
+        """a, the part of a given ω′ that belongs to the state."""
+        ...
+
+    def reduced(self, order: int, /) -> Callable[..., Vector]:
+        """The reduced level of an order, which approximates the branch."""
+        ...
+
+    @property
+    def semi(self) -> Callable[..., Vector]:
+        """The semi-reduced level, which approximates the branch."""
+        ...
+
+
+class OptionalMembers(Protocol):
+    """Members that any equation may have; the library does without those that are missing."""
+
+    level: str
+    """The label in tables and pictures; if missing, the name of the class (`levels.level_of`)."""
+    body: Any
+    """The `Body` that moves: energies, powers, spectra and decay times need it.
+
+    A field of that name is a parameter, whose moments and dipole may vary one by one; derivatives
+    of ω∞ take care of that (`_common.has_body_field`)."""
+    order: int
+    """The order of a reduced level; an equation without one counts as semi-reduced.
+
+    Derivatives of ω∞ with respect to a `body` field depend on it."""
+    branch: DecidingEquation
+    """The equation of the physical branch of a full equation, if known in closed form
+    (`_common.physical`)."""
+    omega_scale: OmegaScale
+    """What relative errors of ω refer to: a static function, or one that can be hashed. If missing,
+    the largest component (`_common.omega_scale_of`)."""
+    error_scale: ErrorScale
+    """The same for the components of a state; if missing, ω at that state
+    (`_common.error_scale_of`)."""

@@ -20,6 +20,7 @@ from .._base.checks import check_single, finite, or_nan, refuse
 from .._base.forward_mode import differentiable
 from .._base.tolerances import tolerance
 from .._engines import jax_engine as lanes
+from ..equations._common import is_full, physical
 from ..equations.tangent import Tangent
 from . import window as _windows
 from .window import Window
@@ -29,19 +30,6 @@ EFOLDS = 36.0  # runaway times that a first window looks ahead
 LONGER, SHORTER = 1.6, (0.5, 0.8, 1.0, 1.3, 1.7)  # of windows, by the number of good elements
 REACHES = 30.0  # an element may be this much worse than rtol, if only the one before it is kept
 TRIES = 14  # windows in a row of which nothing holds
-
-
-def is_full(equation: Any) -> bool:
-    """Whether an equation has runaways, and so a physical branch to be followed."""
-    return hasattr(equation, "runaway_rate")
-
-
-def physical(equation: Any) -> Any:
-    """What runs from a start ω₀ are made with: the equation, or its branch, if it has that one.
-
-    A full equation may know an equation of its physical motions without runaways, `branch`.
-    """
-    return getattr(equation, "branch", equation)
 
 
 def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bool = False) -> Any:
@@ -362,6 +350,6 @@ def _varied(equation: Tangent, start: Array, limits: Any, until: _endings.Until)
 
     omega = base.omega(start[:n])
     y, variations, others = jax.vmap(along, out_axes=(None, 0, None))(
-        equation.parameters, equation.starts
+        equation.parameter_variations, equation.start_variations
     )
     return jnp.concatenate([y, variations.ravel()]), *others

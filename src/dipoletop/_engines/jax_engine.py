@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.stopping import Until, decided, sound
 from .._base.types import Equation, Real, State
-from ..equations._common import sizes_of
+from ..equations._common import error_scale_of
 from .step_sizes import error_ratio, first_step, root
 
 NAME = "jax"  # of the engine
@@ -42,7 +42,7 @@ class Limits(eqx.Module):
     """Tolerances and budget of a run, all traced: a new value compiles nothing.
 
     The error of a step is kept below atol + rtol·max(size(y), size(y_new)) in every component, a
-    size being that of `sizes_of`.
+    size being that of `error_scale_of`.
     """
 
     rtol: Float[Array, ""]
@@ -145,7 +145,7 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     """Runs at their start: first slopes and step sizes; some are decided or broken at once."""
     scale = (limits.rtol, limits.atol)
     f = equation(jnp.zeros_like(limits.t1), y0, None)
-    h = first_step(equation, sizes_of(equation), y0, f, scale, order)
+    h = first_step(equation, error_scale_of(equation), y0, f, scale, order)
     able = sound(0 * h, y0, f) & jnp.isfinite(h)
     done = decided(equation, y0, scale, until) | (limits.t1 <= 0)
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
@@ -164,7 +164,7 @@ def advance(at: Lanes, rtol: Real, max_steps: Array, solver: Any, until: Until) 
     last = at.h >= left
     h = jnp.where(last, left, at.h)
     new, slope, error = _runge_kutta(solver, at.equation, at, h)
-    ratio = error_ratio(sizes_of(at.equation), error, (at.y, new), scale)
+    ratio = error_ratio(error_scale_of(at.equation), error, (at.y, new), scale)
     factor = SAFETY / root(jnp.maximum(ratio, 1e-30), solver.order(None))
     regular = jnp.isfinite(ratio)  # an overflowing stage says: a smaller step
     accept = running & regular & (ratio <= 1)

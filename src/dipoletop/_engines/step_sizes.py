@@ -15,20 +15,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.linalg import largest
-from .._base.types import Real, State
-from ..equations._common import Sizes
+from .._base.types import ErrorScale, Real, State
 
 FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
 
 
-def error_ratio(sizes: Sizes, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
+def error_ratio(sizes: ErrorScale, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
     """The largest component of the error of a step over what (rtol, atol) allow."""
     rtol, atol = scale
     allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
     return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
 
 
-def first_step(equation: Any, sizes: Sizes, y: State, f: State, scale: Any, order: int) -> Real:
+def first_step(
+    equation: Any, sizes: ErrorScale, y: State, f: State, scale: Any, order: int
+) -> Real:
     """Step size to begin with: that of a step whose error is about the tolerance.
 
     With y, ẏ, ÿ measured by the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order): in
@@ -64,10 +65,10 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
 
     rtol: Real
     atol: Real
-    sizes: Sizes
+    sizes: ErrorScale
     pid: diffrax.PIDController
 
-    def __init__(self, rtol: Real, atol: Real, sizes: Sizes) -> None:
+    def __init__(self, rtol: Real, atol: Real, sizes: ErrorScale) -> None:
         self.rtol, self.atol, self.sizes = rtol, atol, sizes
         least = jnp.finfo(jnp.result_type(float)).tiny  # diffrax divides by what is allowed
         self.pid = diffrax.PIDController(rtol, jnp.maximum(atol, least), norm=self.norm)

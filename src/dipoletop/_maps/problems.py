@@ -18,7 +18,7 @@ from .._base.linalg import length
 from .._base.parallel import inside
 from .._base.types import Equation, Verdict
 from .._branch.march import physical
-from ..equations._common import sizes_of
+from ..equations._common import error_scale_of
 from ..equations.tangent import Tangent
 from .grids import Grid, Points, Sample
 
@@ -78,7 +78,7 @@ class Builder:
                 "field": of(lambda equation, y: equation(0.0, y, None), state),
                 "lift": of(lambda equation, omega: equation.lift(omega), omegas),
                 "verdict": of(_verdict, state),
-                "sizes": of(lambda equation, y: sizes_of(equation)(y), state),
+                "sizes": of(lambda equation, y: error_scale_of(equation)(y), state),
             }
             if isinstance(self.over, Sample):
                 found["draw"] = program_digest(self.over.draw, jax.random.key(0))

@@ -17,6 +17,7 @@ from .._base.stopping import Until
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._engines import jax_engine as lanes
 from .._runs.classify_many import TILE, Value, classify_block, engines_for, goal, power_of_two
+from ..equations.levels import level_of
 from . import store as disk
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
@@ -107,7 +108,7 @@ def sweep(
         return _compared(each, tiling.real(job)), block
 
     attrs = {
-        "level": getattr(equation, "level", type(equation).__name__),
+        "level": level_of(equation),
         "rtol": float(rtols[0]),
         "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
         "max_steps": steps,

@@ -29,7 +29,7 @@ from .._branch import march as manifold
 from .._engines import jax_engine as lanes
 from .._engines.select import engine_for, judged
 from .._engines.step_sizes import Controller
-from ..equations._common import scales_of, sizes_of
+from ..equations._common import error_scale_of, omega_scale_of
 from ..equations.tangent import Tangent
 from .conditioning import checked, checked_alone, series_error, unchecked
 
@@ -82,8 +82,10 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
     slopes = None
     if isinstance(equation, Tangent):
         sure = settled & _endings.smooth(verdict, scale[0])
-        sure = sure & ~((verdict.outcome == Outcome.STOP) & equation.astray(y, scale[0]))
-        slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan)
+        sure = sure & ~(
+            (verdict.outcome == Outcome.STOP) & equation.may_cross_boundary(y, scale[0])
+        )
+        slopes = jnp.where(sure[None], equation.omega_inf_tangents(y), jnp.nan)
     return Classification(
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(settled, verdict.omega_inf, jnp.nan),
@@ -194,7 +196,7 @@ def _classify(equation: Any, start: Array, scale: Any, how: Any) -> Classificati
         return assemble(equation, ends, scale)
 
     if value is True and until != "time":
-        measure = scales_of(equation) if from_omega else sizes_of(equation)
+        measure = omega_scale_of(equation) if from_omega else error_scale_of(equation)
         return checked_alone(run, start, measure(start), scale)
     return unchecked(run(start, scale, jnp.asarray(True)), value, jnp)
 
@@ -219,7 +221,7 @@ def _end_by_steps(equation, y0, scale, t1, max_steps: int, until: _endings.Until
         jnp.where(ended(jnp.zeros(()), y0, None), 0.0, t1),
         None,
         y0,
-        stepsize_controller=Controller(rtol, atol, sizes_of(equation)),
+        stepsize_controller=Controller(rtol, atol, error_scale_of(equation)),
         saveat=diffrax.SaveAt(t1=True),
         event=diffrax.Event(ended),
         max_steps=max_steps,
@@ -256,7 +258,7 @@ def classify_block(
 
     found = run(omegas, limits)
     if value is True:
-        return checked(found, run, omegas, limits, scales_of(equation))
+        return checked(found, run, omegas, limits, omega_scale_of(equation))
     return unchecked(found, value, np)
 
 

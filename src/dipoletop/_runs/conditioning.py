@@ -4,7 +4,7 @@ A run of n steps, each with an error of at most rtol·|ω|, misses ω∞ by no m
 
     C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n,
 
-s being what errors of the components of ω₀ are measured by (`scales_of`), |ω₀| or less.
+s being what errors of the components of ω₀ are measured by (`omega_scale_of`), |ω₀| or less.
 
 Both were measured (benchmarks/bench_residual.py). C is small, since Dopri8 estimates the error of
 the lower one of its two orders; MIDWAY is there since a motion may be more sensitive on its way
@@ -24,8 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.types import Outcome, Real, Verdict
-from ..equations._common import Scales
+from .._base.types import OmegaScale, Outcome, Real, Verdict
 
 Run = Callable[[Any, Any], Any]
 """From starts (3, N) and `Limits` to classifications."""
@@ -60,7 +59,7 @@ def integration_error(value: Any, steps: Any, change: Any, scale: Any) -> Any:
     return (FIXED + PER_STEP * steps) * (rtol + atol / size) * (MIDWAY * size + change)
 
 
-def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: Scales) -> Any:
+def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: OmegaScale) -> Any:
     """Classifications with the integration's part of the error of ω∞; NaN for ω∞ if it exceeds it.
 
     Args:
@@ -83,7 +82,7 @@ def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: Scales) -> A
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _scaled(scales: Scales, starts: Array) -> Array:
+def _scaled(scales: OmegaScale, starts: Array) -> Array:
     return scales(starts)
 
 

@@ -16,13 +16,13 @@ from .. import radiation
 from .._base.checks import check_body, check_single, check_verdict, or_nan, real, where_valid
 from .._base.forward_mode import differentiable
 from .._base.linalg import dot, length, scale
-from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
-from .._base.types import Equation
+from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, absolute, budget, tolerance
+from .._base.types import Equation, ErrorScale
 from .._branch import march as manifold
 from .._engines.step_sizes import Controller
-from ..equations._common import Sizes, scales_of, sizes_of
+from ..equations._common import error_scale_of, omega_scale_of
 from ..equations._verdicts.nonsmooth import infinity
-from ..equations.tangent import Together
+from ..equations.tangent import Tangent
 from .classify_many import UNCHECKED, Value, classified
 from .conditioning import is_known
 
@@ -101,12 +101,13 @@ def residual_rotation(
         parameters, starts = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
         # Else +s in one and −s in another would leave a plausible number of what is infinite.
         irregular = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))  # independent numbers
-        equation = Together(eqx.combine(arrays, rest), parameters, starts, length(start))
+        along = eqx.combine(arrays, rest), parameters, starts, length(start)
+        equation = Tangent(*along, basis=True, tangent_slack=TANGENT_SLACK_ALONE)
         found = ends(equation, start, limits, UNCHECKED)
         endless = infinity(x.dtype) * (irregular + jnp.sum(x - jax.lax.stop_gradient(x)))
         slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
         by_start = found.slopes[-3:]  # the start is what varies last, always
-        each = jnp.where(jnp.isinf(by_start), 0.0, by_start) * scales_of(equation)(start)
+        each = jnp.where(jnp.isinf(by_start), 0.0, by_start) * omega_scale_of(equation)(start)
         return or_nan(jnp.append(found.omega_inf, slopes), is_known(found, length(each), limits))
 
     return _with_gradient(value, with_slopes)(leaves, limits)
@@ -232,7 +233,7 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
         return manifold.crossing(equation, start, lambda y: energy(y) - level, rtol, windows)
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     until = jnp.where(falls, jnp.inf, 0.0)
-    size = sizes_of(equation)
+    size = error_scale_of(equation)
     step = _solve(equation, until, y0, limits, size, event=below)
 
     # Back from the end of that step to the level, with the energy as the independent variable.
@@ -249,7 +250,9 @@ def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Fl
     return jnp.where(good, late * found.ys[-1, -1], jnp.nan * first)  # no derivative, either
 
 
-def _solve(field: Any, t1: Any, y0: Array, limits: Any, sizes: Sizes, event: Any = None) -> Any:
+def _solve(
+    field: Any, t1: Any, y0: Array, limits: Any, sizes: ErrorScale, event: Any = None
+) -> Any:
     """An integration from 0 to t1 that can be differentiated forwards."""
     rtol, atol, max_steps = limits
     return diffrax.diffeqsolve(

@@ -33,7 +33,8 @@ from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation, State, Vector
 from .._branch import march as manifold
 from .._engines.step_sizes import Controller
-from ..equations._common import sizes_of
+from ..equations._common import error_scale_of
+from ..equations.levels import level_of
 
 LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
@@ -144,7 +145,7 @@ class Trajectory(eqx.Module):
     @property
     def level(self) -> str:
         """Which level of the equation of motion this is."""
-        return getattr(self.equation, "level", type(self.equation).__name__)
+        return level_of(self.equation)
 
     def evaluate(self, t: Any) -> Float[Array, "..."]:
         """ω at any times within the run, by the solver's own interpolation (`dense=True`).
@@ -314,7 +315,7 @@ def _sizes(equation: Any, y: State) -> State:
     """What errors are measured by; the radiated energy, if it is there, goes as the square of ω."""
     n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
     least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
-    return jnp.concatenate([sizes_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
+    return jnp.concatenate([error_scale_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
 
 
 @eqx.filter_jit

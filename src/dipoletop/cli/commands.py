@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ..equations.levels import CONSISTENT, LACKS, Level
+from ..equations.levels import Level
 from .command import Command
 from .command import computing as _computing
 from .parameters import Number, Size
@@ -173,7 +173,9 @@ def map_(**options: Any) -> None:
     _draw([run.basin for run in runs], axes, picture)
     click.echo(_mapping.report(runs))
     if levels == ("order-1",):
-        click.echo(f"{LACKS}; outcomes may differ at the consistent levels (--level semi).")
+        click.echo(
+            f"{Level.ORDER_1.caveat}; outcomes may differ at the consistent levels (--level semi)."
+        )
     click.echo(f"Picture: {picture}")
     for run in runs:
         if run.store:
@@ -205,7 +207,7 @@ def _draw(basins: list[Any], axes: tuple[str, str], picture: Path) -> None:
     "--level",
     type=FULL_TOO,
     metavar="LEVEL",
-    default=CONSISTENT.value,
+    default=Level.SEMI.value,
     help="Level of the equation; order-1 is the paper's.",
 )
 @_quantities
@@ -321,9 +323,9 @@ def spectrum(delta: float, w: float, level: tuple[str, ...]) -> None:
     for line in _reports.spectra([equation_at(name, delta) for name in level], w):
         click.echo(line)
     if set(level) == {"order-1"}:
-        consistent = equation_at(CONSISTENT, delta)
+        consistent = equation_at(Level.SEMI, delta)
         first, slow, *_ = _reports.spectra([consistent], w)
-        click.echo(f"{LACKS}; {first}, {' '.join(slow.split())}.")
+        click.echo(f"{Level.ORDER_1.caveat}; {first}, {' '.join(slow.split())}.")
 
 
 @main.command(short_help="Check this installation against exact values.")

@@ -1,1 +1,40 @@
-"""Equations of motion; each is a diffrax vector field with components on axis 0."""
+"""Equations of motion; each is a diffrax vector field with components on axis 0.
+
+`rigid` holds those of any body, `transverse` and `longitudinal` the closed forms of axisymmetric
+tops, `transverse_approximations` the averaged and linearised ones, `rotator` the plane rotator
+(its curves in the phase plane: `rotator_curves`). `levels` names the levels of approximation,
+`coordinates` are cylindrical variables, `tangent` adds first variations to any equation.
+`_verdicts` says when the outcome of a run is certain. What an equation has to offer is written in
+`_base/types.py`.
+"""
+
+from .levels import Level
+from .longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
+from .rigid import Full, Reduced, SemiReduced
+from .rotator import RotatorBranch, RotatorFull, RotatorReduced
+from .transverse import TransverseFull, TransverseReduced, TransverseSemi, equation_at
+from .transverse_approximations import (
+    TransverseAveraged,
+    TransverseCylindrical,
+    TransverseLinearised,
+)
+
+__all__ = [
+    "Full",
+    "Level",
+    "LongitudinalFull",
+    "LongitudinalReduced",
+    "LongitudinalSemi",
+    "Reduced",
+    "RotatorBranch",
+    "RotatorFull",
+    "RotatorReduced",
+    "SemiReduced",
+    "TransverseAveraged",
+    "TransverseCylindrical",
+    "TransverseFull",
+    "TransverseLinearised",
+    "TransverseReduced",
+    "TransverseSemi",
+    "equation_at",
+]

@@ -1,6 +1,10 @@
-"""What several equations share: the shape, labels, checks, and states that are ω itself."""
+"""What several equations share: converters of fields, order reduction, and members that may lack.
 
-from collections.abc import Callable
+An equation may leave out the members of `OptionalMembers`. Each of them is read by one function,
+here or in `levels`, which knows what to do without it.
+"""
+
+import dataclasses
 from typing import Any
 
 import jax
@@ -11,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .._base.checks import concrete, instance, real, refuse, where_valid
 from .._base.linalg import largest
-from .._base.types import Real, State, Vector
+from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
 from ..bodies import Body
 
 
@@ -27,10 +31,11 @@ def rigid_body(body: Any) -> Body:
     return instance("body", body, Body)
 
 
-def check_order(order: Any) -> None:
-    """Orders beyond 4 cost about four times more each, and the series diverges."""
+def reduced_order(order: Any) -> int:
+    """An order from 1 to 4; beyond, each costs about four times more, and the series diverges."""
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 4:
         refuse("order", "be 1, 2, 3 or 4", f"is {order!r}")
+    return order
 
 
 def one_order_up(lower: Any, t: Any, y: Vector) -> tuple[Vector, Vector]:
@@ -47,42 +52,58 @@ def reciprocal(x: Real) -> Real:
 @reciprocal.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
     (x,), (change,) = primals, tangents
-    found = reciprocal(x)
-    return found, -(found**2) * change
+    inverse = reciprocal(x)
+    return inverse, -(inverse**2) * change
 
 
-def unchanged(self: Any, omega: Vector) -> Vector:
-    """The state is the angular velocity itself, shape (3,) or (3, B)."""
-    return omega
+def is_full(equation: Any) -> bool:
+    """Whether an equation has runaways, and so a physical branch that has to be followed."""
+    return getattr(equation, "runaway_rate", None) is not None
 
 
-Sizes = Callable[[State], State]
-"""What the relative error of each component of a state is measured by."""
-Scales = Callable[[Vector], Vector]
-"""The same for an angular velocity; a plain function of it."""
+def physical(equation: Any) -> Any:
+    """The equation that runs from an initial condition ω₀ integrate: its `branch`, else itself."""
+    return getattr(equation, "branch", equation)
 
 
-def even(omega: Vector) -> Vector:
+def has_body_field(equation: Any) -> bool:
+    """Whether the body is a parameter: a field, not a top that is derived from δ."""
+    fields = dataclasses.fields(equation) if dataclasses.is_dataclass(equation) else ()
+    is_field = any(field.name == "body" for field in fields)
+    return is_field and isinstance(getattr(equation, "body", None), Body)
+
+
+def omega_scale_of(equation: Any) -> OmegaScale:
+    """What relative errors of ω refer to: `equation.omega_scale`, else the largest component."""
+    return getattr(equation, "omega_scale", largest_component)
+
+
+def error_scale_of(equation: Any) -> ErrorScale:
+    """What relative errors of a state refer to: `equation.error_scale`, else its present ω."""
+    return getattr(equation, "error_scale", Partial(present_scale, equation))
+
+
+def largest_component(omega: Vector) -> Vector:
     """The largest component, for all three."""
     return jnp.broadcast_to(largest(jnp.abs(omega))[None], omega.shape)
 
 
-def scales_of(equation: Any) -> Scales:
-    """How an equation measures ω: by its own function `scales`, or by the largest component."""
-    return getattr(equation, "scales", even)
+def present_scale(equation: Equation, y: State) -> State:
+    """The scale of ω if that is the state, else |y| or the largest component of ω.
 
-
-def sizes_of(equation: Any) -> Sizes:
-    """How an equation measures its state: by its own method `sizes`, or by the present ω."""
-    return getattr(equation, "sizes", Partial(present_sizes, equation))
-
-
-def present_sizes(equation: Any, y: State) -> State:
-    """The scales of ω if that is the state, else |y| or the largest component of ω.
-
-    A component that passes 0 then needs no short steps.
+    So a component that passes through 0 needs no short steps.
     """
     omega = equation.omega(y)
     if omega is y:
-        return scales_of(equation)(y)
-    return jnp.maximum(jnp.abs(y), even(omega)[:1])
+        return omega_scale_of(equation)(y)
+    return jnp.maximum(jnp.abs(y), largest_component(omega)[:1])
+
+
+def transverse_omega_scale(omega: Vector) -> Vector:
+    """Of a transverse top: ω⊥ for ω₁ and ω₂; for ω₃ itself, or ω⊥ min(ω⊥, 1) if that is larger.
+
+    Near the residual line, and at a capture, ω₃ ~ ω⊥² where that is small.
+    """
+    w1, w2, w3 = jnp.abs(omega)
+    across = jnp.maximum(w1, w2)
+    return jnp.stack([across, across, jnp.maximum(w3, across * jnp.minimum(across, 1.0))])

@@ -1,29 +1,30 @@
 """The levels of approximation of the equation of motion, by name."""
 
 import enum
+from typing import Any
 
 from .._base.checks import refuse
 
-LACKS = "Order 1 lacks a leading term of the full equation"
-
 
 class Level(enum.StrEnum):
-    """How closely an equation of motion follows the full one.
+    """How closely an equation of motion approximates the full one.
 
-    The torque of radiation holds the first and the second derivative of ω. The levels differ in
-    what they put in their place; the value is the word of the command line.
+    The radiation torque contains ω′ and ω″. The full equation keeps both and has runaways; the
+    other levels replace one or both by functions of ω, as in the order reduction of the
+    Abraham–Lorentz equation by Landau and Lifshitz. The value is the word of the command line.
     """
 
     ORDER_1 = "order-1"
-    """The paper's reduced equation: both derivatives are those of free rotation."""
+    """The paper's reduced equation: ω′ and ω″ in the torque are those of free rotation."""
     ORDER_2 = "order-2"
-    """Both derivatives are those of order 1; and so on for the next ones."""
+    """ω′ and ω″ in the torque are those of order 1. Order m is the asymptotic expansion of the
+    physical branch up to its m-th correction; the series diverges."""
     ORDER_3 = "order-3"
     ORDER_4 = "order-4"
     SEMI = "semi"
-    """Semi-reduced: only the second derivative is replaced, by that of free rotation."""
+    """Semi-reduced: ω″ in the torque is that of free rotation; ω′ is kept and solved for."""
     FULL = "full"
-    """The full equation, on its physical branch."""
+    """The full equation, restricted to its physical branch: the slow manifold without runaways."""
 
     @classmethod
     def of_order(cls, order: int) -> "Level":
@@ -54,9 +55,15 @@ class Level(enum.StrEnum):
 
     @property
     def consistent(self) -> bool:
-        """Whether it holds every term of leading order in small |ω|; order 1 lacks one."""
+        """Whether every term of leading order in small |ω| is kept; order 1 lacks one."""
         return self is not Level.ORDER_1
 
+    @property
+    def caveat(self) -> str:
+        """What to know before trusting the level; empty if it is consistent."""
+        return "" if self.consistent else "Order 1 lacks a leading term of the full equation"
 
-CONSISTENT = Level.SEMI
-"""The consistent level that costs no more than order 1."""
+
+def level_of(equation: Any) -> str:
+    """The label of an equation: its `level`, else the name of its class."""
+    return getattr(equation, "level", type(equation).__name__)

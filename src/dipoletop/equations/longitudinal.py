@@ -16,16 +16,12 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
-from ._common import check_order, one_order_up, shape_parameter, unchanged
+from ._common import one_order_up, reduced_order, shape_parameter
 from .levels import Level
 
-Whole = Float[Array, "5 *lanes"]
+FullState = Float[Array, "5 *lanes"]
+"""(ω₁, ω₂, ω₃, ω₁′, ω₂′)."""
 SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
-
-
-def _top(self: Any) -> Body:
-    """The top that the equation moves, for energies and powers."""
-    return axisymmetric(self.delta, "longitudinal")
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
@@ -74,10 +70,7 @@ class LongitudinalReduced(eqx.Module):
     """
 
     delta: Real = eqx.field(converter=shape_parameter)
-    order: int = eqx.field(static=True, default=1)
-
-    def __check_init__(self):
-        check_order(self.order)
+    order: int = eqx.field(static=True, default=1, converter=reduced_order)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dω/dτ, shape (3,) or (3, B)."""
@@ -89,7 +82,13 @@ class LongitudinalReduced(eqx.Module):
         drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])
 
-    lift = omega = unchanged
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: certain at once, proven. Orders 2–4: where |ω|² ≤ 0.1, not certified."""
@@ -98,7 +97,10 @@ class LongitudinalReduced(eqx.Module):
         found = _settles(y, certain, self.order == 1)
         return found._replace(equation=LongitudinalReduced)
 
-    body = property(_top)
+    @property
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta, "longitudinal")
 
     @property
     def level(self) -> str:
@@ -120,6 +122,8 @@ class LongitudinalSemi(eqx.Module):
 
     delta: Real = eqx.field(converter=shape_parameter)
 
+    level = Level.SEMI.label
+
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
@@ -131,19 +135,23 @@ class LongitudinalSemi(eqx.Module):
         p1, p2 = (r1 - turn * r2) / determinant, (r2 + turn * r1) / determinant
         return jnp.stack([p1, p2, jnp.zeros_like(w3)])
 
-    lift = omega = unchanged
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
 
     def verdict(self, y: Vector) -> Verdict:
         """Certain at once, proven: ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
         found = _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
         return found._replace(equation=LongitudinalSemi)
 
-    body = property(_top)
-
     @property
-    def level(self) -> str:
-        """Which equation this is, for labels."""
-        return Level.SEMI.label
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta, "longitudinal")
 
 
 class LongitudinalFull(eqx.Module):
@@ -161,21 +169,23 @@ class LongitudinalFull(eqx.Module):
 
     delta: Real = eqx.field(converter=shape_parameter)
 
-    def __call__(self, t: Any, y: Whole, args: Any = None) -> Whole:
+    level = Level.FULL.label
+
+    def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """dy/dτ, shape (5,) or (5, B)."""
         rate = self.omega_dot(y)
         balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
         return jnp.concatenate([rate, (rate - balance)[:2]])
 
-    def lift(self, omega0: Vector) -> Whole:
+    def lift(self, omega0: Vector) -> FullState:
         """Onto the physical branch as the reduction of order 3 has it."""
         return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
-    def omega(self, y: Whole) -> Vector:
+    def omega(self, y: FullState) -> Vector:
         """The first three components."""
         return y[:3]
 
-    def verdict(self, y: Whole) -> Verdict:
+    def verdict(self, y: FullState) -> Verdict:
         """On the physical branch certain at once: a bounded motion ends where |d₂|² is 0.
 
         That is rotation about the dipole, by the balance of energy. Not certified: that the
@@ -188,7 +198,7 @@ class LongitudinalFull(eqx.Module):
         """The part of ω′ that is state, and runs away: (ω₁′, ω₂′)."""
         return omega_dot[:2]
 
-    def omega_dot(self, y: Whole) -> Vector:
+    def omega_dot(self, y: FullState) -> Vector:
         """ω′ of a state."""
         return jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
 
@@ -206,9 +216,7 @@ class LongitudinalFull(eqx.Module):
         """At which what is off the physical branch grows, near rest."""
         return jnp.ones_like(self.delta)
 
-    body = property(_top)
-
     @property
-    def level(self) -> str:
-        """Which equation this is, for labels."""
-        return Level.FULL.label
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta, "longitudinal")

@@ -15,9 +15,12 @@ from .._base.linalg import dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from ._common import check_order, one_order_up, rigid_body, unchanged
+from ._common import one_order_up, reduced_order, rigid_body
 from ._verdicts import any_body as _general
 from .levels import Level
+
+FullState = Float[Array, "6 *lanes"]
+"""(Ω, a)."""
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
@@ -46,10 +49,7 @@ class Reduced(eqx.Module):
     """
 
     body: Body = eqx.field(converter=rigid_body)
-    order: int = eqx.field(static=True, default=1)
-
-    def __check_init__(self):
-        check_order(self.order)
+    order: int = eqx.field(static=True, default=1, converter=reduced_order)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dΩ/dτ, shape (3,) or (3, B)."""
@@ -61,7 +61,13 @@ class Reduced(eqx.Module):
         torque = radiation_torque(body, y, rate, second) - gyroscopic_torque(body, y)
         return matvec(inverse(body.inertia), torque)
 
-    lift = omega = unchanged
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
@@ -88,6 +94,8 @@ class SemiReduced(eqx.Module):
 
     body: Body = eqx.field(converter=rigid_body)
 
+    level = Level.SEMI.label
+
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dΩ/dτ, shape (3,) or (3, B)."""
         body = self.body
@@ -101,16 +109,17 @@ class SemiReduced(eqx.Module):
         matrix = jnp.stack([column(i) for i in range(3)], axis=1)
         return solve(matrix, known - gyroscopic_torque(body, y))
 
-    lift = omega = unchanged
+    def lift(self, omega0: Vector) -> Vector:
+        """The state is ω itself."""
+        return omega0
+
+    def omega(self, y: Vector) -> Vector:
+        """The state is ω itself."""
+        return y
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
         return _general.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
-
-    @property
-    def level(self) -> str:
-        """Which equation this is, for labels."""
-        return Level.SEMI.label
 
 
 class Full(eqx.Module):
@@ -131,9 +140,9 @@ class Full(eqx.Module):
 
     body: Body = eqx.field(converter=rigid_body)
 
-    def __call__(
-        self, t: Any, y: Float[Array, "6 *lanes"], args: Any = None
-    ) -> Float[Array, "6 *lanes"]:
+    level = Level.FULL.label
+
+    def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """d(Ω, a)/dτ, shape (6,) or (6, B)."""
         body, omega = self.body, y[:3]
         rate = self.omega_dot(y)
@@ -142,14 +151,14 @@ class Full(eqx.Module):
         square = dot(body.dipole, body.dipole)
         return jnp.concatenate([rate, self.fast(scale(1 / square, lack))])
 
-    def omega_dot(self, y: Float[Array, "6 *lanes"]) -> Vector:
+    def omega_dot(self, y: FullState) -> Vector:
         """Ω̇ of a state, shape (3,) or (3, B)."""
         body, omega, a = self.body, y[:3], y[3:]
         lever = matvec(body.inertia, body.dipole)  # I is symmetric
         along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(lever, a)
         return a - scale(along / dot(lever, body.dipole), body.dipole)
 
-    def verdict(self, y: Float[Array, "6 *lanes"]) -> Verdict:
+    def verdict(self, y: FullState) -> Verdict:
         """That of a state on the physical branch, by the same tests; not certified."""
         return _general.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
 
@@ -184,16 +193,11 @@ class Full(eqx.Module):
         root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
         return minors / ((total / 2 + root) * square)
 
-    def lift(self, omega0: Vector) -> Float[Array, "6 *lanes"]:
+    def lift(self, omega0: Vector) -> FullState:
         """Onto the physical branch as the reduction of order 3 has it."""
         rate = Reduced(self.body, 3)(0.0, omega0)
         return jnp.concatenate([omega0, self.fast(rate)])
 
-    def omega(self, y: Float[Array, "6 *lanes"]) -> Vector:
+    def omega(self, y: FullState) -> Vector:
         """The first three components."""
         return y[:3]
-
-    @property
-    def level(self) -> str:
-        """Which equation this is, for labels."""
-        return Level.FULL.label

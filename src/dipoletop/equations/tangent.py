@@ -1,7 +1,8 @@
 """An equation together with its first variations, as an equation of its own."""
 
 import functools
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,103 +10,56 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.linalg import cross, largest, matvec
-from .._base.types import Real, State, Vector, Verdict
-from ..bodies import Body
-from ._common import Scales, scales_of, sizes_of
+from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
+from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
+from ._common import error_scale_of, has_body_field, omega_scale_of
 from ._verdicts.any_body import constraints, rounding
 from ._verdicts.nonsmooth import infinite
 from ._verdicts.residual_line import guarded
-from .levels import Level
-
-LEAST = 1e-2  # of |ω|: variations below it, for a change by 1, need not be exact
+from .levels import Level, level_of
 
 
 class Tangent(eqx.Module):
     """y′ = F(p, y) with m first variations of it, yₖ′ = (∂F/∂y) yₖ + (∂F/∂p) pₖ.
 
-    The state is (y, y₁, …, y_m), n(1 + m) numbers. Runs of it end as those of F do, once the
-    derivatives of ω∞ are certain, too; `slopes` gives these. It is an equation as any other:
-    simulate, classify or sweep it.
+    The state is (y, y₁, …, y_m), n(1 + m) numbers. It is an equation like any other: simulate,
+    classify or sweep it. Its runs end as those of F do, once the derivatives of ω∞ are certain,
+    too; `omega_inf_tangents` gives these.
 
     Args:
-        equation: the equation F, with a `verdict` if runs are to end.
-        parameters: pₖ, the arrays of the equation (others None) with an axis of m in front.
-        starts: the variations of ω₀, shape (m, 3).
-        size: |ω₀|, by which changes of the start are measured.
+        equation: the equation F.
+        parameter_variations: pₖ, the arrays of the equation (others None) with an axis of m in
+            front.
+        start_variations: the variations of ω₀, shape (m, 3).
+        start_size: |ω₀|, to which `start_variations` are compared.
+        basis: whether the variations are unit changes of single numbers, whose linear
+            combinations are wanted (a gradient), instead of directions that each stand alone. For
+            one lane they are batched by `jax.vmap` then: XLA compiles that in half the time and
+            runs it two to three times as fast. For many lanes, and in the native engine,
+            variations written out one by one are faster.
+        tangent_slack: how much larger, relative to its largest component, the error of a
+            variation may be than that of the state.
     """
 
-    slack: ClassVar[float] = 10.0
-    """How many times as far off a variation may be, relative to its largest component.
-
-    At the same tolerance derivatives are then less exact than values of the equation alone, but
-    not next to a boundary. Those of bodies, whose precession gets out of phase, are the least:
-    their errors grow with the turns of a run about as the square of these does."""
-
-    equation: Any
-    parameters: Any
-    starts: Float[Array, "m 3 *lanes"]
-    size: Real
-
-    @property
-    def _parts(self) -> tuple[Any, Any]:
-        """The arrays that vary, and the rest of the equation."""
-        return eqx.partition(self.equation, eqx.is_inexact_array)
-
-    def _push(self, function: Any, point: Any, variations: list[Any]) -> tuple[Any, list[Any]]:
-        """A function of the equation and another point: its value and its variations."""
-        arrays, rest = self._parts
-
-        def varied(arrays: Any, point: Any) -> Any:
-            return function(eqx.combine(arrays, rest), point)
-
-        value, linear = jax.linearize(varied, arrays, point)
-        return value, self._apply(linear, variations)
-
-    def _apply(self, function: Any, variations: list[Any]) -> list[Any]:
-        """A function of all variations, those of the parameters and those of another point."""
-        along = [jax.tree.map(lambda p, k=k: p[k], self.parameters) for k in range(self.m)]
-        return [function(*pair) for pair in zip(along, variations, strict=True)]
-
-    @property
-    def m(self) -> int:
-        """The number of variations."""
-        return self.starts.shape[0]
-
-    def _split(self, y: Array) -> list[Array]:
-        n = y.shape[0] // (1 + self.m)
-        return [y[n * k : n * (k + 1)] for k in range(1 + self.m)]
+    equation: DecidingEquation
+    parameter_variations: Any
+    start_variations: Float[Array, "m 3 *lanes"]
+    start_size: Real
+    basis: bool = eqx.field(static=True, default=False)
+    tangent_slack: float = eqx.field(static=True, default=TANGENT_SLACK)
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
         """The rates of the state and of its variations."""
         state, *variations = self._split(y)
-        rate, rates = self._push(lambda equation, y: equation(t, y, args), state, variations)
+        rate, rates = self._linearised(lambda equation, y: equation(t, y, args), state, variations)
         return jnp.concatenate([rate, *rates])
 
     def lift(self, omega0: Vector) -> State:
-        """The state that starts at `omega0`, with variations `starts`."""
-        state, variations = self._push(
-            lambda equation, omega: equation.lift(omega), omega0, list(self.starts)
+        """The initial state at `omega0`, with its variations."""
+        state, variations = self._linearised(
+            lambda equation, omega: equation.lift(omega), omega0, list(self.start_variations)
         )
         return jnp.concatenate([state, *variations])
-
-    def sizes(self, y: State) -> State:
-        """What the relative error of each component is measured by.
-
-        That of a variation by its largest component, with some slack, or by a part of ω where
-        that is larger: what is left after a cancellation is rounding.
-        """
-        state, *variations = self._split(y)
-        own = sizes_of(self.equation)(state)
-        least = LEAST * largest(jnp.abs(self.omega(y)))
-        sizes = [
-            jnp.maximum(self.slack * largest(jnp.abs(each)), least)[None] for each in variations
-        ]
-        return jnp.concatenate([own, *(jnp.broadcast_to(size, state.shape) for size in sizes)])
-
-    @property
-    def scales(self) -> Scales:
-        """Those of the equation."""
-        return scales_of(self.equation)
 
     def omega(self, y: State) -> Vector:
         """The angular velocity of a state."""
@@ -113,122 +67,156 @@ class Tangent(eqx.Module):
 
     def verdict(self, y: State) -> Verdict:
         """That of the equation, whose motions these are."""
-        found = Verdict(*self.equation.verdict(self._split(y)[0]))
-        own = found.belongs_to(self.equation)
-        return found._replace(equation=type(self) if own else None)
-
-    def slopes(self, y: State) -> Float[Array, "m *lanes"]:
-        """The variations of ω∞, where the verdict on a state says that they are certain.
-
-        A variation that takes the dipole off its principal axis ends all residual rotation: it is
-        infinite if there is any, and else 0, whatever else varies. Infinite, too, is one that
-        takes the state or the body from where alone ω∞ is what the verdict says.
-        """
-        state, *variations = self._split(y)
-        value, changes = self._push(
-            lambda equation, y: Verdict(*equation.verdict(y)).omega_inf, state, variations
-        )
-        slopes = jnp.stack(changes)
-        slopes = jnp.where(infinite(slopes), jnp.inf, slopes)
-        if isinstance(vars(self.equation).get("body"), Body):  # else the body is always a top
-            lean, away = self._moved(state, variations)
-            slopes = jnp.where(away, jnp.inf, slopes)
-            ended = jnp.where(self._rotates(value, slopes), jnp.inf, 0.0)
-            slopes = jnp.where(lean, ended[None], slopes)
-        return slopes
-
-    def _rotates(self, value: Real, slopes: Array) -> Bool[Array, "*lanes"]:
-        """Whether there is a residual rotation that a leaning dipole ends."""
-        return value != 0
-
-    def astray(self, y: State, rtol: Real) -> Bool[Array, "*lanes"]:
-        """Whether the variations are so large that a run within the tolerance may end elsewhere.
-
-        Changes of the start count as far as rtol·|ω₀|, those of parameters, taken to be of the
-        order of 1, as far as rtol.
-        """
-        state, *variations = (largest(jnp.abs(part)) for part in self._split(y))
-        starts = largest(jnp.abs(jnp.moveaxis(self.starts, 1, 0)))
-        away = [
-            rtol * size * jnp.where(start > 0, self.size / jnp.where(start > 0, start, 1.0), 1.0)
-            for size, start in zip(variations, starts, strict=True)
-        ]
-        return jnp.any(jnp.stack(away) >= state[None], axis=0)
-
-    def _moved(self, state: State, variations: list[Any]) -> tuple[Array, Array]:
-        """Which variations move, by more than rounding, each of the two `constraints`."""
-        order = getattr(self.equation, "order", None)
-        level = Level.SEMI if order is None else Level.of_order(order)
-
-        def tied(equation: Any, y: State) -> Any:
-            return constraints(equation.body, equation.omega(y), level)
-
-        _, moved = self._push(tied, state, variations)
-        sizes = self._apply(functools.partial(_relative, self.equation, state), variations)
-        pairs = zip(moved, sizes, strict=True)
-        found = [
-            (_beyond(lean, body), _beyond(away, body + turn))
-            for (lean, away), (body, turn) in pairs
-        ]
-        lean, away = map(jnp.stack, zip(*found, strict=True))
-        return lean, away
+        verdict = Verdict(*self.equation.verdict(self._split(y)[0]))
+        own = verdict.belongs_to(self.equation)
+        return verdict._replace(equation=Tangent if own else None)
 
     @property
-    def runaway_rate(self) -> Real:
-        """That of a full equation; others have none."""
-        return self.equation.runaway_rate
-
-    @property
-    def body(self) -> Any:
-        """The body that the equation moves."""
-        return self.equation.body
+    def m(self) -> int:
+        """The number of variations."""
+        return self.start_variations.shape[0]
 
     @property
     def level(self) -> str:
-        """Which level of the equation of motion this is."""
-        return getattr(self.equation, "level", type(self.equation).__name__)
+        """The label of the equation."""
+        return level_of(self.equation)
+
+    @property
+    def body(self) -> Any:
+        """The body that the equation moves; None if it names none."""
+        return getattr(self.equation, "body", None)
+
+    @property
+    def runaway_rate(self) -> Any:
+        """That of a full equation, else None."""
+        return getattr(self.equation, "runaway_rate", None)
+
+    @property
+    def omega_scale(self) -> OmegaScale:
+        """That of the equation."""
+        return omega_scale_of(self.equation)
+
+    def error_scale(self, y: State) -> State:
+        """What the relative error of each component refers to.
+
+        For a variation its largest component times `tangent_slack`; at least a part of |ω|, since
+        after a cancellation only rounding is left.
+        """
+        state, *variations = self._split(y)
+        own = error_scale_of(self.equation)(state)
+        floor = TANGENT_FLOOR * largest(jnp.abs(self.omega(y)))
+        scales = [
+            jnp.maximum(self.tangent_slack * largest(jnp.abs(variation)), floor)[None]
+            for variation in variations
+        ]
+        return jnp.concatenate([own, *(jnp.broadcast_to(scale, state.shape) for scale in scales)])
+
+    def may_cross_boundary(self, y: State, rtol: Real) -> Flag:
+        """Whether changes within the tolerance may take the state to another outcome.
+
+        Changes of ω₀ count up to rtol·|ω₀|; those of parameters, taken to be of order 1, up to
+        rtol. They may if the linearised change of the state is as large as the state.
+        """
+        state, *variations = (largest(jnp.abs(part)) for part in self._split(y))
+        starts = largest(jnp.abs(jnp.moveaxis(self.start_variations, 1, 0)))
+        changes = [
+            rtol
+            * size
+            * jnp.where(start > 0, self.start_size / jnp.where(start > 0, start, 1.0), 1.0)
+            for size, start in zip(variations, starts, strict=True)
+        ]
+        return jnp.any(jnp.stack(changes) >= state[None], axis=0)
+
+    def omega_inf_tangents(self, y: State) -> Float[Array, "m *lanes"]:
+        """The variations of ω∞, where the verdict on a state says that they are certain.
+
+        A variation that takes the dipole off its principal axis ends all residual rotation: its
+        derivative is infinite if there is any rotation to end, else 0, whatever else varies.
+        Infinite, too, is one that leaves the set on which ω∞ is what the verdict says.
+        """
+        state, *variations = self._split(y)
+        value, changes = self._linearised(
+            lambda equation, y: Verdict(*equation.verdict(y)).omega_inf, state, variations
+        )
+        tangents = jnp.stack(changes)
+        tangents = jnp.where(infinite(tangents), jnp.inf, tangents)
+        if has_body_field(self.equation):  # any other body is a top, whatever varies
+            leans, leaves = self._broken_constraints(state, variations)
+            tangents = jnp.where(leaves, jnp.inf, tangents)
+            rotates = value != 0
+            if self.basis:  # in combination with others this variation may make the top rotate
+                rotates = rotates | jnp.any(tangents != 0, axis=0)
+            ended = jnp.where(rotates, jnp.inf, 0.0)
+            tangents = jnp.where(leans, ended[None], tangents)
+        return tangents
+
+    def _broken_constraints(self, state: State, variations: list[Array]) -> tuple[Array, Array]:
+        """Which variations break, by more than rounding, each of the two `constraints`."""
+        order = getattr(self.equation, "order", None)
+        level = Level.SEMI if order is None else Level.of_order(order)
+
+        def constrained(equation: Any, y: State) -> Any:
+            return constraints(equation.body, equation.omega(y), level)
+
+        _, moved = self._linearised(constrained, state, variations)
+        sizes = self._of_variations(functools.partial(_sizes, self.equation, state), variations)
+        broken = [
+            (_exceeds(lean, body), _exceeds(away, body + omega))
+            for (lean, away), (body, omega) in zip(moved, sizes, strict=True)
+        ]
+        leans, leaves = map(jnp.stack, zip(*broken, strict=True))
+        if self.basis:
+            # Of a body that lies askew, aligned except for rounding, nearly every number turns the
+            # dipole; only their sum may tell that it does not.
+            body: Any = self.body
+            aligned = jnp.all(cross(body.dipole, matvec(body.inertia, body.dipole)) == 0, axis=0)
+            leans = aligned & leans
+        return leans, leaves
+
+    def _split(self, y: State) -> list[Array]:
+        """The state of the equation and its variations."""
+        n = y.shape[0] // (1 + self.m)
+        return [y[n * k : n * (k + 1)] for k in range(1 + self.m)]
+
+    def _linearised(
+        self, function: Callable[[Any, Array], Any], point: Array, variations: list[Array]
+    ) -> tuple[Any, list[Any]]:
+        """function(equation, point): its value and its variations."""
+        arrays, rest = eqx.partition(self.equation, eqx.is_inexact_array)
+
+        def varied(arrays: Any, point: Array) -> Any:
+            return function(eqx.combine(arrays, rest), point)
+
+        value, linear = jax.linearize(varied, arrays, point)
+        return value, self._of_variations(linear, variations)
+
+    def _of_variations(
+        self, function: Callable[[Any, Array], Any], variations: list[Array]
+    ) -> list[Any]:
+        """function(parameter variation, variation of a point) for each of the m variations."""
+        if self.basis:
+            images = jax.vmap(function)(self.parameter_variations, jnp.stack(variations))
+            return [jax.tree.map(lambda x, k=k: x[k], images) for k in range(self.m)]
+        parameters = [
+            jax.tree.map(lambda p, k=k: p[k], self.parameter_variations) for k in range(self.m)
+        ]
+        return [function(*pair) for pair in zip(parameters, variations, strict=True)]
 
 
-def _relative(equation: Any, state: State, varied: Any, change: State) -> tuple[Real, Real]:
-    """How large a variation is: of the body, and of its rotation."""
+def _sizes(equation: Any, state: State, varied: Any, change: State) -> tuple[Real, Real]:
+    """The relative sizes of a variation: that of the body, and that of its rotation."""
     pairs = (
         (equation.body.inertia, varied.body.inertia, (0, 1)),
         (equation.body.dipole, varied.body.dipole, (0,)),
         (equation.omega(state), equation.omega(change), (0,)),
     )
     inertia, dipole, omega = (
-        jnp.max(jnp.abs(more), axis) / guarded(jnp.max(jnp.abs(of), axis))
-        for of, more, axis in pairs
+        jnp.max(jnp.abs(variation), axis) / guarded(jnp.max(jnp.abs(value), axis))
+        for value, variation, axis in pairs
     )
     return inertia + dipole, omega
 
 
-def _beyond(moved: Vector, size: Real) -> Bool[Array, "*lanes"]:
-    """Whether it is more than rounding of terms of that size."""
+def _exceeds(moved: Vector, size: Real) -> Bool[Array, "*lanes"]:
+    """Whether a change is more than the rounding of terms of that size."""
     return jnp.max(jnp.abs(moved), axis=0) > rounding(size) * size
-
-
-class Together(Tangent):
-    """The same for one start and variations of single numbers: one piece of code for all.
-
-    XLA compiles it in half the time, and runs it two to three times as fast. With many lanes side
-    by side, and in the native engine, it is slower.
-    """
-
-    slack: ClassVar[float] = 3.0  # of one start, steps cost less than compilation
-
-    def _apply(self, function: Any, variations: list[Any]) -> list[Any]:
-        found = jax.vmap(function)(self.parameters, jnp.stack(variations))
-        return [jax.tree.map(lambda x, k=k: x[k], found) for k in range(self.m)]
-
-    def _rotates(self, value: Real, slopes: Array) -> Bool[Array, "*lanes"]:
-        # Or may do so: a variation may come together with others that make the dipole rotate.
-        return (value != 0) | jnp.any(slopes != 0, axis=0)
-
-    def _moved(self, state: State, variations: list[Any]) -> tuple[Array, Array]:
-        # Of a body that lies askew, aligned but for rounding, nearly every number turns the
-        # dipole, and only the sum of all of them may tell that it does not.
-        lean, away = super()._moved(state, variations)
-        body = self.equation.body
-        aligned = jnp.all(cross(body.dipole, matvec(body.inertia, body.dipole)) == 0, axis=0)
-        return aligned & lean, away

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.checks import finite, real, refuse, where_valid
 from ..equations._common import shape_parameter
-from ..equations.transverse import from_cylindrical
+from ..equations.coordinates import from_cylindrical
 from . import averaged_quadrature as _averaged
 
 Times = Float[Array, "*n"]

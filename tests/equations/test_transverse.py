@@ -1,4 +1,4 @@
-"""Equations of motion: closed forms, general forms, limits and symmetries agree."""
+"""Transverse top: closed forms, the general equations, limits and symmetries agree."""
 
 import itertools
 
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop import radiation
 
 RNG = np.random.default_rng(11)
 B = 64
@@ -57,22 +56,6 @@ def test_closed_full_equation_equals_the_general_one():
     close(five[:3], dt.Full(BODIES).omega_dot(state), 1e-13)
 
 
-def test_full_equation_is_the_equation_of_motion():
-    """IΩ̇ + N = T with Ω̈ from the state's own rate, for a generic body (3.3)."""
-    root = RNG.normal(size=(3, 3))
-    inertia = root @ root.T + 3 * np.eye(3)
-    body = dt.Body(inertia, RNG.normal(size=3))
-    equation = dt.Full(body)
-    n = body.dipole / jnp.linalg.norm(body.dipole)
-    a = jnp.asarray(RNG.normal(size=3))
-    y = jnp.concatenate([jnp.asarray(RNG.normal(size=3)), a - jnp.dot(a, n) * n])
-    rate = equation.omega_dot(y)
-    second = jax.jvp(equation.omega_dot, (y,), (equation(0.0, y),))[1]
-    torque = radiation.radiation_torque(body, y[:3], rate, second)
-    left = body.inertia @ rate + radiation.gyroscopic_torque(body, y[:3])
-    assert float(jnp.max(jnp.abs(left - torque))) < 1e-11 * float(jnp.max(jnp.abs(torque)))
-
-
 @pytest.mark.parametrize(
     ("phi", "expected"),
     [(jnp.pi / 30, [0.00913023, -0.00967855]), (jnp.pi / 3, [-0.00532417, -0.01342288])],
@@ -90,30 +73,6 @@ def test_orders_approach_the_slow_manifold(phi, expected):
     assert errors[-1] < 3e-4  # |ω| = 0.28
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_general_body_against_finite_differences(order):
-    """Order m: Ω̇ and Ω̈ in the torque of (3.3) are those of a motion of the order below.
-
-    Below order 1 lies free rotation, (3.4).
-    """
-    body = dt.Body(np.diag([1.0, 1.3, 2.0]), [0.6, 0.0, 0.8])
-    w = jnp.array([0.3, -0.4, 0.5])
-
-    def lower(y):
-        if order == 2:
-            return rate(dt.Reduced(body), y)
-        return -jnp.linalg.solve(body.inertia, radiation.gyroscopic_torque(body, y))
-
-    h = 1e-4
-    slopes = [lower(w + s * h * lower(w)) for s in (-1, 1)]
-    second = (slopes[1] - slopes[0]) / (2 * h)
-    free = -radiation.gyroscopic_torque(body, w)
-    found = jnp.linalg.solve(
-        body.inertia, free + radiation.radiation_torque(body, w, lower(w), second)
-    )
-    assert float(jnp.max(jnp.abs(found - rate(dt.Reduced(body, order=order), w)))) < 1e-8
-
-
 @pytest.mark.parametrize("equation", FIRST_ORDER, ids=lambda e: e.level)
 def test_symmetries(equation):
     """(ω₂, ω₃) → −(ω₂, ω₃) and (ω₁, ω₂) → −(ω₁, ω₂) commute with every level."""
@@ -127,61 +86,6 @@ def test_one_line_serves_one_top_and_a_block(equation):
     block = rate(equation, OMEGAS)
     each = jnp.stack([rate(equation, w) for w in OMEGAS.T], axis=-1)
     assert float(jnp.max(jnp.abs(block - each))) < 1e-13 * float(jnp.max(jnp.abs(each)))
-
-
-def test_cylindrical_form_is_the_cartesian_one():
-    """d(ω⊥, ω₃, φ)/dτ by the chain rule from (4.2)–(4.4)."""
-    for delta, w in zip(DELTAS[:8], OMEGAS.T[:8], strict=True):
-        form, flat = dt.TransverseCylindrical(delta), dt.TransverseReduced(delta)
-        expected = jax.jvp(form.lift, (w,), (flat(0.0, w),))[1]
-        assert jnp.allclose(form(0.0, form.lift(w)), expected, rtol=1e-12, atol=1e-13)
-        assert jnp.allclose(form.omega(form.lift(w)), w, rtol=1e-14)
-
-
-def test_averaged_form_is_the_mean_over_the_angle():
-    """(4.13)–(4.15): a trapezoidal mean over φ is exact for these harmonics."""
-    angles = jnp.linspace(0, 2 * jnp.pi, 16, endpoint=False)
-    for delta in DELTAS[:8]:
-        states = jnp.stack([jnp.full(16, 0.7), jnp.full(16, -0.4), angles])
-        mean = jnp.mean(dt.TransverseCylindrical(delta)(0.0, states), axis=1)
-        averaged = dt.TransverseAveraged(delta)(0.0, jnp.array([0.7, -0.4, 0.1]))
-        assert jnp.allclose(mean, averaged, rtol=1e-13, atol=1e-15)
-
-
-def test_averaged_system_has_its_exact_solution():
-    """`exact.averaged`, differentiated, obeys (4.13)–(4.15)."""
-    times, start = jnp.array([0.0, 3.0, 200.0]), dt.cylindrical(0.3, -0.4, 0.2)
-
-    @jax.jit
-    def solution(delta):
-        return jax.jvp(lambda t: dt.exact.averaged(delta, start, t), (times,), (jnp.ones(3),))
-
-    for delta in (-0.7, -0.3, 0.4):
-        omega, rate = solution(delta)
-        equation = dt.TransverseAveraged(delta)
-        for w, found in zip(omega, rate, strict=True):
-            y = equation.lift(w)
-            expected = jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1]
-            assert jnp.allclose(found, expected, rtol=1e-11, atol=1e-13)
-
-
-def test_linearised_form_is_the_derivative():
-    """(4.22)–(4.24): the Jacobian of (4.9)–(4.11) at (w, 0, 0)."""
-    w, y = 0.3, jnp.array([0.02, -0.03, 0.05])
-    for delta in (-0.9, -0.5, 0.4):
-        jacobian = jax.jacfwd(dt.TransverseCylindrical(delta), 1)(0.0, jnp.array([w, 0.0, 0.0]))
-        assert jnp.allclose(dt.TransverseLinearised(delta, w)(0.0, y), jacobian @ y, atol=1e-16)
-
-
-def test_cylindrical_start_is_exact_at_quarter_turns():
-    """ω₁ = 0 exactly at φ = π/2: these planes decide outcomes."""
-    assert dt.cylindrical(0.2, 0.1, jnp.pi / 2)[0] == 0
-    assert dt.cylindrical(0.2, 0.1, jnp.pi)[1] == 0
-    assert dt.cylindrical(0.2, 0.1, -jnp.pi / 2)[1] == -0.2
-    angles = jnp.linspace(-7.0, 7.0, 101)
-    flat = dt.cylindrical(0.3, 0.0, angles)
-    expected = 0.3 * jnp.stack([jnp.cos(angles), jnp.sin(angles), 0 * angles])
-    assert jnp.allclose(flat, expected, rtol=0, atol=1e-15)
 
 
 def test_fields_are_arrays_so_that_values_compile_nothing():

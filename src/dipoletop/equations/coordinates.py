@@ -1,0 +1,53 @@
+"""Cylindrical variables (ω⊥, ω₃, φ) of an angular velocity, and back."""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from .._base.checks import finite, refuse, where_valid
+from .._base.types import Real, Vector
+
+
+def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
+    """Angular velocity ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃) in body axes.
+
+    Args:
+        w_perp: ω⊥ ≥ 0 across the symmetry axis, dimensionless.
+        w3: ω₃ along the symmetry axis, dimensionless.
+        phi: φ from the dipole, radians.
+
+    Returns:
+        Shape (3,), or (3, B) for arguments of shape (B,).
+
+    Raises:
+        ValueError: ω⊥ < 0, or a value that is not finite. A traced one gives NaN.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.cylindrical(w_perp=0.2, w3=0.1, phi=0.0)
+        Array([0.2, 0. , 0.1], dtype=float64)
+    """
+    across = finite("w_perp", w_perp)
+    across = where_valid("w_perp", across, across >= 0, "not be negative")
+    given = across, finite("w3", w3), finite("phi", phi)
+    if len({x.shape for x in given} - {()}) > 1:
+        shapes = ", ".join(str(x.shape) for x in given)
+        refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")
+    return from_cylindrical(*jnp.broadcast_arrays(*given))
+
+
+def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
+    """ω of cylindrical variables of one shape; at multiples of π/2 one component is exactly 0."""
+    quarter = jnp.round(phi / (jnp.pi / 2))
+    rest = phi - quarter * (jnp.pi / 2)  # exactly 0 at multiples of π/2
+    cos, sin = jnp.cos(rest), jnp.sin(rest)
+    quadrant = jnp.mod(quarter, 4)
+    w1 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [cos, -sin, -cos], sin)
+    w2 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [sin, cos, -sin], -cos)
+    return jnp.stack([w_perp * w1, w_perp * w2, w3])
+
+
+def to_cylindrical(omega: Vector) -> Vector:
+    """(ω⊥, ω₃, φ) of a Cartesian ω."""
+    w1, w2, w3 = omega
+    return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])

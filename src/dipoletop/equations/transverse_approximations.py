@@ -1,0 +1,150 @@
+"""Approximations to order 1 of the transverse top (section 4 of the paper), cylindrical state.
+
+The state is (ω⊥, ω₃, φ) with ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃).
+"""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._base.checks import finite
+from .._base.types import Real, Vector, Verdict
+from ..bodies import Body, axisymmetric
+from ._common import shape_parameter, transverse_omega_scale
+from ._verdicts import transverse as _regions
+from .coordinates import from_cylindrical, to_cylindrical
+from .levels import Level
+
+
+class TransverseCylindrical(eqx.Module):
+    """Order 1 in cylindrical variables (4.9)–(4.11), state (ω⊥, ω₃, φ).
+
+        ω⊥′ = −(ω⊥² + Mω₃²) ω⊥ sin²φ
+        ω₃′ = −{ω² + δ(2cos²φ − sin²φ)ω⊥²} ω₃/(1−δ)
+        φ′  = −δω₃ − (ω⊥² + Mω₃²) sin φ cos φ,        M = 1 + δ + δ²
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    level = Level.ORDER_1.label
+    omega_scale = staticmethod(transverse_omega_scale)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w, w3, phi = y
+        sin, cos = jnp.sin(phi), jnp.cos(phi)
+        drag = w**2 + (1 + d + d**2) * w3**2
+        axial = w**2 + w3**2 + d * (2 * cos**2 - sin**2) * w**2
+        return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
+
+    def lift(self, omega0: Vector) -> Vector:
+        """(ω⊥, ω₃, φ) of ω₀."""
+        return to_cylindrical(omega0)
+
+    def omega(self, y: Vector) -> Vector:
+        """ω of a state (ω⊥, ω₃, φ)."""
+        return from_cylindrical(y[0], y[1], y[2])
+
+    def verdict(self, y: Vector) -> Verdict:
+        """As order 1 in Cartesian components."""
+        found = _regions.first_order(self.delta, self.omega(y))
+        return found._replace(equation=TransverseCylindrical)
+
+    @property
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta)
+
+
+class TransverseAveraged(eqx.Module):
+    """Order 1 averaged over the precession angle (4.13)–(4.15), state (ω⊥, ω₃, φ̄).
+
+        ω⊥′ = −½(ω⊥² + Mω₃²) ω⊥,   ω₃′ = −{(1 + δ/2)ω⊥² + ω₃²} ω₃/(1−δ),   φ̄′ = −δω₃
+
+    Its solutions always stop, so it has no verdict: it cannot show a residual rotation.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1).
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+
+    level = f"{Level.ORDER_1.label}, averaged"
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ̄)/dτ, shape (3,) or (3, B)."""
+        d = self.delta
+        w, w3, _ = y
+        return jnp.stack(
+            [
+                -(w**2 + (1 + d + d**2) * w3**2) * w / 2,
+                -((1 + d / 2) * w**2 + w3**2) * w3 / (1 - d),
+                -d * w3,
+            ]
+        )
+
+    def lift(self, omega0: Vector) -> Vector:
+        """(ω⊥, ω₃, φ) of ω₀."""
+        return to_cylindrical(omega0)
+
+    def omega(self, y: Vector) -> Vector:
+        """ω of a state (ω⊥, ω₃, φ)."""
+        return from_cylindrical(y[0], y[1], y[2])
+
+    @property
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta)
+
+
+class TransverseLinearised(eqx.Module):
+    """Order 1 near the residual rotation (w, 0, 0), (4.22)–(4.24), state (ω⊥, ω₃, φ).
+
+        ω⊥′ = 0,   ω₃′ = −(1+2δ)/(1−δ) w² ω₃,   φ′ = −δω₃ − w²φ
+
+    It has no verdict: it is about one end, and cannot say which starts come to it.
+
+    Args:
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+        w: angular velocity w of the residual rotation, dimensionless.
+
+    Raises:
+        ValueError: δ outside [−1, 1), or w not finite.
+    """
+
+    delta: Real = eqx.field(converter=shape_parameter)
+    w: Real = eqx.field(converter=functools.partial(finite, "w"))
+
+    level = f"{Level.ORDER_1.label}, linearised"
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        d, square = self.delta, self.w**2
+        _, w3, phi = y
+        axial = (1 + 2 * d) / (1 - d) * square * w3
+        return jnp.stack([jnp.zeros_like(w3), -axial, -d * w3 - square * phi])
+
+    def lift(self, omega0: Vector) -> Vector:
+        """(ω⊥, ω₃, φ) of ω₀."""
+        return to_cylindrical(omega0)
+
+    def omega(self, y: Vector) -> Vector:
+        """ω of a state (ω⊥, ω₃, φ)."""
+        return from_cylindrical(y[0], y[1], y[2])
+
+    @property
+    def body(self) -> Body:
+        """The top, for energies and powers."""
+        return axisymmetric(self.delta)
