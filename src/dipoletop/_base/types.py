@@ -10,6 +10,10 @@ Real = Float[Array, "*#lanes"]
 """One real number for each lane; no lane axis for a single top."""
 Vector = Float[Array, "3 *#lanes"]
 """Three body-frame components on axis 0, lanes (if any) behind."""
+Matrix = Float[Array, "3 3 *#lanes"]
+"""A 3×3 matrix in body axes, its two indices on axes 0 and 1, lanes (if any) behind."""
+Flag = Bool[Array, "*#lanes"]
+"""One truth value for each lane."""
 State = Float[Array, "n *#lanes"]
 """The state of an equation: components on axis 0, lanes (if any) behind."""
 

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._base.guards import safe_divisor as guarded
 from .._base.linalg import cross, largest, matvec
 from .._base.types import Real, State, Vector, Verdict
 from ..bodies import Body
 from ._common import Scales, scales_of, sizes_of
-from ._verdicts.any_body import constraints, rounding
+from ._verdicts.dipole_frame import constraints, rounding
 from ._verdicts.nonsmooth import infinite
-from ._verdicts.residual_line import guarded
 from .levels import Level
 
 LEAST = 1e-2  # of |ω|: variations below it, for a change by 1, need not be exact
