@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ._base.bisection import bisect
 from ._base.checks import finite, instance, or_nan, refuse
 from ._base.types import Real
 from .equations._common import shape_parameter
@@ -324,14 +325,11 @@ def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:
     found = _solve(rate, ends, 0.01, start, dense=True)
     r, time, spread = found.ys[-1]
 
-    def halve(_: Any, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bracket
-        middle = (low + high) / 2
-        back = system(middle, place(middle, found.evaluate(middle)))[0] > 0
-        return jnp.where(back, low, middle), jnp.where(back, middle, high)
+    def returns(theta: Array) -> Bool[Array, ""]:
+        return system(theta, place(theta, found.evaluate(theta)))[0] > 0  # φ_σ > 0
 
-    bracket = tuple(jnp.asarray(end, z.dtype) for end in ends)
-    theta, _ = jax.lax.fori_loop(0, HALVINGS, halve, bracket)  # where φ_σ changes its sign
+    low, high = (jnp.asarray(end, z.dtype) for end in ends)
+    theta, _ = bisect(returns, low, high, HALVINGS)
     swing = jnp.pi / 2 - place(theta, found.evaluate(theta))[0]
     return jnp.exp(r) / scale, time, spread, swing
 

@@ -18,9 +18,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
+from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
 from ._branch.march import is_full
-from .equations._verdicts.any_body import SAME, seen_from_dipole
+from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.transverse import TransverseAveraged
 
 SWEEPS = 128  # of S = −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
@@ -80,7 +81,8 @@ class Spectrum(NamedTuple):
         """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, above `growth` as a rule."""
         s = self.across
         mean, half = (s[..., 0, 0] + s[..., 1, 1]) / 2, (s[..., 0, 0] - s[..., 1, 1]) / 2
-        return mean + _root(half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2)
+        square = half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2
+        return mean + safe_sqrt(square, otherwise=square)  # NaN stays NaN
 
 
 def equilibria(equation: Any) -> Equilibria:
@@ -234,7 +236,7 @@ def _spectrum(equation: Any, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[A
 
 def _negligible(x: Float[Array, "*any"], size: Float[Array, ""]) -> Bool[Array, "*any"]:
     """Whether x is no more than rounding of numbers of that size."""
-    return jnp.abs(x) <= SAME * float(jnp.finfo(x.dtype).eps) * jnp.abs(size)
+    return jnp.abs(x) <= rounding(x) * jnp.abs(size)
 
 
 def _spread(axes: Float[Array, "3 3"], x: Pair) -> Float[Array, "3"]:
@@ -294,15 +296,10 @@ def _eigenvalues(m: Two) -> Complex[Array, "2"]:
     """λ = (a+d)/2 ± √(((a−d)/2)² + bc); of two real ones the smaller as det/larger."""
     (a, b), (c, d) = m
     mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
-    root, turns = _root(jnp.abs(square)), square < 0
+    size, turns = jnp.abs(square), square < 0
+    root = safe_sqrt(size, otherwise=size)  # NaN stays NaN
     large = jnp.where(mean < 0, mean - root, mean + root)
-    small = (a * d - b * c) / jnp.where(large == 0, 1.0, large)
+    small = (a * d - b * c) / safe_divisor(large)
     falling = jnp.where(mean < 0, jnp.stack([small, large]), jnp.stack([large, small]))
     real = jnp.where(turns, jnp.stack([mean, mean]), falling)
     return jax.lax.complex(real, jnp.where(turns, jnp.stack([root, -root]), 0.0))
-
-
-def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Square root with derivative 0 at 0."""
-    some = square > 0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), jnp.where(some, 0.0, square))

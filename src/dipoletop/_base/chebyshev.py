@@ -1,15 +1,31 @@
-"""Chebyshev collocation in integral form."""
+"""Chebyshev collocation in integral form.
+
+A function is represented by its values at n Chebyshev nodes. The polynomial of degree n − 1 through
+these values is integrated exactly, so an equation y′ = f(y) becomes y = y₀ + A f(y) at the nodes.
+"""
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
 
+class CollocationRule(NamedTuple):
+    """The nodes, and two matrices that act on the values at them."""
+
+    nodes: np.ndarray
+    """The n nodes, from 0 to 1, shape (n,)."""
+    integrals: np.ndarray
+    """A: from values to the integrals from 0 to each node, shape (n, n)."""
+    coefficients: np.ndarray
+    """From values to Chebyshev coefficients on [−1, 1], shape (n, n)."""
+
+
 @functools.cache
-def rule(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Chebyshev nodes on [0, 1], the integrals from 0 to each, values to coefficients."""
-    x = -np.cos(np.pi * np.arange(nodes) / (nodes - 1))
+def collocation_rule(n: int) -> CollocationRule:
+    """The rule with n Chebyshev nodes of the second kind on [0, 1]."""
+    x = -np.cos(np.pi * np.arange(n) / (n - 1))
     polynomial = np.polynomial.chebyshev
-    coefficients = np.linalg.inv(polynomial.chebvander(x, nodes - 1))
-    sums = [polynomial.chebval(x, polynomial.chebint(row, lbnd=-1)) for row in np.eye(nodes)]
-    return (x + 1) / 2, np.stack(sums, axis=1) @ coefficients / 2, coefficients
+    coefficients = np.linalg.inv(polynomial.chebvander(x, n - 1))
+    sums = [polynomial.chebval(x, polynomial.chebint(row, lbnd=-1)) for row in np.eye(n)]
+    return CollocationRule((x + 1) / 2, np.stack(sums, axis=1) @ coefficients / 2, coefficients)

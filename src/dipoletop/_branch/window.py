@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import radiation
 from .._base import dense as _dense
-from .._base.chebyshev import rule
+from .._base.chebyshev import collocation_rule
 
 NODES, ELEMENTS = 16, 4
 ITERATIONS = 20
@@ -59,7 +59,7 @@ def solve(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:
         span: length; the far end, some runaway times long, only serves to fix the rest.
     """
     dtype = omega0.dtype
-    sigma, integral, transform = (jnp.asarray(table, dtype) for table in rule(NODES))
+    sigma, integral, transform = (jnp.asarray(table, dtype) for table in collocation_rule(NODES))
     size = jnp.max(jnp.abs(omega0))
     lower = equation.semi
 
@@ -226,7 +226,7 @@ def evaluate(window: Window, values: Float[Array, "E K n"], at: Float[Array, "T"
     basis = [jnp.ones_like(x), x]  # by their recurrence: arccos has no derivative at the ends
     while len(basis) < NODES:
         basis.append(2 * x * basis[-1] - basis[-2])
-    transform = jnp.asarray(rule(NODES)[2], x.dtype)
+    transform = jnp.asarray(collocation_rule(NODES).coefficients, x.dtype)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, values, precision="highest")
     here = coefficients[element.astype(int)]
     return jnp.einsum("kt,tkn->tn", jnp.stack(basis), here, precision="highest")

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.chebyshev import rule
+from .._base.chebyshev import collocation_rule
 from .._base.checks import real
 
 SERIES = 0.11  # |ω| up to which the divergent series of f serves, to rounding
@@ -111,7 +111,7 @@ def _table(sign: int) -> np.ndarray:
 
     By collocation and Newton's method. After the last panel 1/ω is less than rounding of r.
     """
-    nodes, sums, coefficients = rule(NODES)
+    nodes, sums, coefficients = collocation_rule(NODES)
     r, panels = sign * _series(sign, SERIES) / SERIES**2, []
     for panel in range(PANELS):
         w = SERIES * np.exp(WIDTH * (panel + nodes))

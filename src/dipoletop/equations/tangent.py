@@ -13,9 +13,8 @@ from .._base.linalg import cross, largest, matvec
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
 from ._common import error_scale_of, has_body_field, omega_scale_of
-from ._verdicts.any_body import constraints, rounding
+from ._verdicts.dipole_frame import constraints, rounding
 from ._verdicts.nonsmooth import infinite
-from ._verdicts.residual_line import guarded
 from .levels import Level, level_of
 
 
@@ -211,7 +210,7 @@ def _sizes(equation: Any, state: State, varied: Any, change: State) -> tuple[Rea
         (equation.omega(state), equation.omega(change), (0,)),
     )
     inertia, dipole, omega = (
-        jnp.max(jnp.abs(variation), axis) / guarded(jnp.max(jnp.abs(value), axis))
+        jnp.max(jnp.abs(variation), axis) / safe_divisor(jnp.max(jnp.abs(value), axis))
         for value, variation, axis in pairs
     )
     return inertia + dipole, omega

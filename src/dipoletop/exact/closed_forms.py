@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.checks import finite, real, refuse, where_valid
 from ..equations._common import shape_parameter
 from ..equations.coordinates import from_cylindrical
-from . import averaged_quadrature as _averaged
+from .averaged_quadrature import Orbit, mesh, solve
 
 Times = Float[Array, "*n"]
 
@@ -176,8 +176,8 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     time = _times(tau)
     u, v = start[0] ** 2 + start[1] ** 2, start[2] ** 2
     whole = (u > 0) & (v > 0)
-    orbit = _averaged.Orbit(d, jnp.where(whole, u, 1.0), jnp.where(whole, v, 1.0))
-    point, turn = _averaged.solve(orbit, jnp.atleast_1d(time))
+    orbit = Orbit(d, jnp.where(whole, u, 1.0), jnp.where(whole, v, 1.0))
+    point, turn = solve(orbit, jnp.atleast_1d(time))
     # Where one of u, v is 0 the other has a closed solution.
     across = _braked(u / 2, jnp.zeros(()), time)
     along = _braked(v, jnp.zeros(()), time / (1 - d))
@@ -209,11 +209,11 @@ def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
     w = finite("omega0", omega0, (3,), batch=False)
     u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
     where_valid("omega0", w, (u > 0) & (v > 0), "have ω⊥ ≠ 0 and ω₃ ≠ 0")
-    orbit = _averaged.Orbit(d, u, v)
+    orbit = Orbit(d, u, v)
     ratio = finite("xi", xi, batch=False)
-    x = orbit.way(ratio)
+    x = orbit.parameter(ratio)
     x = where_valid("xi", jnp.where(x >= 0, x, jnp.nan), x >= 0, "lie between ξ₀ and its limit")
-    return _averaged.mesh(orbit, x)[1][-1]
+    return mesh(orbit, x)[1][-1]
 
 
 def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:

@@ -1,4 +1,14 @@
-"""Derivatives of what is an invariant of some motions, but not of those beside them."""
+"""Derivatives of a value that is conserved only on a lower-dimensional set.
+
+On the set ω₃ = 0 of order 1, for example, ω∞ = ω₁; next to it ω∞ is another function, which may
+jump at the set or have a kink there. So ω∞ has derivatives along the set, but none across it. With
+a function F that is 0 on the set and changes across it, the change of ω∞ is taken to be
+
+    dω∞ = d(value) + H dF,   H = 10⁻⁶ of the largest number, in place of infinity.
+
+The directional derivative is then that of the value if dF = 0, and of the size of H otherwise
+(`infinite`). H stands for infinity, since ∞·0 would be NaN along the set.
+"""
 
 from typing import Any
 
@@ -8,31 +18,30 @@ from jaxtyping import Array, Bool
 
 from ..._base.types import Real
 
-HUGE = 1e-6  # the part of the largest number that stands for infinity: 0 times it is 0
+LARGE = 1e-6  # H, as a part of the largest number: sums of such derivatives do not overflow
 
 
 def infinity(dtype: Any) -> float:
-    """In place of infinity: 1e302, or the like."""
-    return HUGE * float(jnp.finfo(dtype).max)
+    """The number H that stands for infinity: 1e302, or 1e32 in single precision."""
+    return LARGE * float(jnp.finfo(dtype).max)
 
 
 def infinite(derivative: Array) -> Bool[Array, "..."]:
-    """Whether a derivative is that, times some change: no other is so large."""
+    """Whether a derivative is H times some change: no other derivative is above √H."""
     return jnp.abs(derivative) > infinity(derivative.dtype) ** 0.5
 
 
 @jax.custom_jvp
-def invariant(value: Real, off: Real) -> Real:
-    """A value that holds where `off` is 0, with a jump or a kink there.
+def piecewise_conserved(value: Real, off: Real) -> Real:
+    """The value, where `off` is 0: with derivative H along changes of `off`, else its own.
 
-    Derivatives are infinite along changes that move `off`, second ones if either change does, or
-    both together; else they are those of the value.
+    A second derivative is infinite if either of the two changes moves `off`, or both together do.
     """
     return value
 
 
-@invariant.defjvp
+@piecewise_conserved.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
     (value, off), (change, moved) = primals, tangents
-    # Here off = 0; but differentiated again it is not.
+    # `off` is 0 here, but differentiated again it is not.
     return value, change + infinity(value.dtype) * (moved + off)

@@ -1,9 +1,20 @@
-"""Motions beside the line Ω = w n along the dipole: how they decay, and what w becomes.
+"""The linear motion near the residual line Ω = w n along the dipole, and what w tends to.
 
-In the frame (n, a, b) of `_general`, with moments a and b in units of J_d and times in 1/|w|,
-μ = |d|²|w|/J_d and y = (x_a, ±x_b)/|w|: y′ = ℓ(μ) y + odd terms from the third power on, and
-w′/w = g y_a y_b exactly, g = a − b. So w(1 + yᵀSy) is constant up to the fourth power of y, where
-ℓᵀS + Sℓ = −g [[0, 1], [1, 0]]/2.
+In the frame (n, a, b) of the dipole (`dipole_frame`), n a principal axis, x = (x_a, x_b) are the
+components across n. Moments are in units of J_d: a = J_a/J_d, b = J_b/J_d, I⊥ = diag(a, b). With
+times in 1/|w|, y = (x_a, ±x_b)/|w| with the sign of w (a reflection of the body that keeps the
+dipole) and μ = |d|²|w|/J_d the equation of motion, linear in y, is
+
+    I⊥y′ = I⊥ℓ₀y + μ(−y + y″ + 2n×y′),   ℓ₀ = [[0, (b−1)/a], [(1−a)/b, 0]]:
+
+gyroscopic torque and radiation torque. On physical motions y′ = ℓy and y″ = ℓ²y, so that
+(I⊥ − 2μ n× − μℓ)ℓ = I⊥ℓ₀ − μ at the full level. The reduced ones put the ℓ of the order below (ℓ₀
+at first) into both terms, the semi-reduced one puts ℓ₀ into ℓ² only.
+
+As w′/w = g y_a y_b exactly, g = a − b, the limit of w follows from ∫y_a y_b. Let S solve
+ℓᵀS + Sℓ = −g [[0, 1], [1, 0]]/2; then w(1 + yᵀSy) is constant up to the fourth power of y, and
+
+    w∞ = w(1 + yᵀSy) + O(y⁴).
 """
 
 from typing import Any
@@ -11,37 +22,29 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from ..._base.guards import safe_divisor, safe_sqrt
 from ..._base.types import Real
 from ..levels import Level
 
-Two = tuple[Real, Real, Real, Real]
+Matrix2 = tuple[Real, Real, Real, Real]
 """A 2×2 matrix, by rows."""
-Form = tuple[Real, Real, Real]
+Symmetric2 = tuple[Real, Real, Real]
 """A symmetric 2×2 matrix: its elements 11, 12 and 22."""
 
-SWEEPS = 30  # of the fixed-point iteration for the full equation
+ITERATIONS = 30  # of the fixed point that is ℓ at the full level
 
 
-def guarded(denominator: Real) -> Real:
-    """1 in place of 0, so that no unused branch divides by it."""
-    return jnp.where(denominator == 0, 1.0, denominator)
+def linear_part(a: Real, b: Real, mu: Real, level: Level) -> Matrix2:
+    """The matrix ℓ(μ) of the linear motion across the residual line; of the full level, the slow.
 
-
-def root(square: Real) -> Real:
-    """Square root with derivative 0 at 0."""
-    positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
-def line(a: Real, b: Real, mu: Real, level: Level) -> Two:
-    """ℓ(μ), the linear part of the equation across its residual line.
-
-    The full equation is on its physical branch. Across the line I⊥ℓ₀ is the gyroscopic part,
-    Ω̇ = ℓ₋x and Ω̈ = ℓ₋²x with ℓ₋ the order before, and the torque of radiation is
-    μ(−1 + ℓ₋² + 2n×ℓ₋)x.
+    Args:
+        a: J_a/J_d.
+        b: J_b/J_d.
+        mu: μ = |d|²|w|/J_d.
+        level: that of the equation of motion.
     """
     if level is Level.FULL:
-        return _solvent(a, b, mu)
+        return _slow_solvent(a, b, mu)
     free = ((b - 1) / a, -(a - 1) / b)
     both = free[0] * free[1]
     if level is Level.SEMI:
@@ -56,23 +59,26 @@ def line(a: Real, b: Real, mu: Real, level: Level) -> Two:
         )
     l11, l12, l21, l22 = jnp.zeros_like(both), free[0], free[1], jnp.zeros_like(both)
     for _ in range(level.order or 0):
-        cross_term, trace = l12 * l21, l11 + l22
+        product, trace = l12 * l21, l11 + l22
         l11, l12, l21, l22 = (
-            mu / a * (l11**2 + cross_term - 1 - 2 * l21),
+            mu / a * (l11**2 + product - 1 - 2 * l21),
             free[0] + mu / a * (l12 * trace - 2 * l22),
             free[1] + mu / b * (l21 * trace + 2 * l11),
-            mu / b * (l22**2 + cross_term - 1 + 2 * l12),
+            mu / b * (l22**2 + product - 1 + 2 * l12),
         )
     return l11, l12, l21, l22
 
 
-def _solvent(a: Real, b: Real, mu: Real) -> Two:
-    """ℓ of the full equation, (I⊥ − 2μ n× − μℓ) ℓ = I⊥ℓ₀ − μ, whose fast roots it leaves out."""
+def _slow_solvent(a: Real, b: Real, mu: Real) -> Matrix2:
+    """The ℓ of the full equation, by ℓ ← (I⊥ − 2μ n× − μℓ)⁻¹(I⊥ℓ₀ − μ) from ℓ = 0.
 
-    def swept(_: Any, m: Two) -> Two:
+    Of the solvents the iteration finds the one with the small eigenvalues, without runaways.
+    """
+
+    def iterate(_: Any, m: Matrix2) -> Matrix2:
         l11, l12, l21, l22 = m
         m11, m12, m21, m22 = a - mu * l11, mu * (2 - l12), -mu * (2 + l21), b - mu * l22
-        det = guarded(m11 * m22 - m12 * m21)
+        det = safe_divisor(m11 * m22 - m12 * m21)
         return (
             (-mu * m22 - (1 - a) * m12) / det,
             ((b - 1) * m22 + mu * m12) / det,
@@ -80,44 +86,45 @@ def _solvent(a: Real, b: Real, mu: Real) -> Two:
             (-(b - 1) * m21 - mu * m11) / det,
         )
 
-    none = jnp.zeros_like(a * b * mu)
-    # A loop, since all of them written out compile for minutes in a second derivative.
-    return jax.lax.fori_loop(0, SWEEPS, swept, (none, none, none, none), unroll=5)
+    zero = jnp.zeros_like(a * b * mu)
+    # Unrolled as a whole, a second derivative compiles for minutes, as in
+    # https://github.com/jax-ml/jax/issues/2777.
+    return jax.lax.fori_loop(0, ITERATIONS, iterate, (zero, zero, zero, zero), unroll=5)
 
 
-def lyapunov(m: Two, q: Form) -> Form:
-    """P of MᵀP + PM = −Q: [det Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
+def solve_lyapunov(m: Matrix2, q: Symmetric2) -> Symmetric2:
+    """P of MᵀP + PM = −Q: [det M · Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
     m11, m12, m21, m22 = m
     q11, q12, q22 = q
     det = m11 * m22 - m12 * m21
-    below = guarded(-2 * (m11 + m22) * det)
+    divisor = safe_divisor(-2 * (m11 + m22) * det)
     return (
-        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) / below,
-        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) / below,
-        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) / below,
+        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) / divisor,
+        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) / divisor,
+        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) / divisor,
     )
 
 
-def extremes(p: Form) -> tuple[Real, Real]:
+def extreme_eigenvalues(p: Symmetric2) -> tuple[Real, Real]:
     """Smallest and largest eigenvalue of a symmetric matrix."""
-    mean, spread = (p[0] + p[2]) / 2, root((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
+    mean, spread = (p[0] + p[2]) / 2, safe_sqrt((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
     return mean - spread, mean + spread
 
 
-def quadratic(p: Form, y: tuple[Real, Real]) -> Real:
+def quadratic_form(p: Symmetric2, y: tuple[Real, Real]) -> Real:
     """yᵀPy."""
     return p[0] * y[0] ** 2 + 2 * p[1] * y[0] * y[1] + p[2] * y[1] ** 2
 
 
-def balancing(m: Two) -> Real:
-    """Scale s such that y_b/s makes ℓ balanced: a slow precession has y_b ~ μ y_a."""
-    down, up, rate = jnp.abs(m[2]), jnp.abs(m[1]), guarded(jnp.abs(m[0] + m[3]))
-    square = (down + rate * jnp.minimum(1.0, rate / guarded(up))) / (
-        up + rate * jnp.minimum(1.0, rate / guarded(down))
+def balancing_scale(m: Matrix2) -> Real:
+    """The s for which the matrix in (y_a, y_b/s) is balanced: slow precession has y_b ~ μ y_a."""
+    down, up, rate = jnp.abs(m[2]), jnp.abs(m[1]), safe_divisor(jnp.abs(m[0] + m[3]))
+    square = (down + rate * jnp.minimum(1.0, rate / safe_divisor(up))) / (
+        up + rate * jnp.minimum(1.0, rate / safe_divisor(down))
     )
     return jnp.sqrt(square)
 
 
-def scaled(m: Two, s: Real) -> Two:
-    """The matrix for (y_a, y_b/s)."""
+def rescaled(m: Matrix2, s: Real) -> Matrix2:
+    """The matrix in (y_a, y_b/s)."""
     return m[0], m[1] * s, m[2] / s, m[3]

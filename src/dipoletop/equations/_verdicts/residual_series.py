@@ -8,9 +8,10 @@ order 1, where they fall short by less than a factor 2.
 
 import jax.numpy as jnp
 
+from ..._base.guards import safe_divisor
 from ..._base.types import Real, Vector
 from ..levels import Level
-from .residual_line import line, lyapunov, quadratic, scaled
+from .residual_line import linear_part, quadratic_form, rescaled, solve_lyapunov
 
 LEVEL_GAP = 20.0
 SLOPE = 30.0  # of the derivatives' errors
@@ -19,16 +20,16 @@ Series = tuple[Real, Real, Real]
 """ω∞, its relative error, and that of its derivatives, with respect to δ, T and Z."""
 
 
-def _scaled(w: Vector) -> tuple[Real, Real, Real]:
+def scaled_components(w: Vector) -> tuple[Real, Real, Real]:
     """T, Z and v = ω₁²."""
     w1, w2, w3 = w
-    one = jnp.where(w1 == 0, 1.0, w1)
-    return w2 / one, w3 / one**2, w1**2
+    divisor = safe_divisor(w1)
+    return w2 / divisor, w3 / divisor**2, w1**2
 
 
 def residual_first_order(d: Real, w: Vector) -> Series:
     """ω∞ and its relative error at order 1, −1/2 < δ < 1; β = (1+2δ)/(1−δ)."""
-    t, z, v = _scaled(w)
+    t, z, v = scaled_components(w)
     d = jnp.where(d > -0.5, d, 0.0)
     beta, m = (1 + 2 * d) / (1 - d), 1 + d + d**2
     b = d / (1 + beta)
@@ -47,7 +48,7 @@ def residual_first_order(d: Real, w: Vector) -> Series:
 
 def residual_semi_reduced(d: Real, w: Vector) -> Series:
     """ω∞ and its relative error at the semi-reduced level, −1 < δ < 1."""
-    t, z, v = _scaled(w)
+    t, z, v = scaled_components(w)
     b, big = 2 * v - d * (1 - d), 1 - d + 4 * v
     k = d / (2 + d)
     q2 = -(1 + 2 * d) * t**2 + (1 - d) * (1 + 2 * d) * t * z + (1 - d) * b * z**2 / 2
@@ -67,15 +68,15 @@ def residual_semi_reduced(d: Real, w: Vector) -> Series:
 
 def second_power(d: Real, w: Vector, level: Level) -> Real:
     """Q₂ of a level, from how motions beside the line decay."""
-    t, z, v = _scaled(w)
-    mu, none = jnp.sqrt(v), jnp.zeros_like(d * v)
-    across = scaled(line(1 + none, 1 - d, mu, level), mu)
-    return quadratic(lyapunov(across, (none, d * mu / 2, none)), (t, z))
+    t, z, v = scaled_components(w)
+    mu, zero = jnp.sqrt(v), jnp.zeros_like(d * v)
+    across = rescaled(linear_part(1 + zero, 1 - d, mu, level), mu)
+    return quadratic_form(solve_lyapunov(across, (zero, d * mu / 2, zero)), (t, z))
 
 
 def residual_higher_order(d: Real, w: Vector, own: Real) -> Series:
     """ω∞ and its errors at a level whose Q₂ is `own`; Q₄ is semi-reduced, right up to O(v)."""
-    t, z, v = _scaled(w)
+    t, z, v = scaled_components(w)
     value, error, slope = residual_semi_reduced(d, w)
     value = value + w[0] * (own - second_power(d, w, Level.SEMI))
     size = t**2 + (v + d**2) * z**2
@@ -86,7 +87,7 @@ def residual_higher_order(d: Real, w: Vector, own: Real) -> Series:
 
 def residual_full(w: Vector, own: Real) -> Series:
     """ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
-    t, z, v = _scaled(w)
+    t, z, v = scaled_components(w)
     size = t**2 + v * z**2 + z**2
     return w[0] * (1 + own), LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
 

@@ -7,11 +7,12 @@ S = sgn(ω₃)·2ω₁ω₂/u. On the residual side T = ω₂/ω₁, Z = ω₃/�
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array
 
-from ..._base.types import Outcome, Real, Stop, Vector, Verdict
+from ..._base.guards import safe_divisor
+from ..._base.types import Flag, Outcome, Real, Stop, Vector, Verdict
 from ..levels import Level
-from .nonsmooth import invariant
+from .nonsmooth import piecewise_conserved
 from .residual_series import (
     Series,
     residual_first_order,
@@ -20,8 +21,6 @@ from .residual_series import (
     residual_semi_reduced,
     second_power,
 )
-
-Flag = Bool[Array, "*#lanes"]
 
 WOBBLING_FROM = 0.7532357993909
 """δ above which the consistent levels have a stable wobbling cycle in the small-amplitude limit."""
@@ -34,21 +33,16 @@ BESIDE = 1e-4
 """T² + Z² up to which motions of the full equation beside the residual line decay."""
 
 
-def _guarded(denominator: Real) -> Real:
-    """1 in place of 0, so that no unused branch divides by it."""
-    return jnp.where(denominator == 0, 1.0, denominator)
-
-
 def _log(q: Real) -> Real:
     """A lower bound of ln q within 1e-5, in single precision, which XLA:CPU vectorises."""
-    return jnp.log(_guarded(q).astype("float32")).astype(q.dtype) - 5e-6
+    return jnp.log(safe_divisor(q).astype("float32")).astype(q.dtype) - 5e-6
 
 
 def _swing(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
     """The pair q, S."""
     w1, w2, w3 = w
-    q = 2 * jnp.abs(d * w3) / _guarded(u + (1 + d + d**2) * w3**2)
-    return q, jnp.sign(w3) * 2 * w1 * w2 / _guarded(u)
+    q = 2 * jnp.abs(d * w3) / safe_divisor(u + (1 + d + d**2) * w3**2)
+    return q, jnp.sign(w3) * 2 * w1 * w2 / safe_divisor(u)
 
 
 def _verdict(residual: Flag, stop: Flag, kind: Array, certified: Flag, value: tuple) -> Verdict:
@@ -84,7 +78,9 @@ def _on_axis(axis: Flag, d: Real, w: Vector, value: Series, plane: Flag | bool =
     constant = (d == 0) | plane
     off = jnp.where(plane, w3, jnp.where(d > STEEP_FROM, w1**2 + w1 * w2 + w2**2, 0.0))
     zero = w1 - jax.lax.stop_gradient(w1)  # not −0
-    at_rest = invariant(jnp.where(constant, zero, 0.0), jnp.where(d == 0, d * w2 * w3, off))
+    at_rest = piecewise_conserved(
+        jnp.where(constant, zero, 0.0), jnp.where(d == 0, d * w2 * w3, off)
+    )
     omega_inf, error, slope = value
     return (
         jnp.where(axis, at_rest, omega_inf),
@@ -112,13 +108,13 @@ def first_order(delta: Real, w: Vector) -> Verdict:
 
     fast = (1 + d + d**2) * w3**2
     q, swing = _swing(d, w, u)
-    level = _log(q) + swing / _guarded(q)
+    level = _log(q) + swing / safe_divisor(q)
     spins = (q > swing) & (q > 0) & (level > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
     turning = (d < 0) & ~keeps & (spins | (d <= -0.5))
 
     value = _kept(keeps, w1, residual_first_order(d, w))
     alone = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
-    value = _on_axis(axis, d, w, (invariant(value[0], alone), *value[1:]), w3 == 0)
+    value = _on_axis(axis, d, w, (piecewise_conserved(value[0], alone), *value[1:]), w3 == 0)
     stop, residual = (axis | turning) & finite, (residual | keeps) & finite
     return _verdict(
         residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, value
@@ -140,9 +136,9 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
     proven = (w1**2 <= 10) & (((d >= -1) & (d <= -0.01)) | ((d >= 0.02) & (d <= 0.99)))
 
     q, swing = _swing(d, w, u)
-    p = u / _guarded(u + (1 + d + d**2) * w3**2)
+    p = u / safe_divisor(u + (1 + d + d**2) * w3**2)
     a = -3 * d / (2 * (1 - d))
-    level = _log(q) + p * (1 + a - 2 * a * p) * swing / _guarded(q)
+    level = _log(q) + p * (1 + a - 2 * a * p) * swing / safe_divisor(q)
     spins = (q > swing) & (q > 0) & (level >= jnp.maximum(0.88, 1.15 - jnp.abs(d)))
     turning = (d < 0) & (u > 0) & spins
 
@@ -158,9 +154,9 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
 def _residual_region(d: Real, w: Vector) -> Flag:
     """D(T²+Z²) + [(1+2δ)T + (2v−δ(1−δ))Z]² + [(1−δ)Z − 2T]² ≤ c(δ)."""
     w1, w2, w3 = w
-    one = _guarded(w1)
+    one = safe_divisor(w1)
     t, z, v = w2 / one, w3 / one**2, w1**2
-    size = jnp.abs(_guarded(d))
+    size = jnp.abs(safe_divisor(d))
     bound = jnp.where(d < 0, jnp.minimum(1.75 / size**2, 17 / size), 3.3 / size)
     first = (1 + 2 * d) * t + (2 * v - d * (1 - d)) * z
     second = (1 - d) * z - 2 * t
@@ -183,9 +179,9 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
     crossing = crossing * (1 - 3e-6)
     c2 = -(1 + room) / (2 * room**2 * y * crossing)
     c3 = (4 * c2 + (2 + room) / y * crossing) / (3 * room * crossing)
-    z = w3 / _guarded(u)
+    z = w3 / safe_divisor(u)
     # The angle from the section, by the series of arcsin; it counts against z, by symmetry.
-    sine = -w1 * jnp.sign(w2) * jnp.where(z < 0, -1.0, 1.0) / jnp.sqrt(_guarded(u))
+    sine = -w1 * jnp.sign(w2) * jnp.where(z < 0, -1.0, 1.0) / jnp.sqrt(safe_divisor(u))
     s2 = sine**2
     e = sine * (1 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112 + s2 * 35 / 1152))))
     reach = crossing * (1 - 0.005 - 10 * u / y - 0.3 * e**4) + e * (-1 / room + e * (c2 + e * c3))
@@ -202,7 +198,7 @@ def full(delta: Real, w: Vector) -> Verdict:
     d = delta
     own = second_power(d, w, Level.FULL)
     found = _small(d, w, own)
-    one = _guarded(w[0])
+    one = safe_divisor(w[0])
     off = (w[1] / one) ** 2 + (w[2] / (one * jnp.minimum(jnp.abs(one), 1.0))) ** 2
     beside = (found.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (off <= BESIDE)
     outcome = jnp.where(beside, Outcome.RESIDUAL, found.outcome)

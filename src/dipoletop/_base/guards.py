@@ -1,0 +1,21 @@
+"""Arguments of divisions and square roots at which neither the value nor a derivative is infinite.
+
+`jnp.where(x > 0, f(x), 0.0)` has a NaN derivative where f or f′ is infinite, although that branch
+is not selected: the chain rule multiplies f′ = ∞ by 0. The argument must be replaced before f is
+evaluated, see https://docs.jax.dev/en/latest/faq.html#gradients-contain-nan-where-using-where.
+"""
+
+import jax.numpy as jnp
+
+from .types import Real
+
+
+def safe_divisor(x: Real) -> Real:
+    """The divisor x, or 1 where x = 0: the caller selects another branch there."""
+    return jnp.where(x == 0, 1.0, x)
+
+
+def safe_sqrt(x: Real, otherwise: Real | float = 0.0) -> Real:
+    """√x where x > 0, else `otherwise`, with the derivatives of the branch that is selected."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), otherwise)

@@ -1,0 +1,91 @@
+"""Stops of a general body, by averaging over its free rotation.
+
+For |d|²|Ω|/J → 0 radiation is slow, and the motion is free rotation whose energy E and angular
+momentum L drift. The exact balance laws, averaged over a period of free rotation, are
+
+    dE/dt = −|d|²⟨Q⟩,   d(L²)/dt = −2|d|²⟨R⟩,   Q = |n₂|²,   R = L·(n₁×n₂),
+
+n₁ and n₂ the first two derivatives of n = d/|d| in space. Their right sides are homogeneous in L,
+so the shape of the motion h = 2E/L² obeys one autonomous equation, with ds = 2|d|²L²dt,
+
+    dh/ds = f(h) = (h⟨R⟩ − ⟨Q⟩)/L⁴.
+
+With pᵢ = 1/Jᵢ, J₁ < J₂ < J₃, h runs from p₃ (rotation about J₃) over the separatrix p₂ to p₁.
+The averages of squares of Jacobi functions give f in terms of W = E(m)/K(m),
+m = (p₁−p₂)(h−p₃)/[(p₂−p₃)(p₁−h)]. With the dipole on J₁, on the side p₃ < h < p₂,
+
+    f = (p₁−h)/(p₁−p₂)·{(p₂−h)[p₁p₂²−2p₁p₂p₃+p₁p₃²−p₂p₃²−hp₂(p₂−p₃)] − W(p₂−p₃)Y/(p₁−p₃)},
+    Y = h²(p₁p₂+p₁p₃−2p₂p₃) + h(−2p₁p₂²+p₁p₂p₃−2p₁p₃²+2p₂²p₃+2p₂p₃²) + p₁²(p₂−p₃)² − p₂²p₃²,
+
+which is programmed in units of p₁ = 1. Residual rotation would need h → p₁; a zone with f < 0
+is a barrier that h cannot cross.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._base.guards import safe_divisor
+from ..._base.types import Flag
+from .dipole_frame import DipoleFrame
+
+Nodes = Float[Array, "#nodes *#lanes"]
+
+NODES = 16  # at which f is evaluated between p₃ and p₂
+AVERAGING_ERROR = 4.0  # of h, in units of (p₂ − p₃)|d|²|Ω|/J; in these units that of f is 1
+AGM_STEPS = 6
+
+
+def behind_barrier(frame: DipoleFrame) -> Flag:
+    """Whether h, with the dipole on the smallest moment, is below a zone in which it falls.
+
+    f < 0 is asked for at one of the nodes between the state and the separatrix. The distance of
+    that node and the depth of f allow for the error of averaging, which is of the order of
+    |d|²|Ω|/J and falls with |Ω|.
+    """
+    a, b = frame.ja / frame.jd, frame.jb / frame.jd
+    p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
+    momentum = frame.w**2 + (a * frame.xa) ** 2 + (b * frame.xb) ** 2
+    h = (frame.w**2 + a * frame.xa**2 + b * frame.xb**2) / safe_divisor(momentum)
+    resolved = float(jnp.finfo(h.dtype).eps) ** 0.5
+    distinct = (1 - p2 > resolved) & (p2 - p3 > resolved)  # else any other values will do
+    p2, p3 = jnp.where(distinct, p2, 0.8), jnp.where(distinct, p3, 0.6)
+    nodes = (jnp.arange(1, NODES + 1) / (NODES + 1)).astype(h.dtype)
+    nodes = jnp.broadcast_to(nodes.reshape((NODES,) + (1,) * h.ndim), (NODES, *h.shape))
+    margin = AVERAGING_ERROR * frame.strength * frame.speed / frame.jd
+    falling = slow_flow(p2[None], p3[None], nodes) < -margin[None] / AVERAGING_ERROR
+    ahead = nodes >= ((h - p3) / (p2 - p3) + margin)[None]
+    return distinct & jnp.any(falling & ahead, axis=0)
+
+
+def slow_flow(p2: Nodes, p3: Nodes, x: Nodes) -> Nodes:
+    """The rate f = dh/ds at h = p₃ + (p₂ − p₃)x, 0 < x < 1, dipole on J₁, in units of p₁."""
+    h = p3 + (p2 - p3) * x
+    w = _ratio_of_elliptic_integrals((1 - p2) * x / (1 - h))
+    y = (
+        h**2 * (p2 + p3 - 2 * p2 * p3)
+        + h * (-2 * p2**2 + p2 * p3 - 2 * p3**2 + 2 * p2**2 * p3 + 2 * p2 * p3**2)
+        + (p2 - p3) ** 2
+        - (p2 * p3) ** 2
+    )
+    first = (p2 - h) * ((p2 - p3) ** 2 - p2 * p3**2 - h * p2 * (p2 - p3))
+    return (1 - h) / (1 - p2) * (first - w * (p2 - p3) * y / (1 - p3))
+
+
+def _ratio_of_elliptic_integrals(m: Nodes) -> Nodes:
+    """E(m)/K(m) = 1 − Σ 2ⁿ⁻¹cₙ² by the arithmetic-geometric mean, 0 ≤ m ≤ 0.99."""
+    arithmetic, geometric, total, weight = jnp.ones_like(m), jnp.sqrt(1 - m), m / 2, 1.0
+    for _ in range(AGM_STEPS):
+        half = (arithmetic - geometric) / 2
+        arithmetic, geometric = (arithmetic + geometric) / 2, jnp.sqrt(arithmetic * geometric)
+        total = total + weight * half**2
+        weight = 2 * weight
+    return 1 - total
+
+
+def ends_on_axis(frame: DipoleFrame) -> Flag:
+    """Dipole on the middle axis: whether all motions end as a spin about J₃, the largest moment.
+
+    There f ∝ (h − p₃) with the sign of J₂J₁² − (J₃−J₂)(J₃−J₁)²; else the body goes on tumbling.
+    """
+    low, high = jnp.minimum(frame.ja, frame.jb), jnp.maximum(frame.ja, frame.jb)
+    return frame.jd * low**2 < (high - frame.jd) * (high - low) ** 2
