@@ -1,7 +1,7 @@
 """Tolerances and budgets: what they must be, and what `None` means."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,13 @@ from .linalg import length
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # what engines count in 32 bits
 SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
+
+
+class Tolerances(NamedTuple):
+    """Tolerances of a step: its error stays below atol + rtol·|state|, component by component."""
+
+    rtol: Float[Array, ""]
+    atol: Float[Array, "*n"] | Float[np.ndarray, "*n"]
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:
