@@ -34,7 +34,7 @@ LONG = (1.3, 0.8, 1.0)  # principal moments of the body of long runs, |ω₀| = 
 TURNING, PATIENCE = 16, 4_000_000  # how many such runs, and their steps at most
 
 
-class Sizes(NamedTuple):
+class ErrorScale(NamedTuple):
     """How much is measured."""
 
     starts: int = 32768
@@ -61,7 +61,7 @@ class Sizes(NamedTuple):
     repeats: int = 5
 
 
-FEW = Sizes(
+FEW = ErrorScale(
     starts=64,
     levels=("order-1",),
     names=1,
@@ -85,7 +85,7 @@ def _slopes(basin: dt.Basin) -> Float[np.ndarray, "n m"]:
     return np.stack([basin.derivative(name) for name in basin.attrs["derivatives"]], axis=-1)
 
 
-def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
+def in_sweeps(sizes: ErrorScale) -> list[dict[str, Any]]:
     """The mixed basin with residual values, without and with derivatives."""
     deltas, omegas = problem.mixed_basin(sizes.starts)
     rows = np.column_stack([deltas, omegas])
@@ -102,7 +102,7 @@ def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def _with_and_without(
-    level: str, rows: np.ndarray, engine: str, precise: dt.Basin, sizes: Sizes
+    level: str, rows: np.ndarray, engine: str, precise: dt.Basin, sizes: ErrorScale
 ) -> list[dict[str, Any]]:
     """A row for each number of derivatives, 0 first."""
 
@@ -160,7 +160,7 @@ def _program(function: Callable[..., Any], point: tuple[Any, ...]) -> tuple[Any,
     return compiled, clocks["seconds"]
 
 
-def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any]]:
+def _costs(what: str, cases: dict[str, Any], sizes: ErrorScale) -> list[dict[str, Any]]:
     """A row for each case (function, its point, what it should find), the plain value first."""
 
     def called(program: Any, point: Any) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any
     return rows
 
 
-def of_one_start(sizes: Sizes) -> list[dict[str, Any]]:
+def of_one_start(sizes: ErrorScale) -> list[dict[str, Any]]:
     """ω∞ of one start and its derivatives, jitted, at rtol 1e-10."""
     rows = []
     for level in sizes.single:
@@ -197,7 +197,7 @@ def of_one_start(sizes: Sizes) -> list[dict[str, Any]]:
     return rows + (_costs("general body, order 1", _of_a_body(), sizes) if sizes.body else [])
 
 
-def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
+def _of_a_top(level: str, sizes: ErrorScale) -> dict[str, Any]:
     """Functions of δ and ω₀, and what they should find."""
 
     def value(delta: Any, omega: Any) -> Any:
@@ -239,7 +239,7 @@ def _of_a_body() -> dict[str, Any]:
     return cases
 
 
-def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
+def over_many_turns(sizes: ErrorScale) -> list[dict[str, Any]]:
     """Errors of general bodies that radiate weakly, at order 1.
 
     A unit of time shorter by 1 + a makes ω₀ (1 + a) times as large, |d|² as small, and ω∞ as
@@ -271,7 +271,7 @@ def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
+def in_memory(sizes: ErrorScale) -> list[dict[str, Any]]:
     """Temporary memory of compiled gradients by δ, and which lengths of run they serve."""
     adjoint = diffrax.RecursiveCheckpointAdjoint()
     way = POINT[1:] / np.linalg.norm(POINT[1:])
@@ -336,7 +336,7 @@ def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
     return found
 
 
-def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
+def of_end_states(sizes: ErrorScale) -> list[dict[str, Any]]:
     """`simulate` with and without derivatives, compilation apart, at rtol 1e-10."""
     delta, omega = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
     rows = _end_states((delta, omega), lambda function: function, sizes)
@@ -347,7 +347,7 @@ def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[dict[str, Any]]:
+def _end_states(point: Any, batched: Callable[..., Any], sizes: ErrorScale) -> list[dict[str, Any]]:
     """A row for each of `_derivatives`, and how far those by δ are apart."""
     cases, first = {}, {}
     for name, function in _derivatives(sizes.backwards).items():
@@ -370,7 +370,7 @@ def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[d
     return [row | {"apart": float(apart)} for row in rows]
 
 
-def compare(sizes: Sizes) -> dict[str, Any]:
+def compare(sizes: ErrorScale) -> dict[str, Any]:
     """All of it."""
     return {
         "rtol": RTOL,

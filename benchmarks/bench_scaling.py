@@ -32,7 +32,7 @@ SMALL = 0.01  # amplitude below which a few of the starts must do
 SMALLEST = 1e-3  # … and below which diffrax, ten times as slow, is left out
 
 
-class Sizes(NamedTuple):
+class ErrorScale(NamedTuple):
     """How much is measured."""
 
     amplitudes: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-3, 1e-4)
@@ -52,7 +52,7 @@ class Sizes(NamedTuple):
     diffrax: bool = True
 
 
-FEW = Sizes(
+FEW = ErrorScale(
     amplitudes=(0.1,),
     deltas=(-0.7, 0.3),
     starts=64,
@@ -66,7 +66,7 @@ FEW = Sizes(
 )
 
 
-def _peers(sizes: Sizes) -> dict[str, Callable[..., dict[str, Any]]]:
+def _peers(sizes: ErrorScale) -> dict[str, Callable[..., dict[str, Any]]]:
     everybody: dict[str, Any] = {
         NAMES[engine]: partial(run, engine=engine) for engine in sizes.engines
     }
@@ -75,7 +75,7 @@ def _peers(sizes: Sizes) -> dict[str, Callable[..., dict[str, Any]]]:
     return everybody
 
 
-def _labelled(samples: dict[Any, Any], sizes: Sizes, budget: int) -> list[dict[str, Any]]:
+def _labelled(samples: dict[Any, Any], sizes: ErrorScale, budget: int) -> list[dict[str, Any]]:
     """A row for each sample (δ, ω) and peer: both clocks, steps, right-hand sides, labels."""
     rows = []
     for key, (deltas, omegas) in samples.items():
@@ -97,7 +97,7 @@ def _labelled(samples: dict[Any, Any], sizes: Sizes, budget: int) -> list[dict[s
     return rows
 
 
-def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
+def by_amplitude(sizes: ErrorScale) -> list[dict[str, Any]]:
     """Isotropic starts with one |ω|, for two shapes."""
     rows = []
     for delta, size in itertools.product(SHAPES, sizes.amplitudes):
@@ -108,7 +108,7 @@ def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
+def by_shape(sizes: ErrorScale) -> list[dict[str, Any]]:
     """Isotropic starts of tops with one δ. The peers' regions hold for −1/2 < δ < 1 only."""
     omegas = problem.isotropic(sizes.starts, AMPLITUDE)
     parts = {True: sizes, False: sizes._replace(diffrax=False)}
@@ -119,7 +119,7 @@ def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def by_batch(sizes: Sizes) -> list[dict[str, Any]]:
+def by_batch(sizes: ErrorScale) -> list[dict[str, Any]]:
     """The mixed basin in batches of all sizes."""
     samples = {f"N = {n}": problem.mixed_basin(n) for n in sizes.batches}
     return _labelled(samples, sizes, problem.MAX_STEPS)
@@ -131,7 +131,7 @@ def _fresh(*arguments: Any) -> Any:
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-def by_cores(sizes: Sizes) -> list[dict[str, Any]]:
+def by_cores(sizes: ErrorScale) -> list[dict[str, Any]]:
     """The mixed basin on some of the cores, each number of them in a process of its own."""
     if not hasattr(os, "sched_setaffinity"):  # not Linux
         return []
@@ -144,21 +144,21 @@ def by_cores(sizes: Sizes) -> list[dict[str, Any]]:
 
 def _on_these_cores(starts: int, repeats: int, engines: list[str]) -> list[dict[str, Any]]:
     samples = {f"cores: {measure.cores()}": problem.mixed_basin(starts)}
-    sizes = Sizes(repeats=repeats, engines=tuple(engines), diffrax=False)
+    sizes = ErrorScale(repeats=repeats, engines=tuple(engines), diffrax=False)
     return _labelled(samples, sizes, problem.MAX_STEPS)
 
 
-def by_memory(sizes: Sizes) -> list[dict[str, Any]]:
+def by_memory(sizes: ErrorScale) -> list[dict[str, Any]]:
     """One sweep of the default map, each in a process of its own."""
     return [bench_map.measured("memory", n, engine, int(disk)) for n, engine, disk in sizes.maps]
 
 
-def in_fresh_processes(sizes: Sizes) -> dict[str, Any]:
+def in_fresh_processes(sizes: ErrorScale) -> dict[str, Any]:
     """Cores and memory, best while the process that asks is small."""
     return {"cores": by_cores(sizes), "memory": by_memory(sizes)}
 
 
-def compare(sizes: Sizes) -> dict[str, Any]:
+def compare(sizes: ErrorScale) -> dict[str, Any]:
     """The others."""
     return {
         "rtol": RTOL,

@@ -23,17 +23,17 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     import bench_scaling
     import measure
 
-    sizes = bench_basin.Sizes((4096, 32768, 262_144), slow=1024, truth=1024, repeats=5)
+    sizes = bench_basin.ErrorScale((4096, 32768, 262_144), slow=1024, truth=1024, repeats=5)
     points = [512, 1024] if large else [512]
     precision: dict[str, Any] = {"n": 16384, "repeats": 7}
-    savings, scaling = bench_savings.Sizes(), bench_scaling.Sizes()
-    gradients = bench_gradients.Sizes()
+    savings, scaling = bench_savings.ErrorScale(), bench_scaling.ErrorScale()
+    gradients = bench_gradients.ErrorScale()
     if large:
         scaling = scaling._replace(maps=(*scaling.maps, (2048, "native", False)))
         gradients = gradients._replace(body=True)
     if small:
         few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
-        sizes = bench_basin.Sizes((256,), slow=32, truth=16, repeats=1, rivals=few)
+        sizes = bench_basin.ErrorScale((256,), slow=32, truth=16, repeats=1, rivals=few)
         points = [16]
         precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
         savings, scaling = bench_savings.FEW, bench_scaling.FEW

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
 from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
-from ._branch.march import is_full
+from .equations._common import is_full
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.transverse import TransverseAveraged
 

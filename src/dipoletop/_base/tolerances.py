@@ -1,7 +1,7 @@
 """Tolerances and budgets: what they must be, and what `None` means."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,13 @@ TANGENT_SLACK_ALONE = 3.0
 TANGENT_FLOOR = 1e-2
 """A part of |ω|: smaller variations, for a change by 1, need not be exact."""
 SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
+
+
+class Tolerances(NamedTuple):
+    """Tolerances of a step: its error stays below atol + rtol·|state|, component by component."""
+
+    rtol: Float[Array, ""]
+    atol: Float[Array, "*n"] | Float[np.ndarray, "*n"]
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:

@@ -1,6 +1,5 @@
 """How a run ends: one start through diffrax, many through the lane engine."""
 
-from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import diffrax
@@ -22,12 +21,13 @@ from .._base.checks import (
     refuse,
     subnormal,
 )
-from .._base.parallel import in_parallel, workers
-from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
+from .._base.parallel import Device, in_parallel, workers
+from .._base.tolerances import MAX_STEPS, Tolerances, absolute, budget, tolerance
 from .._base.types import Equation, Outcome, Stop, Verdict
 from .._branch import march as manifold
-from .._engines import jax_engine as lanes
-from .._engines.select import engine_for, judged
+from .._engines.branch_engine import end_on_branch
+from .._engines.interface import EndStates, Engine, Limits
+from .._engines.select import select_engines
 from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, omega_scale_of
 from ..equations.tangent import Tangent
@@ -71,11 +71,11 @@ class Classification(eqx.Module):
     derivatives. Else None."""
 
 
-def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) -> Classification:
+def assemble(equation: Equation, ends: EndStates, scale: Tolerances) -> Classification:
     """The final verdict on end states; a state that is not a number decides nothing."""
-    y, t, steps, status = ends
+    y, status = jnp.asarray(ends.y), ends.status
     verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
-    broken = status == lanes.BROKEN
+    broken = status == _endings.BROKEN
     known = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     missing = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
     settled = known & _endings.settled(verdict, scale, 1.0)
@@ -90,8 +90,8 @@ def assemble(equation: Equation, ends: tuple[Any, ...], scale: tuple[Any, Any]) 
         jnp.where(known, verdict.outcome, missing).astype(int),
         jnp.where(settled, verdict.omega_inf, jnp.nan),
         jnp.where(settled, series_error(equation, verdict), jnp.nan),
-        t,
-        jnp.asarray(steps, int),
+        ends.t,
+        jnp.asarray(ends.steps, int),
         known & verdict.certified_for(equation),
         jnp.where(known, verdict.stop, Stop.NONE).astype(int),
         slopes,
@@ -176,7 +176,8 @@ def classified(
     y0 = initial_state(equation, omega0)
     rtol = tolerance("rtol", rtol)
     until = goal(equation, value)
-    scale = rtol, absolute(atol, rtol, equation.omega(y0), label_only=until == "outcome")
+    least = absolute(atol, rtol, equation.omega(y0), label_only=until == "outcome")
+    scale = Tolerances(rtol, least)
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     end = _end_by_steps
@@ -201,12 +202,12 @@ def _classify(equation: Any, start: Array, scale: Any, how: Any) -> Classificati
     return unchecked(run(start, scale, jnp.asarray(True)), value, jnp)
 
 
-def _end_on_branch(equation, y0, scale, t1, max_steps: int, until: _endings.Until) -> Any:
-    return manifold.until_decided(equation, y0, (*scale, t1, max_steps), until)
+def _end_on_branch(equation, y0, scale, t1, max_steps: int, until: _endings.Until) -> EndStates:
+    limits = Limits(scale.rtol, scale.atol, t1, jnp.asarray(max_steps))
+    return end_on_branch(equation, y0, limits, until)
 
 
-def _end_by_steps(equation, y0, scale, t1, max_steps: int, until: _endings.Until) -> Any:
-    """Where a run ended: state, time, steps and status."""
+def _end_by_steps(equation, y0, scale, t1, max_steps: int, until: _endings.Until) -> EndStates:
     rtol, atol = scale
 
     def ended(t, y, args, **_):
@@ -233,17 +234,17 @@ def _end_by_steps(equation, y0, scale, t1, max_steps: int, until: _endings.Until
     able = _endings.sound(time, y, equation(time, y, None))
     if until == "time":
         y = y * jnp.nan  # which decides nothing
-    status = jnp.where(able, lanes.FINISHED, lanes.BROKEN)
-    return y, time, solution.stats["num_steps"], status
+    status = jnp.where(able, _endings.FINISHED, _endings.BROKEN)
+    return EndStates(y, time, solution.stats["num_steps"], status)
 
 
 def classify_block(
     equation: Equation,
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-    limits: lanes.Limits,
+    limits: Limits,
     value: Value,
-    engine: Any,
-    device: Any,
+    engine: Engine,
+    device: Device,
     threads: int = 1,
 ) -> Classification:
     """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
@@ -252,8 +253,8 @@ def classify_block(
     how = {"until": goal(equation, value), "device": device, "threads": threads}
     equation = manifold.physical(equation)
 
-    def run(omegas: Any, limits: lanes.Limits) -> Classification:
-        found = judged(engine, assemble, equation, omegas, limits, **how)
+    def run(omegas: Any, limits: Limits) -> Classification:
+        found = engine.classify(assemble, equation, omegas, limits, **how)
         return jax.tree.map(np.asarray, found)
 
     found = run(omegas, limits)
@@ -318,8 +319,8 @@ def classify_many(
     until = goal(equations, value)
     crew = workers()
     block = _cut(whole, 0, size, single)
-    engines = engines_for(engine, block[0], crew, until)
-    if hasattr(engines[crew[0]], "judged"):  # threads of its own, which share one queue
+    engines = select_engines(engine, block[0], crew, until, assemble)
+    if engines[crew[0]].has_own_threads:  # which share one queue
         return classify_block(*block, value, engines[crew[0]], crew[0], threads=len(crew))
     tile = min(TILE, power_of_two(-(-size // len(crew))))
 
@@ -332,14 +333,6 @@ def classify_many(
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :size], *found)
 
 
-def engines_for(
-    engine: str, equation: Any, devices: Sequence[Any], until: _endings.Until
-) -> dict[Any, Any]:
-    """The engine of each device for `classify_block` with such equations."""
-    equation = manifold.physical(equation)
-    return {d: engine_for(engine, equation, d, until, assemble) for d in set(devices)}
-
-
 class _Runs(NamedTuple):
     """All that is asked of `classify_many`."""
 
@@ -350,7 +343,7 @@ class _Runs(NamedTuple):
     max_steps: Int[Array, ""]
 
 
-def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, lanes.Limits]:
+def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, Limits]:
     """One tile: equation with its lanes behind, starts and limits. Padding takes no step.
 
     In NumPy, by views if the tile is full: JAX would take as long as the machine code to come.
@@ -368,7 +361,7 @@ def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, la
 
     arrays, rest = eqx.partition(runs.equations, eqx.is_array)
     equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)
-    limits = lanes.Limits(runs.rtol, runs.atol[at], t1, runs.max_steps)
+    limits = Limits(runs.rtol, runs.atol[at], t1, runs.max_steps)
     return equation, runs.starts[at].T, limits
 
 

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._base.tolerances import Tolerances
 from .._base.types import OmegaScale, Outcome, Real, Verdict
 
 Run = Callable[[Any, Any], Any]
@@ -128,7 +129,7 @@ def checked_alone(
 
     def one(wanted: Array, case: Any) -> Any:
         move, factor = case
-        found = run(start + move, (factor * rtol, factor * atol), wanted)
+        found = run(start + move, Tolerances(factor * rtol, factor * atol), wanted)
         return wanted & integrated(found), found
 
     _, every = jax.lax.scan(one, jnp.asarray(True), (moves, factors))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._base.guards import safe_divisor
 from .._base.linalg import cross, largest, matvec
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
