@@ -9,7 +9,7 @@ from ._base.types import Outcome, Stop, Verdict
 from ._branch.march import slow_manifold
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
-from ._maps.store import StoreDamaged
+from ._maps.store.errors import StoreDamaged, StoreMismatch
 from ._maps.sweep import sweep
 from ._runs.classify_many import Classification, classify, classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
@@ -74,6 +74,7 @@ __all__ = [
     "Spectrum",
     "Stop",
     "StoreDamaged",
+    "StoreMismatch",
     "Trajectory",
     "TransverseAveraged",
     "TransverseCylindrical",

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float, Int
 from ._base.checks import finite, refuse
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
-from ._maps.basin import FIELDS, Basin
+from ._maps.basin import Basin
+from ._maps.columns import COLUMNS
 from ._maps.grids import Grid, Points
 from ._maps.sweep import Problem, sweep
 from .boundary import fate
@@ -172,7 +173,7 @@ class _Picture:
         self.shape = tuple(len(values) for values in self.values)
         self.attrs: dict[str, Any] = {}
         size = int(np.prod(self.shape))
-        self.columns = {name: np.zeros(size, kind[0]) for name, kind in FIELDS.items()}
+        self.columns = {name: np.zeros(size, spec.dtype) for name, spec in COLUMNS.items()}
         self.fate = np.zeros(size, np.int8)
         self.computed = np.zeros(size, bool)
 

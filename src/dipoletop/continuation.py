@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from . import planar
 from ._base.checks import finite, instance, refuse, where_valid
+from ._base.statistics import wilson
 from ._base.types import Outcome, Stop
-from ._maps.basin import Basin, wilson
+from ._maps.basin import Basin
 from ._maps.grids import Grid, Sample
 from ._maps.sweep import sweep
 from .equations._common import shape_parameter

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._base.checks import finite, refuse
+from ._base.statistics import Share, wilson
 from ._base.tolerances import whole
 from ._base.types import Outcome
-from ._maps.basin import Basin, Share, wilson
+from ._maps.basin import Basin
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep

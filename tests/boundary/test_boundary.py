@@ -7,7 +7,8 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop import boundary
-from dipoletop._maps.basin import FIELDS, Basin
+from dipoletop._maps.basin import Basin
+from dipoletop._maps.columns import COLUMNS
 from dipoletop.boundary.crossings import first_change
 from dipoletop.planar import Planar, saddle
 
@@ -33,7 +34,7 @@ def test_fates_tell_sense_of_rotation_and_kind_of_stop():
     value = np.array([np.nan, np.nan, 0.1, -0.1, np.nan, 0.0, 0.0, 0.0])
     stop = np.array([0, 0, 0, 0, 0, 1, 2, 4])
     seen = {"outcome": outcome, "omega_inf": value, "stop": stop}
-    columns = {name: np.zeros(8, kind[0]) for name, kind in FIELDS.items()}
+    columns = {name: np.zeros(8, spec.dtype) for name, spec in COLUMNS.items()}
     basin = Basin(("point",), (8,), {}, columns | seen, {})
     np.testing.assert_array_equal(boundary.fate(basin), [-1, 0, 1, 2, 0, 4, 5, 7])
 

@@ -19,7 +19,7 @@ import pytest
 import dipoletop as dt
 from dipoletop._engines import on_device
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._maps.basin import FIELDS
+from dipoletop._maps.columns import COLUMNS
 from dipoletop._runs import classify_many as outcomes
 
 COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
@@ -76,7 +76,7 @@ def classified(engine, device=None):
 
 def digest(found):
     """A hash of every bit that was found."""
-    columns = (np.asarray(getattr(found, name), float).tobytes() for name in FIELDS)
+    columns = (np.asarray(getattr(found, name), float).tobytes() for name in COLUMNS)
     return hashlib.sha256(b"".join(columns)).hexdigest()
 
 

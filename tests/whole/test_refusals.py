@@ -49,6 +49,8 @@ CASES = {
     "dt.threshold(3, 0.1, -0.9, 0.5)": "`family` must be a function .*, but is 3",
     "dt.sweep(lambda w3, phi: (field, start), grid)": f"`equation` {EQUATION} of type function",
     "dt.sweep(lambda w3, phi: (equation, start), grid, derivatives=3)": "`derivatives` must be a n",
+    "dt.sweep(lambda w3, phi: (equation, start), grid, store=5)": "`store` must be a path, but is",
+    "dt.Sample(5, seed=0.5)": "`seed` must be a whole number, but is 0.5",
     "boundary.minimal_kick(field, start)": f"`equation` {EQUATION} of type function",
     "boundary.edge_state(field, start, start)": f"`equation` {EQUATION} of type function",
     "boundary.fate(3)": "`basin` must be a Basin, but is 3",

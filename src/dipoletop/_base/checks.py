@@ -22,12 +22,20 @@ def concrete(*values: Any) -> bool:
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
+def one_line(value: Any) -> str:
+    """A value as text on one line, cut if it is long."""
+    shown = " ".join(str(value).split())  # some values print over many lines
+    return shown[:LONGEST] + " …" if len(shown) > LONGEST else shown
+
+
+def refusal(name: str, must: str, was: Any) -> str:
+    """The one sentence that every refusal has."""
+    return f"Argument `{name}` must {must}, but {one_line(was)}."
+
+
 def refuse(name: str, must: str, was: Any) -> NoReturn:
-    """Raise the one sentence that every refusal has."""
-    shown = " ".join(str(was).split())  # some values print over many lines
-    if len(shown) > LONGEST:
-        shown = shown[:LONGEST] + " …"
-    raise ValueError(f"Argument `{name}` must {must}, but {shown}.")
+    """Raise this sentence."""
+    raise ValueError(refusal(name, must, was))
 
 
 def described(value: Any) -> str:

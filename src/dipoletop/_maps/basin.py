@@ -2,84 +2,43 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._base.checks import described, refuse
+from .._base.statistics import Share, share_of
 from .._base.types import Outcome
-from .._runs.classify_many import Classification
+from .columns import AXES, DERIVATIVE_PREFIX, BasinParts, column_spec
+from .grids import counted, described_axis
+from .store import contents
+from .store.errors import StoreDamaged
 
 if TYPE_CHECKING:
     import xarray
-
-FIELDS: dict[str, tuple[str, str, str]] = {
-    "outcome": ("int8", "1", "FAILED -1, UNDECIDED 0, RESIDUAL 1, STOP 2"),
-    "omega_inf": ("float64", "1/tau_0", "residual angular velocity along the dipole, signed"),
-    "omega_inf_error": ("float64", "1/tau_0", "estimated absolute error of omega_inf"),
-    "time": ("float64", "tau_0", "time at which the outcome was certain"),
-    "steps": ("int32", "1", "integration steps tried"),
-    "certified": (
-        "bool",
-        "1",
-        "whether the region that ended the run is proven to decide for its level",
-    ),
-    "stop": ("int8", "1", "NONE 0, AXIS 1, ROTATING 2, WOBBLING 3, TUMBLING 4"),
-}
-"""Columns of a basin: type, unit, meaning."""
-
-AXES: dict[str, tuple[str, str]] = {
-    "delta": ("1", "1 - I3/I1"),
-    "phi": ("rad", "azimuth of the angular velocity about axis 3"),
-    "theta": ("rad", "polar angle of the angular velocity from axis 3"),
-    "w_perp": ("1/tau_0", "angular velocity across axis 3"),
-    **{f"w{k}": ("1/tau_0", f"angular velocity along axis {k}") for k in (1, 2, 3)},
-    "amplitude": ("1/tau_0", "magnitude of the angular velocity"),
-}
-"""Axes with a customary name: unit, meaning. Of others only their user knows."""
-
-EXTRA = {
-    "changed": ("bool", "1", "whether the outcome differs at the second tolerance"),
-    "computed": ("bool", "1", "whether the start was integrated, not filled in"),
-}
-"""Columns that only some basins have."""
-
-SLOPE = "d_omega_inf_d_"
-"""What the name of a column of derivatives begins with; the name of the axis follows."""
-
-
-def kind_of(column: str) -> tuple[str, str, str]:
-    """Type, unit and meaning of a column."""
-    if column.startswith(SLOPE):
-        axis = column.removeprefix(SLOPE)
-        return "float64", f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
-    return (FIELDS | EXTRA)[column]
-
-
-class Share(NamedTuple):
-    """A share of the starts, with its 95 % interval (Wilson)."""
-
-    share: float
-    low: float
-    high: float
-    count: int
-
-
-def wilson(counts: Int[np.ndarray, "*any"], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals of shares counts/n: all p with (p − k/n)² ≤ z²p(1 − p)/n (Wilson)."""
-    z2 = 1.959963984540054**2  # the 97.5 % point of the normal distribution, squared
-    p = counts / n
-    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
-    half = np.sqrt(z2 * p * (1 - p) / n + (z2 / (2 * n)) ** 2) / (1 + z2 / n)
-    # The ends at 0 and 1, which rounding would miss.
-    low = np.where(p == 0, 0.0, middle - half)
-    return low, np.where(p == 1, 1.0, middle + half)
 
 
 @dataclass(frozen=True)
 class Basin:
     """Outcomes over a grid or a sample; every array has the shape of that.
+
+    | property | column | meaning |
+    |---|---|---|
+    | `outcome` | `outcome` | member of `Outcome`: FAILED −1, UNDECIDED 0, RESIDUAL 1, STOP 2 |
+    | `omega_inf` | `omega_inf` | ω∞ along the dipole, signed, in 1/τ₀ |
+    | `omega_inf_error` | `omega_inf_error` | its estimated absolute error, in 1/τ₀ |
+    | `time` | `time` | τ at which the outcome was certain |
+    | `steps` | `steps` | integration steps tried |
+    | `certified` | `certified` | whether the region that ended the run is proven to decide |
+    | `stop` | `stop` | member of `Stop`: in which way a top stops |
+    | `changed` | `changed` | with `confirm`: whether the second tolerance gives another outcome |
+    | `derivative(axis)` | `d_omega_inf_d_…` | with `derivatives`: ∂ω∞/∂axis |
+    | `column("computed")` | `computed` | of `adaptive.refine`: integrated, not filled in |
+
+    `level` is the level of the equation of motion, `fractions()` the share of every outcome;
+    `to_xarray()`, `save(path)` and `Basin.load(path)` convert.
 
     Attributes:
         dims: names of the axes.
@@ -151,20 +110,26 @@ class Basin:
         return self.column("changed")
 
     def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
-        """∂ω∞/∂axis (sweeps with `derivatives`): 0 where the top stops as its neighbours do.
+        """∂ω∞/∂axis (sweeps with `derivatives`).
 
-        NaN where ω∞ is not known or not differentiable, as at a boundary; infinite where a change
-        turns the dipole of a general body off its principal axis, which ends all residual rotation,
-        or leaves what alone keeps ω₁ constant (see `residual_rotation`).
+        | where | value |
+        |---|---|
+        | the top stops, as its neighbours do | 0 |
+        | ω∞ is not known, or not differentiable, as at a basin boundary | NaN |
+        | a change turns the dipole of a general body off its principal axis | infinite |
+        | a change violates the condition (δ = 0 or ω₃ = 0) under which ω₁ is conserved | infinite |
+
+        See `residual_rotation` for the last two.
 
         Raises:
             ValueError: the sweep was not asked for this derivative.
         """
-        if not isinstance(axis, str) or SLOPE + axis not in self.columns:
-            has = [name.removeprefix(SLOPE) for name in self.columns if name.startswith(SLOPE)]
-            must = f"be among the `derivatives` of the sweep, {', '.join(has) or 'which had none'}"
+        if not isinstance(axis, str) or DERIVATIVE_PREFIX + axis not in self.columns:
+            prefixed = [name for name in self.columns if name.startswith(DERIVATIVE_PREFIX)]
+            known = ", ".join(name.removeprefix(DERIVATIVE_PREFIX) for name in prefixed)
+            must = f"be among the `derivatives` of the sweep, {known or 'which had none'}"
             refuse("axis", must, f"is {axis!r}")
-        return self.column(SLOPE + axis)
+        return self.column(DERIVATIVE_PREFIX + axis)
 
     @property
     def level(self) -> str:
@@ -179,66 +144,69 @@ class Basin:
         """
         values, counts = np.unique(self.outcome, return_counts=True)
         size = int(np.prod(self.shape))
-        shares = {}
-        low, high = wilson(counts, size)
-        for k, (value, count) in enumerate(zip(values.tolist(), counts.tolist(), strict=True)):
-            share = Share(count / size, float(low[k]), float(high[k]), count)
-            shares[Outcome(value).name] = share
-        return shares
+        return {
+            Outcome(value).name: share_of(count, size)
+            for value, count in zip(values.tolist(), counts.tolist(), strict=True)
+        }
 
     def to_xarray(self) -> "xarray.Dataset":
         """The same as an `xarray.Dataset`, with units, versions and settings as attributes."""
         import xarray
 
-        def said(unit: str, meaning: str) -> dict[str, str]:
-            return {"units": unit, "long_name": meaning}
-
-        columns = {
-            name: (self.dims, self.column(name), said(*kind_of(name)[1:])) for name in self.columns
-        }
-        coords = {
-            name: (
-                (name, *(f"{name}_{k}" for k in range(1, values.ndim))),
-                values,
-                said(*AXES[name]) if name in AXES else {},
-            )
-            for name, values in self.coords.items()
-        }
+        columns, coords = {}, {}
+        for name in self.columns:
+            spec = column_spec(name)
+            columns[name] = (self.dims, self.column(name), _labels(spec.unit, spec.meaning))
+        for name, values in self.coords.items():
+            dims = (name, *(f"{name}_{k}" for k in range(1, values.ndim)))
+            coords[name] = (dims, values, _labels(*AXES[name]) if name in AXES else {})
         return xarray.Dataset(columns, coords, self.attrs)
 
-    def save(self, path: Any) -> None:
+    def save(self, path: str | bytes | PathLike[Any]) -> None:
         """Write the basin as a Zarr group; `Basin.load` reads it back.
 
         Args:
             path: a folder that does not exist yet.
 
         Raises:
-            ValueError: something is there already; nothing of it is touched.
+            StoreMismatch: something is there already; nothing of it is touched.
         """
-        from . import store
-
-        store.save(self, path)
+        columns = {name: self.column(name).reshape(-1) for name in self.columns}
+        contents.save(BasinParts(self.dims, self.shape, self.coords, columns, self.attrs), path)
 
     @staticmethod
-    def load(path: Any) -> "Basin":
+    def load(path: str | bytes | PathLike[Any]) -> "Basin":
         """A basin from disk: one that was saved, or a sweep's `store`.
 
         Args:
             path: the folder.
 
         Raises:
-            ValueError: it is missing, not a basin, or a sweep that is not finished.
-            StoreDamaged: it is not what was written; of a store without checksums, which older
-                versions made, only what is missing or cannot be read is found.
+            StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
+            StoreDamaged: it is not what was written. Stores of older versions have no checksums:
+                of these only missing and unreadable data are detected.
         """
-        from . import store
+        return Basin(*contents.load(path))
 
-        return store.load(path)
+    def __repr__(self) -> str:
+        axes = [described_axis(name, values) for name, values in self.coords.items()]
+        lines = [
+            f"Basin({self.attrs.get('level', 'level not known')}; rtol {self.attrs.get('rtol')}",
+            f"{', '.join(axes) or ', '.join(self.dims)}; {counted(self.shape)}",
+            self._summary(),
+        ]
+        return "\n      ".join(lines) + ")"
+
+    def _summary(self) -> str:
+        """The share of every outcome, and of certified ones."""
+        try:
+            shares = [f"{name} {x.share:.2%}" for name, x in self.fractions().items()]
+            if "certified" in self.columns:
+                shares.append(f"certified {np.mean(self.certified):.2%}")
+        except StoreDamaged as error:
+            return str(error)
+        return ", ".join(shares)
 
 
-def columns_of(found: Classification, derivatives: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-    """The columns of a basin from classifications, which have slopes along the `derivatives`."""
-    columns = {name: np.asarray(getattr(found, name), kind[0]) for name, kind in FIELDS.items()}
-    for k, name in enumerate(derivatives):
-        columns[SLOPE + name] = np.asarray(found.slopes)[k]
-    return columns
+def _labels(unit: str, meaning: str) -> dict[str, str]:
+    return {"units": unit, "long_name": meaning}

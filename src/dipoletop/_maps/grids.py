@@ -1,22 +1,26 @@
 """Which starts and shapes a sweep visits: a grid of named axes, listed points, a random sample."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from .._base.checks import described, finite, real, refuse, where_valid
 from .._base.tolerances import budget, whole
 
-Draw = Callable[[Array], Any]
-"""From a random key to one point: ω₀ of shape (3,), or a dict of named arguments."""
+PointValues = Array | dict[str, Array]
+"""What a problem takes: the start ω₀, or its named arguments."""
+Draw = Callable[[Array], PointValues]
+"""From a random key to one point."""
+Numbers = ArrayLike | Sequence[Any]
+"""Numbers as an array, or as nested lists."""
 
 
 class Header(NamedTuple):
-    """What a grid, points or a sample are, as plain values and arrays."""
+    """All that tells a grid, points or a sample from others, as plain values and arrays."""
 
     kind: str
     settings: dict[str, Any]
@@ -42,7 +46,7 @@ class Grid:
         (2, 3)
     """
 
-    def __init__(self, **axes: Any) -> None:
+    def __init__(self, **axes: Numbers) -> None:
         if not axes:
             refuse("axes", "name at least one axis", "names none")
         self.axes = {name: _axis(name, values) for name, values in axes.items()}
@@ -64,16 +68,19 @@ class Grid:
 
     @property
     def header(self) -> Header:
-        """All that makes it what it is."""
+        """All that tells this grid from others."""
         return Header("Grid", {}, self.axes)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
         """The arguments of the problem at flat indices (C order)."""
-        places = np.unravel_index(index, self.shape)
+        per_axis = np.unravel_index(index, self.shape)
         return {
-            name: jnp.asarray(values[place])
-            for (name, values), place in zip(self.axes.items(), places, strict=True)
+            name: jnp.asarray(values[along])
+            for (name, values), along in zip(self.axes.items(), per_axis, strict=True)
         }
+
+    def __repr__(self) -> str:
+        return f"Grid({_described(self.axes)}; {counted(self.shape)})"
 
 
 class Points:
@@ -94,7 +101,7 @@ class Points:
 
     dims = ("point",)
 
-    def __init__(self, **columns: Any) -> None:
+    def __init__(self, **columns: Numbers) -> None:
         if not columns:
             refuse("columns", "name at least one column", "names none")
         self.columns = {name: _axis(name, values) for name, values in columns.items()}
@@ -110,30 +117,53 @@ class Points:
 
     @property
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Points have no axis but their number; `columns` holds their values."""
+        """None: points have no axis but their number. `columns` holds their values."""
         return {}
 
     @property
     def header(self) -> Header:
-        """All that makes them what they are."""
+        """All that tells these points from others."""
         return Header("Points", {}, self.columns)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
-        """The arguments of the problem at these numbers."""
+        """The arguments of the problem for the points with these numbers."""
         return {name: jnp.asarray(values[index]) for name, values in self.columns.items()}
 
+    def __repr__(self) -> str:
+        return f"Points({_described(self.columns)}; {counted(self.shape)})"
 
-def _axis(name: str, values: Any) -> np.ndarray:
+
+def _axis(name: str, values: Numbers) -> np.ndarray:
     array = np.atleast_1d(np.asarray(real(name, values, (-1,) * np.ndim(values))))
     if array.size == 0:
         refuse(name, "hold at least one value", "holds none")
-    # In NumPy: JAX would compile a look at every new number of points.
+    # In NumPy: JAX would compile the test for every new number of points.
     if not np.isfinite(array).all():
         finite(name, array, (-1,) * array.ndim)
     return array
 
 
-def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: Any = 0.5) -> Grid:
+def _described(axes: dict[str, np.ndarray]) -> str:
+    return ", ".join(described_axis(name, values) for name, values in axes.items())
+
+
+def described_axis(name: str, values: np.ndarray) -> str:
+    """The name of an axis and its numbers, such as "phi: 256 values in [0, 3.129]"."""
+    if values.ndim > 1:
+        shape = str(values.shape[1:])
+        return f"{name}: {len(values)} vector{'s' * (len(values) > 1)} of shape {shape}"
+    if len(values) == 1:
+        return f"{name}: {values[0]:.4g}"
+    return f"{name}: {len(values)} values in [{np.min(values):.4g}, {np.max(values):.4g}]"
+
+
+def counted(shape: tuple[int, ...]) -> str:
+    """The number of starts, such as "51 456 starts"."""
+    size = int(np.prod(shape))
+    return f"{size:,} start{'s' * (size != 1)}".replace(",", " ")
+
+
+def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: ArrayLike = 0.5) -> Grid:
     """One symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
 
     The symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which every level of the equation has,
@@ -176,7 +206,12 @@ class Sample:
     dims = ("sample",)
 
     def __init__(
-        self, n: Any, amplitude: Any = 1.0, *, seed: Any = 0, draw: Draw | None = None
+        self,
+        n: int,
+        amplitude: Numbers = 1.0,
+        *,
+        seed: int = 0,
+        draw: Draw | None = None,
     ) -> None:
         must = "be a whole number"
         self.n, self.seed = budget("n", n), whole("seed", seed, -(2**63), must)
@@ -192,12 +227,12 @@ class Sample:
 
     @property
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """A sample has no axis but its number; `points` gives the starts."""
+        """None: a sample has no axis but its number. `points` gives the starts."""
         return {}
 
     @property
     def header(self) -> Header:
-        """All that makes it what it is, but the function `draw`."""
+        """All that tells this sample from others, except the function `draw`."""
         size = None if self.amplitude is None else np.asarray(self.amplitude, float).tolist()
         return Header("Sample", {"seed": self.seed, "amplitude": size}, {})
 
@@ -207,8 +242,14 @@ class Sample:
         keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(index))
         return jax.vmap(self.draw)(keys)
 
+    def __repr__(self) -> str:
+        drawn = f"amplitude={self.amplitude}"
+        if self.amplitude is None:
+            drawn = f"draw={getattr(self.draw, '__qualname__', self.draw)}"
+        return f"Sample(n={self.n}, {drawn}, seed={self.seed})"
 
-def isotropic(amplitude: Any) -> Draw:
+
+def isotropic(amplitude: Numbers) -> Draw:
     """Isotropic starts with |ω₀| = amplitude, or log-uniform in a pair (least, most)."""
     bounds = np.atleast_1d(np.asarray(finite("amplitude", amplitude)))
     if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
@@ -216,15 +257,15 @@ def isotropic(amplitude: Any) -> Draw:
     low, high = np.log(bounds[0]), np.log(bounds[-1])
 
     def draw(key: Array) -> Float[Array, "3"]:
-        way, size = jax.random.split(key)
-        normal = jax.random.normal(way, (3,), float)
+        key_direction, key_size = jax.random.split(key)
+        normal = jax.random.normal(key_direction, (3,), float)
         unit = normal / jnp.sqrt(jnp.sum(normal**2))
-        return jnp.exp(jax.random.uniform(size, (), float, low, high)) * unit
+        return jnp.exp(jax.random.uniform(key_size, (), float, low, high)) * unit
 
     return draw
 
 
-def uniform_box(low: Any, high: Any) -> Draw:
+def uniform_box(low: Numbers, high: Numbers) -> Draw:
     """Starts uniform in the box low ≤ ω₀ ≤ high; both of shape (3,)."""
     least = finite("low", low, (3,), batch=False)
     most = finite("high", high, (3,), batch=False)

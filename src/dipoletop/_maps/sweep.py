@@ -1,41 +1,34 @@
 """Basin maps: a problem over a grid, points or a sample, tile by tile, on all cores or devices."""
 
-import functools
 import sys
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
-from typing import Any, NamedTuple
+from os import PathLike
+from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import ArrayLike
 
-from .._base.checks import check_verdict, names_of, refuse
 from .._base.parallel import in_parallel, workers
-from .._base.stopping import Until
-from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
-from .._engines.interface import Limits
-from .._engines.select import select_engines
-from .._runs.classify_many import TILE, Value, assemble, classify_block, goal, power_of_two
-from ..equations.levels import level_of
-from . import store as disk
-from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
+from .._base.tolerances import MAX_STEPS, budget, check_atol
+from .._runs.classify_many import Value
+from .basin import Basin
 from .grids import Grid, Points, Sample
-from .problems import Builder, Problem, block_digest, builder
+from .problems import Problem, block_builder
+from .sweep_plan import Plan, derivative_names, plan_of, tolerances
+from .sweep_stores import MemoryStore, ZarrStore
 
 
 def sweep(
     problem: Problem,
     over: Grid | Points | Sample,
     *,
-    rtol: Any = 1e-8,
-    atol: Any = None,
-    max_steps: Any = MAX_STEPS,
+    rtol: ArrayLike = 1e-8,
+    atol: ArrayLike | None = None,
+    max_steps: int = MAX_STEPS,
     value: Value = True,
-    derivatives: Sequence[str] = (),
+    derivatives: str | Sequence[str] = (),
     confirm: float | None = None,
-    store: Any = None,
+    store: str | bytes | PathLike[Any] | None = None,
     repair: bool = False,
     progress: bool | str | None = None,
     devices: Sequence[Any] | None = None,
@@ -51,17 +44,12 @@ def sweep(
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
             rtol·|ω₀| for each start with `value=False`.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
-        value: whether to go on until ω∞ is known, not only its outcome: True, with an estimate of
-            its error from three neighbouring starts; "unchecked", without, for about a third of
-            the cost; or False.
-        derivatives: arguments of the problem, numbers all; `basin.derivative(name)` is then
-            ∂ω∞/∂name, from the equation's first variations, each step of which is held to ten
-            times `rtol`: over thousands of turns errors add up, and a smaller `rtol` tells.
+        value: when a run may end; see the table below.
+        derivatives: arguments of the problem, each a number; `basin.derivative(name)` is then
+            ∂ω∞/∂name. The equation's first variations are integrated with tolerance 10·rtol;
+            their errors accumulate over many turns, so repeat with a smaller `rtol` to check.
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
-        store: a folder for the result. Run the same sweep again and it goes on where it was
-            stopped; a grid of any size then needs little memory. Before a tile is used again it
-            is read, and its equations and starts are compared with those it was computed from, to
-            the last bit: processors of another kind may compute others, and are then refused.
+        store: a folder for the result, which the same sweep resumes; see below.
         repair: whether to compute damaged tiles of the store again, in place of `StoreDamaged`.
         progress: whether to show a progress bar; None shows it on a terminal, a text with that
             label.
@@ -69,12 +57,22 @@ def sweep(
         engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
             "auto", the fastest that can run here; `basin.attrs` says which did.
 
+    | `value` | a run ends when | `omega_inf_error` | cost |
+    |---|---|---|---|
+    | True | ω∞ is known | from three neighbouring starts | 1 |
+    | "unchecked" | ω∞ is known | infinite, if a step was needed | about 1/3 |
+    | False | the outcome is certain | infinite and ω∞ NaN, if a step was needed | least |
+
+    With a `store` a grid of any size needs little memory, and an interrupted sweep goes on where
+    it stopped. Finished tiles are read first, and their equations and starts are compared bit by
+    bit with those of this sweep. Another kind of processor may compute others; they are refused.
+
     Returns:
         A `Basin`.
 
     Raises:
-        ValueError: bad arguments, among them a store that holds another sweep. A run that fails
-            is an outcome, FAILED.
+        ValueError: bad arguments. A run that fails is an outcome, FAILED.
+        StoreMismatch: the store holds another sweep, or its path cannot be used.
         StoreDamaged: the store is not as it was written.
 
     Example:
@@ -86,172 +84,35 @@ def sweep(
         ((2, 3), "reduced, order 1 (the paper's)")
     """
     began = time.perf_counter()
-    along = _names(derivatives, value)
-    build = builder(problem, over, along)
+    # convert
+    names = derivative_names(derivatives, value)
+    blocks = block_builder(problem, over, names)
+    # check
     if atol is not None:
         check_atol(atol)
-    rtols = [tolerance("rtol", rtol)]
-    if confirm is not None:
-        rtols.append(tolerance("confirm", confirm))
-    steps, crew = budget("max_steps", max_steps), workers(devices)
-    equation, _ = build(np.zeros(1, int))
-    check_verdict(equation)
-    until = goal(equation, value)
-    engines = select_engines(engine, equation, crew, until, assemble)
-
-    def run(job: int, device: Any) -> tuple[dict[str, np.ndarray], Any]:
-        block = build(tiling.points(job))
-        limits = functools.partial(_limits, block, tiling.real(job), atol, steps, until)
-        each = [
-            columns_of(classify_block(*block, limits(rtol), value, engines[device], device), along)
-            for rtol in rtols
-        ]
-        return _compared(each, tiling.real(job)), block
-
-    attrs = {
-        "level": level_of(equation),
-        "rtol": float(rtols[0]),
-        "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
-        "max_steps": steps,
-        "value": value,
-        "engine": engines[crew[0]].name,
-        **({"derivatives": list(along)} if along else {}),
-        **({} if confirm is None else {"confirm": float(confirm)}),
-        **_versions(),
-    }
-    names = [*FIELDS, *(SLOPE + name for name in along)]
-    names += [] if confirm is None else ["changed"]
-    size = int(np.prod(over.shape))
-    # A tile has the same size whatever the machine: a store may move.
-    tiling = Tiling(size, min(TILE, power_of_two(-(-size // 8))))
-    work = functools.partial(_work, run, crew=crew, tiling=tiling, progress=progress)
-    if store is None:
-        columns = _in_memory(work, names, tiling)
-        seconds = time.perf_counter() - began
-        return Basin(over.dims, over.shape, over.coords, columns, attrs, seconds)
-    header = _header(build, {"tile": tiling.tile, "columns": names, "attrs": attrs})
-    kept = disk.create(store, header, over.header.values, repair)
-    jobs = _to_do(kept, lambda job: block_digest(build(tiling.points(job))), crew, repair)
-    work(jobs, lambda job, found, block: kept.write(job, found, block_digest(block)))
-    return disk.view(kept, time.perf_counter() - began)
+    rtols, steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
+    # compute
+    plan = plan_of(blocks, rtols, atol, steps, value, engine, workers(devices))
+    columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
+    _compute(plan, columns, progress)
+    return Basin(*columns.contents(), seconds=time.perf_counter() - began)
 
 
-class Tiling(NamedTuple):
-    """How flat indices are cut into tiles; the last one is filled up with the last index."""
-
-    size: int
-    tile: int
-
-    @property
-    def count(self) -> int:
-        """The number of tiles."""
-        return -(-self.size // self.tile)
-
-    def _every(self, job: int) -> Int[np.ndarray, "tile"]:
-        return np.arange(job * self.tile, (job + 1) * self.tile)
-
-    def points(self, job: int) -> Int[np.ndarray, "tile"]:
-        """The indices of a tile."""
-        return np.minimum(self._every(job), self.size - 1)
-
-    def real(self, job: int) -> Bool[np.ndarray, "tile"]:
-        """Which of them do not fill it up."""
-        return self._every(job) < self.size
-
-
-def _in_memory(work: Any, names: list[str], tiling: Tiling) -> dict[str, np.ndarray]:
-    columns = {name: np.empty(tiling.size, kind_of(name)[0]) for name in names}
-
-    def keep(job: int, found: dict[str, np.ndarray], _: Any) -> None:
-        for name, values in found.items():
-            start = job * tiling.tile
-            columns[name][start : start + len(values)] = values
-
-    work(range(tiling.count), keep)
-    return columns
-
-
-def _header(build: Builder, about: dict[str, Any]) -> dict[str, Any]:
-    """All that tells a sweep from another one, but the values that are swept."""
-    over = build.over
-    return {
-        "dims": list(over.dims),
-        "shape": list(over.shape),
-        **about,
-        "axes": list(over.coords),
-        "over": over.header.kind,
-        "settings": over.header.settings,
-        "type": str(jnp.result_type(float)),
-        "programs": {name: found.hex() for name, found in build.programs().items()},
-    }
-
-
-def _to_do(kept: disk.Tiles, inputs: Any, crew: list[Any], repair: bool) -> list[int]:
-    """The tiles to be computed; what is there already is read, and its inputs are compared."""
-    left = kept.unfinished()
-    there = sorted(set(range(kept.count)) - set(left))
-    damaged = kept.damaged(there)
-    if not repair:
-        kept.refuse_damaged(damaged, " (`repair` computes it again)")
-    good = [tile for tile in there if tile not in damaged]
-    for tile, found in in_parallel(lambda job, _: inputs(job), good, crew):
-        was = kept.record(tile).inputs
-        if found != was:
-            refuse(
-                "store",
-                "be new or hold this very sweep",
-                f"in tile {tile} of {kept.place} the equations or starts are others "
-                f"({was.hex()[:8]} there and {found.hex()[:8]} here)",
-            )
-    return sorted([*left, *damaged])
-
-
-def _work(run, jobs, keep, *, crew, tiling: Tiling, progress) -> None:
-    """Run the tiles and keep what they find, with a progress bar."""
+def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | None) -> None:
+    """Compute every unfinished tile, with a progress bar."""
     from tqdm import tqdm
 
-    hide = None if progress is None else not progress
-    label = progress if isinstance(progress, str) else None
-    left = sum(int(np.sum(tiling.real(job))) for job in jobs)
+    tiles = store.unfinished()
+    left = sum(plan.tiling.length(tile) for tile in tiles)
     with tqdm(
-        desc=label,
-        total=tiling.size,
-        initial=tiling.size - left,
+        desc=progress if isinstance(progress, str) else None,
+        total=plan.tiling.size,
+        initial=plan.tiling.size - left,
         unit="start",
         unit_scale=True,
-        disable=hide,
+        disable=None if progress is None else not progress,
         file=sys.stderr,
     ) as bar:
-        for job, (found, block) in in_parallel(run, jobs, crew):
-            keep(job, found, block)
-            bar.update(len(found["outcome"]))
-
-
-def _limits(block, real, atol, max_steps: int, until: Until, rtol) -> Limits:
-    """What fills up a tile takes no step."""
-    stops = np.where(real, np.inf, 0.0)
-    least = absolute(atol, rtol, block[1], label_only=until == "outcome")
-    return Limits(rtol, least, stops, jnp.asarray(max_steps))
-
-
-def _compared(each: list[dict[str, np.ndarray]], real: np.ndarray) -> dict[str, np.ndarray]:
-    """The columns of the first tolerance, and where the outcome differs at the second."""
-    columns, *again = each
-    for other in again:
-        columns["changed"] = columns["outcome"] != other["outcome"]
-    return {name: values[real] for name, values in columns.items()}
-
-
-@functools.cache  # it reads files
-def _versions() -> dict[str, str]:
-    return {f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}
-
-
-def _names(derivatives: Any, value: Value) -> tuple[str, ...]:
-    """The arguments along which ω∞ is differentiated."""
-    names = names_of("derivatives", derivatives)
-    if len(set(names)) < len(names):
-        refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
-    if names and not value:
-        refuse("value", "be True if there are derivatives of ω∞ to be found", "is False")
-    return names
+        for tile, (columns, block) in in_parallel(plan.compute, tiles, plan.devices):
+            store.write(tile, columns, block)
+            bar.update(plan.tiling.length(tile))

@@ -27,12 +27,12 @@ def unfold(basin: Basin) -> Basin:
 
     Source: the symmetries of (4.2)–(4.4).
     """
-    whole = instance("basin", basin, Basin)
-    if _divides(whole.coords.get("phi"), np.pi):
-        whole = _go_round(whole)
-    if _divides(whole.coords.get("phi"), 2 * np.pi) and _rises(whole.coords.get("w3")):
-        whole = _mirror(whole)
-    return whole
+    unfolded = instance("basin", basin, Basin)
+    if _divides(unfolded.coords.get("phi"), np.pi):
+        unfolded = _to_full_turn(unfolded)
+    if _divides(unfolded.coords.get("phi"), 2 * np.pi) and _rises(unfolded.coords.get("w3")):
+        unfolded = _to_both_hemispheres(unfolded)
+    return unfolded
 
 
 def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:
@@ -49,36 +49,35 @@ def _rises(w3: Float[np.ndarray, "..."] | None) -> bool:
     return bool(w3[0] >= 0 and np.all(np.diff(w3) > 0))
 
 
-def _go_round(basin: Basin) -> Basin:
+def _to_full_turn(basin: Basin) -> Basin:
     """φ → φ + π with ω∞ → −ω∞."""
-    phi = basin.coords["phi"]
-    at = basin.dims.index("phi")
-
-    def both(name: str) -> np.ndarray:
+    phi, axis, columns = basin.coords["phi"], basin.dims.index("phi"), {}
+    for name in basin.columns:
         cell = basin.column(name)
         # 0 − ω∞ rather than −ω∞, so that a stop stays 0 and does not become −0.
-        other = 0 - cell if name == "omega_inf" else cell
-        return np.concatenate([cell, other], at)
+        image = 0 - cell if name == "omega_inf" else cell
+        columns[name] = np.concatenate([cell, image], axis)
+    return _extended(basin, "phi", np.concatenate([phi, phi + np.pi]), columns)
 
-    return _with(basin, {"phi": np.concatenate([phi, phi + np.pi])}, both)
 
-
-def _mirror(basin: Basin) -> Basin:
+def _to_both_hemispheres(basin: Basin) -> Basin:
     """(φ, ω₃) → (−φ, −ω₃) with the same ω∞; ω₃ = 0 is its own image."""
-    w3 = basin.coords["w3"]
-    turn, axial = basin.dims.index("phi"), basin.dims.index("w3")
-    back = -np.arange(len(basin.coords["phi"])) % len(basin.coords["phi"])
-    below = np.flatnonzero(w3 > 0)[::-1]
+    w3, n_phi, columns = basin.coords["w3"], len(basin.coords["phi"]), {}
+    phi_axis, w3_axis = basin.dims.index("phi"), basin.dims.index("w3")
+    mirrored_phi = -np.arange(n_phi) % n_phi
+    mirrored_w3 = np.flatnonzero(w3 > 0)[::-1]
+    for name in basin.columns:
+        upper = basin.column(name)
+        lower = upper.take(mirrored_w3, w3_axis).take(mirrored_phi, phi_axis)
+        columns[name] = np.concatenate([lower, upper], w3_axis)
+    return _extended(basin, "w3", np.concatenate([-w3[mirrored_w3], w3]), columns)
 
-    def both(name: str) -> np.ndarray:
-        half = basin.column(name)
-        return np.concatenate([half.take(below, axial).take(back, turn), half], axial)
 
-    return _with(basin, {"w3": np.concatenate([-w3[below], w3])}, both)
-
-
-def _with(basin: Basin, coords, column) -> Basin:
-    coords = basin.coords | coords
+def _extended(
+    basin: Basin, axis: str, values: Float[np.ndarray, "n"], columns: dict[str, np.ndarray]
+) -> Basin:
+    """The basin with other values on one axis, and the columns that belong to them."""
+    coords = basin.coords | {axis: values}
     shape = tuple(len(coords[name]) for name in basin.dims)
-    columns = {name: column(name).reshape(-1) for name in basin.columns}
-    return dataclasses.replace(basin, shape=shape, coords=coords, columns=columns)
+    flat = {name: column.reshape(-1) for name, column in columns.items()}
+    return dataclasses.replace(basin, shape=shape, coords=coords, columns=flat)

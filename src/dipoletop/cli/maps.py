@@ -14,10 +14,13 @@ import numpy as np
 
 from .._base.checks import refuse
 from .._base.monitoring import COMPILING
+from .._base.statistics import Share
 from .._base.types import Outcome
-from .._maps.basin import Basin, Share
+from .._maps.basin import Basin
 from .._maps.grids import Grid
-from .._maps.store import finished, opened, verify
+from .._maps.store.contents import starts_done, verify
+from .._maps.store.errors import StoreMismatch
+from .._maps.store.tiles import open_store
 from .._maps.sweep import sweep
 from .._maps.symmetry import unfold
 from ..equations.levels import Level
@@ -160,16 +163,12 @@ def run_level(level: str, grid: Grid, store: Path | None, **settings: Any) -> Ru
         at = {name.replace("_", "-"): value for name, value in point.items()}
         return equation_at(level, at["delta"]), start(at)
 
-    before = 0 if store is None else finished(store, settings.get("repair", False))
+    before = 0 if store is None else starts_done(store, settings.get("repair", False))
     try:
         with _compiling() as seconds:
             basin = sweep(problem, grid, store=store, **settings)
-    except ValueError as error:
-        _, refused, reason = str(error).partition("Argument `store` must ")
-        if refused:
-            reason = reason.partition(", but ")[2].removesuffix(".")
-            raise ValueError(f"{reason}; choose another --output, or remove it.") from None
-        raise
+    except StoreMismatch as error:
+        raise ValueError(f"{error.reason}; choose another --output, or remove it.") from None
     return Run(basin, store, before, seconds())
 
 
@@ -181,7 +180,7 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
         StoreDamaged: its metadata are damaged.
     """
     whole = verify(path)
-    tiles = opened(path)
+    tiles = open_store(path)
     attrs, axes = tiles.header["attrs"], tiles.header["axes"]
     level = [level.value for level in Level if level.label == attrs["level"]]
     names = {name.replace("_", "-") for name in axes}
@@ -192,7 +191,7 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     settings |= {"repair": True, "progress": level[0] if progress else False}
     grid = Grid(**{name: tiles.values(name) for name in axes})
     run = run_level(level[0], grid, tiles.place, **settings)
-    return run, sum(tiles.length(tile) for tile in (*whole.unfinished, *whole.damaged))
+    return run, sum(tiles.tiling.length(tile) for tile in (*whole.unfinished, *whole.damaged))
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from .._maps.tiles import StoreDamaged
+from .._maps.store.errors import StoreDamaged
 from .command import computing
 
 
@@ -22,7 +22,7 @@ def verify(path: str) -> None:
     The exit status is 1 if there is damage. A tile that a sweep has not come to is none: the same
     sweep goes on with it.
     """
-    from .._maps.store import verify
+    from .._maps.store.contents import verify
 
     try:
         found = verify(path)

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from .. import planar
-from .._maps.basin import Basin, wilson
+from .._base.statistics import wilson
+from .._maps.basin import Basin
 from .._maps.grids import Grid
 from .._maps.sweep import sweep
 from .._runs.trajectory import Trajectory, simulate

@@ -1,0 +1,84 @@
+"""Whole basins on disk: saved, loaded, verified."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._base.digests import SIZE
+from ..columns import BasinParts
+from .errors import StoreDamaged, StoreMismatch
+from .folders import absolute_path, atomic_folder, exists
+from .headers import with_value_digests
+from .tiles import create_arrays, open_store, open_tiles
+
+
+class Verification(NamedTuple):
+    """What `verify` finds in a store."""
+
+    tiles: int
+    """Number of tiles."""
+    unfinished: list[int]
+    """Numbers of the tiles that are not computed yet."""
+    damaged: dict[int, str]
+    """What is wrong with each damaged tile, by its number."""
+    checksums: bool
+    """Whether the store has any; without them only missing or unreadable data are detected."""
+
+
+def save(parts: BasinParts, path: Any) -> None:
+    """Write a basin as one tile."""
+    place = absolute_path("path", path)
+    if exists("path", place):
+        raise StoreMismatch("path", place, "not exist yet", f"{place} does")
+    header = {
+        "dims": list(parts.dims),
+        "shape": list(parts.shape),
+        "tile": int(np.prod(parts.shape)),
+        "columns": list(parts.columns),
+        "attrs": parts.attrs,
+        "axes": list(parts.coords),
+    }
+    with atomic_folder("path", place) as fresh:
+        create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
+        open_tiles("path", fresh, "r+").write(0, dict(parts.columns), bytes(SIZE))
+
+
+def load(path: Any) -> BasinParts:
+    """The basin at `path`, all of it verified; its columns are read again when they are used."""
+    tiles = open_store(path)
+    parts = tiles.contents()
+    if left := len(tiles.unfinished()):
+        reason = (
+            f"{tiles.place} lacks {left} of {tiles.tiling.count} tiles; "
+            "run the sweep again with this store"
+        )
+        raise StoreMismatch("path", tiles.place, "hold a finished sweep", reason)
+    tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
+    return parts
+
+
+def verify(path: Any) -> Verification:
+    """Read everything in a store, whether its sweep is finished or not.
+
+    Raises:
+        StoreMismatch: the path leads to no store.
+        StoreDamaged: its metadata are damaged.
+    """
+    tiles = open_store(path)
+    for name in tiles.swept_names:
+        tiles.values(name)
+    left = tiles.unfinished()
+    damaged = tiles.damaged(tiles.tiling.others(left))
+    return Verification(tiles.tiling.count, left, damaged, tiles.checked)
+
+
+def starts_done(path: Any, repair: bool = False) -> int:
+    """Number of starts that a sweep with this store need not compute; 0 if it is no sound store."""
+    try:
+        tiles = open_store(path)
+        left = tiles.unfinished()
+        if repair:
+            left += tiles.damaged(tiles.tiling.others(left))
+    except (StoreDamaged, StoreMismatch):  # the sweep itself reports it
+        return 0
+    return tiles.tiling.size - sum(tiles.tiling.length(tile) for tile in left)

@@ -1,0 +1,46 @@
+"""What can be wrong with a store: it is damaged, or another one than was asked for."""
+
+from pathlib import Path
+
+from ..._base.checks import one_line, refusal
+
+
+class StoreDamaged(ValueError):
+    """A store on disk is not as it was written.
+
+    Attributes:
+        path: the store.
+        tiles: the numbers of its damaged tiles; none if its metadata are damaged.
+        reason: what is wrong.
+    """
+
+    def __init__(self, path: Path, tiles: tuple[int, ...], reason: str) -> None:
+        super().__init__(path, tiles, reason)
+        self.path, self.tiles, self.reason = path, tiles, reason
+
+    def __str__(self) -> str:
+        shown = ", ".join(str(tile) for tile in self.tiles[:8])
+        shown += f" and {len(self.tiles) - 8} more" if len(self.tiles) > 8 else ""
+        what = f"tile{'s' * (len(self.tiles) > 1)} {shown}" if self.tiles else "metadata"
+        return f"The store {self.path} is damaged, {what}: {self.reason}."
+
+
+class StoreMismatch(ValueError):
+    """A path does not lead to the store that was asked for.
+
+    It holds another sweep, or something that is no store, or no folder can be made there.
+
+    Attributes:
+        argument: the name of the argument that gave the path.
+        path: where it leads.
+        must: what is expected there.
+        reason: what is there instead.
+    """
+
+    def __init__(self, argument: str, path: Path, must: str, reason: str) -> None:
+        super().__init__(argument, path, must, reason)
+        self.argument, self.path, self.must = argument, path, must
+        self.reason = one_line(reason)
+
+    def __str__(self) -> str:
+        return refusal(self.argument, self.must, self.reason)

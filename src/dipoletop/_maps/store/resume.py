@@ -1,0 +1,77 @@
+"""The store of a sweep: a new one, or one that the same sweep has begun and resumes."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import StoreDamaged, StoreMismatch
+from .folders import absolute_path, atomic_folder, exists
+from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
+from .tiles import FORMAT, FORMAT_UNCHECKED, TileRecord, Tiles, create_arrays, open_tiles, tiling_of
+
+THIS_SWEEP = "be new or hold this very sweep"
+
+
+def begin_or_resume(
+    path: Any, header: Header, values: Mapping[str, np.ndarray], repair: bool = False
+) -> Tiles:
+    """A new store at `path`, or the one that is there if it belongs to the same sweep.
+
+    Args:
+        path: a folder.
+        header: what tells this sweep from another one; see `headers`.
+        values: what is swept, by name.
+        repair: whether to write damaged metadata again.
+
+    Raises:
+        StoreMismatch: the path cannot be used, or holds something else.
+        StoreDamaged: its metadata are damaged, and are not to be repaired.
+    """
+    place = absolute_path("store", path)
+    header = with_value_digests(header, values)
+    if not exists("store", place):
+        with atomic_folder("store", place) as fresh:
+            create_arrays(fresh, header, values)
+        return open_tiles("store", place, "r+")
+    try:
+        tiles = open_tiles("store", place, "r+")
+        if not tiles.checked:
+            must = f"be new or a {FORMAT}, to go on with it"
+            reason = f"{place} is a {FORMAT_UNCHECKED} (`Basin.load` reads it)"
+            raise StoreMismatch("store", place, must, reason)
+        different = differences(
+            tiles.header, header, lambda x: first_difference(x, tiles.values(x), values[x])
+        )
+        for name in tiles.header["values"]:
+            tiles.values(name)
+    except StoreDamaged:
+        if not repair:
+            raise
+        return _with_new_metadata(place, header, values)
+    if different:
+        reason = f"{place} holds another sweep: {different}"
+        raise StoreMismatch("store", place, THIS_SWEEP, reason)
+    return tiles
+
+
+def _with_new_metadata(place: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
+    """The store with its metadata written again, if its records belong to this sweep."""
+    every = (TileRecord(place, tile) for tile in range(tiling_of(header).count))
+    records = [record for record in every if record.is_sound]
+    if not records or any(record.sweep != sweep_digest(header) for record in records):
+        reason = f"the metadata of {place} are damaged, and its tiles are of another one, or none"
+        raise StoreMismatch("store", place, THIS_SWEEP, reason)
+    with tempfile.TemporaryDirectory(prefix=".dipoletop-", dir=place.parent) as folder:
+        fresh = Path(folder)
+        create_arrays(fresh, header, values)
+        # The header last: until then the store is known to be damaged.
+        for file in sorted(fresh.rglob("*"), key=lambda file: file == fresh / "zarr.json"):
+            if file.is_file():
+                target = place / file.relative_to(fresh)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, target)
+    return open_tiles("store", place, "r+")

@@ -1,0 +1,263 @@
+"""Tiles of a sweep on disk: how they are laid out, written, and read with every bit checked.
+
+A store is a Zarr group of flat columns, one chunk for each tile, of arrays with the swept values,
+and of one record for each finished tile: digests of its inputs and of its columns. Zarr writes
+each chunk to a temporary name and renames it. A record is written after its columns, so a tile
+torn by a crash is simply not finished, and is computed again to the same bytes.
+"""
+
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..._base.digests import SIZE, array_digest, digest
+from ..columns import BasinParts, column_spec
+from ..tiling import Tiling
+from .errors import StoreDamaged, StoreMismatch
+from .folders import absolute_path, exists
+from .headers import Header, header_digest, sweep_digest
+
+FORMAT = "dipoletop basin, version 2"
+FORMAT_UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
+
+
+@contextlib.contextmanager
+def _reading(place: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
+    """Turns whatever zarr and its codecs raise at damaged bytes into `StoreDamaged`.
+
+    The types of their errors are not documented. No code of the user runs in here.
+    """
+    try:
+        yield
+    except (StoreDamaged, MemoryError):
+        raise
+    except Exception as error:
+        raise _unreadable(place, tiles, what, error) from None
+
+
+def _unreadable(place: Path, tiles: tuple[int, ...], what: str, error: Exception) -> StoreDamaged:
+    why = " ".join(f"{type(error).__name__} {error}".split())
+    return StoreDamaged(place, tiles, f"{what} cannot be read ({why})")
+
+
+def create_arrays(place: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
+    """An empty store: metadata and the swept values, but no tile."""
+    import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    group = zarr.open_group(place, mode="w")
+    packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}
+    tiling, names = tiling_of(header), header["columns"]
+    flat: Any = {"shape": (tiling.size,), "chunks": (tiling.tile_size,), **packed}
+    for name in names:
+        group.create_array(name, dtype=column_spec(name).dtype, **flat)
+    with zarr.config.set({"array.write_empty_chunks": True}):
+        for name, array in values.items():
+            rows = min(len(array), 1 << 20)  # codecs take no more than 2 GiB at once
+            chunks = (rows, *array.shape[1:])
+            group.create_array(f"axis_{name}", data=array, chunks=chunks, **packed)
+    # Uncompressed: a record is its own checksum.
+    shape = (tiling.count, SIZE * (3 + len(names)))
+    group.create_array("done", shape=shape, chunks=(1, shape[1]), dtype="uint8", compressors=None)
+    created = (*names, *(f"axis_{name}" for name in values), "done")
+    layout = {name: _metadata_digest(place, name) for name in created}
+    full = {"format": FORMAT, "layout": layout, **header}
+    group.attrs.update({**full, "digest": header_digest(full)})
+
+
+def tiling_of(header: Header) -> Tiling:
+    """How the columns of a store are cut into tiles."""
+    return Tiling(int(np.prod(header["shape"])), int(header["tile"]))
+
+
+def _metadata_digest(place: Path, array: str) -> str:
+    return digest((place / array / "zarr.json").read_bytes()).hex()
+
+
+class TileRecord:
+    """What is kept of a finished tile: digests of its sweep, of its inputs and of its columns."""
+
+    def __init__(self, place: Path, tile: int) -> None:
+        file = place / "done" / "c" / str(tile) / "0"
+        content = file.read_bytes() if file.is_file() else b""
+        offsets = range(0, max(len(content), 3 * SIZE), SIZE)
+        seal, self.sweep, self.inputs, *self.columns = (
+            content[offset : offset + SIZE] for offset in offsets
+        )
+        self.exists = bool(content)
+        self.is_sound = seal == _seal(tile, content[SIZE:])
+
+    @staticmethod
+    def encode(tile: int, sweep: bytes, inputs: bytes, columns: list[np.ndarray]) -> bytes:
+        """The bytes of the record of a tile."""
+        content = b"".join([sweep, inputs, *(array_digest(column) for column in columns)])
+        return _seal(tile, content) + content
+
+
+def _seal(tile: int, content: bytes) -> bytes:
+    return digest(str(tile).encode(), content)
+
+
+@dataclass(frozen=True)
+class StoredColumn:
+    """A column in a store, read and checked each time it is indexed."""
+
+    tiles: "Tiles"
+    name: str
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        return self.tiles.column(self.name)[key]
+
+
+class Tiles:
+    """An open store of either version; its header is checked when it is opened.
+
+    Attributes:
+        place: its folder.
+        header: what it says about the sweep; see `headers`.
+        checked: whether it has checksums, as version 2 does.
+        tiling: how its columns are cut into tiles.
+        names: those of its columns.
+        swept_names: those of the swept values.
+    """
+
+    def __init__(self, place: Path, group: Any) -> None:
+        import zarr
+
+        self.place = place
+        self.header: Header = dict(group.attrs)
+        written = self.header.pop("digest", None)
+        self.checked = written is not None or self.header.get("format") != FORMAT_UNCHECKED
+        with _reading(place, (), "its header"):
+            if self.checked and written != header_digest(self.header):
+                raise StoreDamaged(place, (), "its header is not what was written")
+            self.tiling, self.names = tiling_of(self.header), list(self.header["columns"])
+            for name, expected in self.header.get("layout", {}).items():
+                if _metadata_digest(place, name) != expected:
+                    raise StoreDamaged(place, (), f"the metadata of {name} are not as written")
+            self.swept_names = list(self.header["values" if self.checked else "axes"])
+            axes = (f"axis_{name}" for name in self.swept_names)
+            # Chunks of zeros are written too, so that a missing chunk always means damage.
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                self._arrays = {name: group[name] for name in (*self.names, "done", *axes)}
+        self._sweep = sweep_digest(self.header) if self.checked else b""
+
+    def values(self, name: str) -> np.ndarray:
+        """What was swept: an axis, or a column of points."""
+        what = f"the values of {name}"
+        with _reading(self.place, (), what):
+            array = self._arrays[f"axis_{name}"]
+            if array.nchunks_initialized != array.nchunks:
+                raise StoreDamaged(self.place, (), f"{what} are missing")
+            values = np.asarray(array[...])
+        if self.checked and array_digest(values).hex() != self.header["values"][name]:
+            raise StoreDamaged(self.place, (), f"{what} are not what was written")
+        return values
+
+    def write(self, tile: int, columns: dict[str, np.ndarray], inputs: bytes) -> None:
+        """Write one tile, then its record; `inputs` is a digest."""
+        parts = [columns[name] for name in self.names]
+        for name, part in zip(self.names, parts, strict=True):
+            self._arrays[name][self.tiling.span(tile)] = part
+        record = TileRecord.encode(tile, self._sweep, inputs, parts)
+        self._arrays["done"][tile] = np.frombuffer(record, np.uint8)
+
+    def unfinished(self) -> list[int]:
+        """The tiles that have to be computed."""
+        every = range(self.tiling.count)
+        if self.checked:
+            return [tile for tile in every if not TileRecord(self.place, tile).exists]
+        with _reading(self.place, (), "the flags"):
+            flags = np.asarray(self._arrays["done"][:])
+        return np.flatnonzero(flags[: self.tiling.count] == 0).tolist()
+
+    def record(self, tile: int) -> TileRecord:
+        """The record of a finished tile."""
+        record = TileRecord(self.place, tile)
+        if not record.exists:
+            raise StoreDamaged(self.place, (tile,), "its record is missing")
+        if not record.is_sound or record.sweep != self._sweep:
+            raise StoreDamaged(self.place, (tile,), "its record is not what was written")
+        return record
+
+    def read(self, name: str, tile: int) -> np.ndarray:
+        """The part of a column in a tile."""
+        if not (self.place / name / "c" / str(tile)).is_file():
+            raise StoreDamaged(self.place, (tile,), f"its {name} is missing")
+        written = self.record(tile).columns[self.names.index(name)] if self.checked else None
+        with _reading(self.place, (tile,), f"its {name}"):
+            part = np.asarray(self._arrays[name][self.tiling.span(tile)])
+        complete = len(part) == self.tiling.length(tile)
+        if not complete or (self.checked and array_digest(part) != written):
+            raise StoreDamaged(self.place, (tile,), f"its {name} is not what was written")
+        return part
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of a finished sweep."""
+        return np.concatenate([self.read(name, tile) for tile in range(self.tiling.count)])
+
+    def contents(self) -> BasinParts:
+        """The basin in the store; its columns are read from disk when they are used."""
+        header = self.header
+        coords = {name: self.values(name) for name in header["axes"]}
+        columns = {name: StoredColumn(self, name) for name in self.names}
+        dims, shape = tuple(header["dims"]), tuple(header["shape"])
+        return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
+
+    def damaged(self, tiles: Iterable[int]) -> dict[int, str]:
+        """What is wrong with those of the finished tiles that are damaged, by their numbers."""
+        reasons = {}
+        for tile in tiles:
+            try:
+                for name in self.names:
+                    self.read(name, tile)
+            except StoreDamaged as error:
+                reasons[tile] = error.reason
+        return reasons
+
+    def refuse_damaged(self, damaged: dict[int, str], way_out: str = "") -> None:
+        """Raise what is wrong with them, if there are any."""
+        if damaged:
+            reason = next(iter(damaged.values())) + way_out
+            raise StoreDamaged(self.place, tuple(damaged), reason)
+
+
+def open_store(path: Any) -> Tiles:
+    """The store at a path, to be read."""
+    return open_tiles("path", absolute_path("path", path), "r")
+
+
+def open_tiles(argument: str, place: Path, mode: Literal["r", "r+"]) -> Tiles:
+    """The store in a folder.
+
+    Raises:
+        StoreMismatch: there is none.
+        StoreDamaged: its metadata are damaged.
+    """
+    import zarr
+
+    must = "be a folder with a basin"
+    if not exists(argument, place):
+        raise StoreMismatch(argument, place, must, f"{place} does not exist")
+    was_store = (place / "done").is_dir()
+    try:
+        group = zarr.open_group(place, mode=mode)
+        header = dict(group.attrs)
+    except MemoryError:
+        raise
+    except Exception as error:  # of any type, as in `_reading`
+        if was_store:
+            raise _unreadable(place, (), "its header", error) from None
+        reason = f"{place} cannot be read as one ({error})"
+        raise StoreMismatch(argument, place, must, reason) from None
+    version, written = header.get("format"), header.pop("digest", None)
+    if version in (FORMAT, FORMAT_UNCHECKED):
+        return Tiles(place, group)
+    if was_store and written != header_digest(header):
+        raise StoreDamaged(place, (), "its header is not what was written")
+    reason = f"the format of {place} is {version!r}"
+    raise StoreMismatch(argument, place, f"be a {FORMAT}", reason)

@@ -1,0 +1,166 @@
+"""What a sweep computes: its arguments, checked, and from them the columns of each tile."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._base.checks import check_verdict, names_of, refuse
+from .._base.stopping import Until
+from .._base.tolerances import absolute, tolerance
+from .._engines.interface import Limits
+from .._engines.select import select_engines
+from .._runs.classify_many import TILE, Value, assemble, classify_block, goal, power_of_two
+from ..equations.levels import level_of
+from .columns import COLUMNS, DERIVATIVE_PREFIX
+from .problems import Block, BlockBuilder, block_digest
+from .tiling import Tiling
+
+Columns = dict[str, np.ndarray]
+
+
+def tolerances(rtol: ArrayLike, confirm: float | None) -> list[Float[Array, ""]]:
+    """That of the columns; then, if outcomes are to be confirmed, a second one."""
+    first = tolerance("rtol", rtol)
+    return [first] if confirm is None else [first, tolerance("confirm", confirm)]
+
+
+def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[str, ...]:
+    """The arguments along which ω∞ is differentiated, checked."""
+    names = names_of("derivatives", derivatives)
+    if len(set(names)) < len(names):
+        refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
+    if names and not value:
+        refuse("value", "be True if there are derivatives of ω∞ to be found", "is False")
+    return names
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that a sweep computes.
+
+    Attributes:
+        blocks: gives the equations and starts of a tile.
+        rtols: that of the columns; then, if outcomes are to be confirmed, a second one.
+        atol: as given; None has the meaning that `sweep` documents.
+        max_steps: budget of every run.
+        value: whether ω∞ is wanted, and with an estimate of its error.
+        devices: each as often as threads feed it.
+        engines: the engine of each device.
+        until: what ends a run.
+        level: that of the equation.
+    """
+
+    blocks: BlockBuilder
+    rtols: list[Float[Array, ""]]
+    atol: Any
+    max_steps: int
+    value: Value
+    devices: list[Any]
+    engines: dict[Any, Any]
+    until: Until
+    level: str
+
+    @property
+    def tiling(self) -> Tiling:
+        """Of the same size whatever the machine: a store may move to another one."""
+        size = int(np.prod(self.blocks.over.shape))
+        return Tiling(size, min(TILE, power_of_two(-(-size // 8))))
+
+    @property
+    def column_names(self) -> list[str]:
+        """Names of the columns, in order."""
+        derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
+        return [*COLUMNS, *derivatives, *(["changed"] if len(self.rtols) > 1 else [])]
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """The attributes of the basin: level, settings, versions."""
+        value, atol, rtols = self.value, self.atol, self.rtols
+        derivatives = list(self.blocks.derivatives)
+        return {
+            "level": self.level,
+            "rtol": float(rtols[0]),
+            "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
+            "max_steps": self.max_steps,
+            "value": value,
+            "engine": self.engines[self.devices[0]].name,
+            **({"derivatives": derivatives} if derivatives else {}),
+            **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
+            **_versions(),
+        }
+
+    def header(self) -> dict[str, Any]:
+        """All that tells this sweep from another one, except the swept values."""
+        over = self.blocks.over
+        digests = self.blocks.program_digests()
+        return {
+            "dims": list(over.dims),
+            "shape": list(over.shape),
+            "tile": self.tiling.tile_size,
+            "columns": self.column_names,
+            "attrs": self.attrs,
+            "axes": list(over.coords),
+            "over": over.header.kind,
+            "settings": over.header.settings,
+            "type": str(jnp.result_type(float)),
+            "programs": {name: program.hex() for name, program in digests.items()},
+        }
+
+    def block(self, tile: int) -> Block:
+        """Equations and starts of a tile; the last tile is filled up to full length."""
+        return self.blocks(self.tiling.padded_indices(tile))
+
+    def inputs_digest(self, tile: int, device: Any = None) -> bytes:
+        """Digest of the equations and starts of a tile."""
+        return block_digest(self.block(tile))
+
+    def compute(self, tile: int, device: Any) -> tuple[Columns, Block]:
+        """The columns of a tile, and the equations and starts that they belong to."""
+        block, is_real = self.block(tile), self.tiling.is_real(tile)
+        columns, *confirming = [self._columns(block, is_real, rtol, device) for rtol in self.rtols]
+        for other in confirming:
+            columns["changed"] = columns["outcome"] != other["outcome"]
+        return {name: values[is_real] for name, values in columns.items()}, block
+
+    def _columns(
+        self, block: Block, is_real: np.ndarray, rtol: Float[Array, ""], device: Any
+    ) -> Columns:
+        equation, omegas = block
+        end = np.where(is_real, np.inf, 0.0)  # padding takes no step
+        atol = absolute(self.atol, rtol, omegas, label_only=self.until == "outcome")
+        limits = Limits(rtol, atol, end, jnp.asarray(self.max_steps))
+        engine, value = self.engines[device], self.value
+        ends = classify_block(equation, omegas, limits, value, engine, device)
+        columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
+        for k, name in enumerate(self.blocks.derivatives):
+            columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
+        return columns
+
+
+def plan_of(
+    blocks: BlockBuilder,
+    rtols: list[Float[Array, ""]],
+    atol: Any,
+    max_steps: int,
+    value: Value,
+    engine: str,
+    devices: list[Any],
+) -> Plan:
+    """The plan, once it is checked that the equation has a verdict, and that an engine takes it."""
+    equation, _ = blocks(np.zeros(1, int))
+    check_verdict(equation)
+    until = goal(equation, value)
+    engines = select_engines(engine, equation, devices, until, assemble)
+    level = level_of(equation)
+    return Plan(blocks, rtols, atol, max_steps, value, devices, engines, until, level)
+
+
+@functools.cache  # it reads files
+def _versions() -> dict[str, str]:
+    return {f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}

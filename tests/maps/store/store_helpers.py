@@ -1,0 +1,66 @@
+"""A sweep of two tiles for the tests of stores, and how its files are looked at and harmed."""
+
+import numpy as np
+import zarr
+
+import dipoletop as dt
+from dipoletop._maps.store.headers import header_digest
+
+SIZE = 12, 18  # two tiles, the second not full
+
+
+GRID = dt.Grid(w3=np.linspace(0.0, 0.45, SIZE[0]), phi=np.linspace(0.0, 3.0, SIZE[1]))
+
+
+KINDS = {
+    "outcome": "int8",
+    "omega_inf": "float64",
+    "time": "float64",
+    "steps": "int32",
+    "certified": "bool",
+    "stop": "int8",
+}
+
+
+def reduced(w3, phi, delta=-0.2):
+    return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def numbers(basin):
+    """Every bit of a basin."""
+    arrays = {name: basin.column(name) for name in basin.columns} | basin.coords
+    return {name: (x.dtype, x.shape, x.tobytes()) for name, x in arrays.items()} | basin.attrs
+
+
+def flip(file, bit):
+    data = bytearray(file.read_bytes())
+    data[bit // 8] ^= 1 << bit % 8
+    file.write_bytes(data)
+
+
+def victims(good, kind):
+    """The files of a store that hold columns, axes, records, metadata of these, or the header."""
+    every = sorted(p.relative_to(good) for p in good.rglob("*") if p.is_file())
+    sorts = {"columns": [], "axes": [], "records": [], "metadata": [], "header": []}
+    for path in every:
+        sort = "columns"
+        if path.name == "zarr.json":
+            sort = "metadata" if len(path.parts) > 1 else "header"
+        elif path.parts[0].startswith("axis_"):
+            sort = "axes"
+        elif path.parts[0] == "done":
+            sort = "records"
+        sorts[sort].append(path)
+    assert all(sorts.values())
+    return sorts[kind]
+
+
+def rewrite(place, **changes):
+    """Change a header as a program would that knows its digest."""
+    group = zarr.open_group(place, mode="r+")
+    header = {**{k: v for k, v in group.attrs.items() if k != "digest"}, **changes}
+    group.attrs.update({**header, "digest": header_digest(header)})

@@ -1,0 +1,100 @@
+"""Stores that are resumed or repaired, and those of another sweep, which are not touched."""
+
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from store_helpers import GRID, files, flip, numbers, reduced
+
+import dipoletop as dt
+from dipoletop._maps.store.tiles import Tiles
+
+
+def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    """Killed half-way, with a torn tile: the same bytes as a run in one go."""
+    monkeypatch.setattr("dipoletop._maps.sweep_plan.TILE", 128)
+    grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
+    whole = numbers(dt.sweep(reduced, grid, store=tmp_path / "whole.zarr"))
+    place = tmp_path / "again.zarr"
+    shutil.copytree(tmp_path / "whole.zarr", place)
+    for tile in (0, 3, 7):
+        (place / "done" / "c" / str(tile) / "0").unlink()
+    (place / "omega_inf" / "c" / "3").unlink()
+    (place / "outcome" / "c" / "7").write_bytes(b"torn")
+    with pytest.raises(dt.StoreMismatch, match="lacks 3 of 8 tiles; run the sweep again with"):
+        dt.Basin.load(place)
+
+    made = []
+    write = Tiles.write
+    monkeypatch.setattr(Tiles, "write", lambda *a: (made.append(a[1]), write(*a)))
+    again = dt.sweep(reduced, grid, store=place)
+    assert sorted(made) == [0, 3, 7]
+    assert numbers(again) == whole
+    assert files(place) == files(tmp_path / "whole.zarr")
+    assert numbers(dt.sweep(reduced, grid, store=place)) == whole
+    assert sorted(made) == [0, 3, 7]
+
+
+@pytest.mark.parametrize(
+    "victim", ["omega_inf/c/1", "done/c/0/0", "axis_phi/c/0", "time/zarr.json", "zarr.json"]
+)
+@pytest.mark.parametrize("harm", [lambda file: file.unlink(), lambda file: flip(file, 200)])
+def test_a_sweep_finds_damage_and_repairs_it_to_the_same_bytes(good, copy, victim, harm):
+    harm(copy / victim)
+    lacking = victim.startswith("done") and not (copy / victim).exists()
+    if not lacking:
+        with pytest.raises(dt.StoreDamaged, match=r"damaged, (tile|metadata)"):
+            dt.sweep(reduced, GRID, store=copy)
+    again = dt.sweep(reduced, GRID, store=copy, repair=not lacking)
+    assert numbers(again) == numbers(dt.Basin.load(good))
+    assert files(copy) == files(good)
+
+
+def test_metadata_are_not_repaired_over_the_tiles_of_another_sweep(copy):
+    flip(copy / "zarr.json", 4000)
+    before = files(copy)
+    with pytest.raises(
+        dt.StoreMismatch, match="`store` must be new or hold this very sweep, but th"
+    ):
+        dt.sweep(lambda w3, phi: reduced(w3, phi, -0.3), GRID, store=copy, repair=True)
+    assert files(copy) == before
+
+
+def test_a_foreign_store_is_refused_and_untouched(tmp_path):
+    place = tmp_path / "map.zarr"
+    grid = dt.Grid(w3=[0.1, 0.2], phi=[0.1, 1.0])
+    dt.sweep(reduced, grid, store=place)
+    before = files(place)
+    others = [
+        (lambda w3, phi: (dt.TransverseSemi(-0.2), dt.cylindrical(0.2, w3, phi)), grid, {}),
+        (lambda w3, phi: (dt.TransverseReduced(-0.3), dt.cylindrical(0.2, w3, phi)), grid, {}),
+        (reduced, dt.Grid(w3=[0.1, 0.3], phi=[0.1, 1.0]), {}),
+        (reduced, dt.Grid(w3=[0.1, 0.2, 0.3], phi=[0.1]), {}),
+        (reduced, grid, {"rtol": 1e-9}),
+    ]
+    for problem, over, options in others:
+        with pytest.raises(dt.StoreMismatch, match="`store` must be new or hold this very sweep"):
+            dt.sweep(problem, over, store=place, **options)
+    assert files(place) == before
+
+
+def test_what_no_trace_shows_is_seen_in_the_starts_of_a_tile(tmp_path):
+    """A number that the problem reads at run time."""
+    size = [0.2]
+
+    def read(w3):
+        return np.full_like(w3, size[0])
+
+    def problem(w3, phi):
+        shape = jax.ShapeDtypeStruct(w3.shape, w3.dtype)
+        w_perp = jax.pure_callback(read, shape, w3, vmap_method="expand_dims")
+        return dt.TransverseReduced(-0.2), dt.cylindrical(w_perp, w3, phi)
+
+    dt.sweep(problem, GRID, store=tmp_path / "c.zarr")
+    dt.sweep(problem, GRID, store=tmp_path / "c.zarr")
+    size[0] = 0.21
+    with pytest.raises(
+        dt.StoreMismatch, match=r"in tile . of .*c.zarr the equations or starts are"
+    ):
+        dt.sweep(problem, GRID, store=tmp_path / "c.zarr")

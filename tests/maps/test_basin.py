@@ -1,0 +1,53 @@
+"""Basins: names and units of their columns, and what they print."""
+
+import numpy as np
+import pytest
+
+import dipoletop as dt
+
+
+def reduced(w3, phi, delta=-0.2):
+    return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
+
+
+GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 10), phi=np.linspace(0.0, 3.0, 26))
+
+
+@pytest.fixture(scope="module")
+def basin():
+    return dt.sweep(reduced, GRID)
+
+
+def test_xarray_names_units_and_sources(basin):
+    data = basin.to_xarray()
+    assert data.omega_inf.dims == ("w3", "phi")
+    assert data.omega_inf.attrs["units"] == data.w3.attrs["units"] == "1/tau_0"
+    assert data.phi.attrs["units"] == "rad"
+    assert np.array_equal(data.phi, GRID.axes["phi"])
+    assert data.attrs["level"] == "reduced, order 1 (the paper's)"
+    assert data.attrs["rtol"] == 1e-8
+    assert data.attrs["version_dipoletop"] == dt.__version__
+
+
+def test_a_basin_prints_its_axes_shares_and_tolerance(basin, tmp_path):
+    share = basin.fractions()["RESIDUAL"].share
+    level, axes, shares = repr(basin).splitlines()
+    assert level == "Basin(reduced, order 1 (the paper's); rtol 1e-08"
+    assert axes.strip() == "w3: 10 values in [0, 0.45], phi: 26 values in [0, 3]; 260 starts"
+    assert shares.strip() == f"RESIDUAL {share:.2%}, STOP {1 - share:.2%}, certified 100.00%)"
+    basin.save(tmp_path / "b.zarr")
+    loaded = dt.Basin.load(tmp_path / "b.zarr")
+    assert repr(loaded) == repr(basin)
+    (tmp_path / "b.zarr" / "outcome" / "c" / "0").unlink()
+    assert repr(loaded).endswith("b.zarr is damaged, tile 0: its outcome is missing.)")
+    few = dt.sweep(reduced, dt.Grid(w3=GRID.axes["w3"], phi=0.1), max_steps=1)
+    assert "UNDECIDED" in repr(few)
+
+
+def test_shares_have_the_intervals_of_wilson(basin):
+    z = 1.959963984540054
+    for share in basin.fractions().values():
+        p = share.count / 260
+        assert share.share == p
+        for end in (share.low, share.high):  # the roots of (p̂ − p)² = z²p(1 − p)/n
+            assert abs((p - end) ** 2 - z**2 * end * (1 - end) / 260) < 1e-14
