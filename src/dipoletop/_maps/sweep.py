@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
+import numpy as np
 from jaxtyping import ArrayLike
 
+from .._base.checks import check_verdict
 from .._base.parallel import in_parallel, workers
 from .._base.tolerances import MAX_STEPS, budget, check_atol
-from .._runs.classify_many import Value
+from .._runs.classify_many import Value, engines_for, goal
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem, block_builder
-from .sweep_plan import Plan, derivative_names, plan_of, tolerances
+from .sweep_plan import Plan, derivative_names, tolerances
 from .sweep_stores import MemoryStore, ZarrStore
 
 
@@ -87,12 +89,16 @@ def sweep(
     # convert
     names = derivative_names(derivatives, value)
     blocks = block_builder(problem, over, names)
-    # check
     if atol is not None:
         check_atol(atol)
-    rtols, steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
+    rtols, max_steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
+    devices = workers(devices)
+    # check
+    equation, _ = blocks(np.zeros(1, int))
+    check_verdict(equation)
+    engines = engines_for(engine, equation, devices, goal(equation, value))
     # compute
-    plan = plan_of(blocks, rtols, atol, steps, value, engine, workers(devices))
+    plan = Plan(blocks, equation, rtols, atol, max_steps, value, devices, engines)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
     _compute(plan, columns, progress)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)

@@ -67,10 +67,10 @@ class ZarrStore:
             there = tiles.record(tile).inputs
             if here != there:
                 reason = (
-                    f"in tile {tile} of {tiles.place} the equations or starts are others "
+                    f"in tile {tile} of {tiles.folder} the equations or starts are others "
                     f"({there.hex()[:8]} there and {here.hex()[:8]} here)"
                 )
-                raise StoreMismatch("store", tiles.place, THIS_SWEEP, reason)
+                raise StoreMismatch("store", tiles.folder, THIS_SWEEP, reason)
         return sorted([*left, *damaged])
 
     def write(self, tile: int, columns: Columns, block: Block) -> None:
