@@ -23,7 +23,7 @@ Columns = dict[str, np.ndarray]
 
 
 def tolerances(rtol: ArrayLike, confirm: float | None) -> list[Float[Array, ""]]:
-    """That of the columns; then, if outcomes are to be confirmed, a second one."""
+    """The tolerance of the columns; then, if outcomes are to be confirmed, a second one."""
     first = tolerance("rtol", rtol)
     return [first] if confirm is None else [first, tolerance("confirm", confirm)]
 
@@ -43,13 +43,13 @@ class Plan:
     """All that a sweep computes.
 
     Attributes:
-        blocks: gives the equations and starts of a tile.
-        equation: that of the first point.
-        rtols: that of the columns; then, if outcomes are to be confirmed, a second one.
-        atol: as given; None has the meaning that `sweep` documents.
+        blocks: builds the equations and starts of a tile.
+        equation: the equation of the first point.
+        rtols: the tolerance of the columns; then, if outcomes are to be confirmed, a second one.
+        atol: the absolute tolerance as the user gave it; see `sweep` for None.
         max_steps: budget of every run.
         value: whether ω∞ is wanted, and with an estimate of its error.
-        devices: each as often as threads feed it.
+        devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
     """
 
@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def tiling(self) -> Tiling:
-        """Of the same size whatever the machine: a store may move to another one."""
+        """Tiles have the same size on every machine, so that a store may move to another one."""
         size = int(np.prod(self.blocks.over.shape))
         return Tiling(size, min(TILE, power_of_two(-(-size // 8))))
 

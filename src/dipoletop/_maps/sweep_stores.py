@@ -55,7 +55,7 @@ class ZarrStore:
         self._tiles = begin_or_resume(path, plan.header(), values, repair)
 
     def unfinished(self) -> list[int]:
-        """The tiles to compute; finished ones are read, and their inputs are compared."""
+        """The tiles to compute. Finished ones are read, and their inputs are compared."""
         tiles = self._tiles
         left = tiles.unfinished()
         finished = tiles.tiling.others(left)
