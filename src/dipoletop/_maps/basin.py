@@ -1,4 +1,4 @@
-"""What a sweep finds: outcomes on a grid or a sample, with where they came from."""
+"""Basins: outcomes on a grid or a sample, with the settings that gave them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Basin:
-    """Outcomes over a grid or a sample; every array has the shape of that.
+    """Outcomes on a grid or a sample; every property is an array of its shape.
 
     | property | column | meaning |
     |---|---|---|
@@ -37,14 +37,14 @@ class Basin:
     | `derivative(axis)` | `d_omega_inf_d_…` | with `derivatives`: ∂ω∞/∂axis |
     | `column("computed")` | `computed` | of `adaptive.refine`: integrated, not filled in |
 
-    `level` is the level of the equation of motion, `fractions()` the share of every outcome;
-    `to_xarray()`, `save(path)` and `Basin.load(path)` convert.
+    Further, `level` is the level of the equation of motion, and `fractions()` gives the share of
+    every outcome. `to_xarray()`, `save(path)` and `Basin.load(path)` convert and store.
 
     Attributes:
         dims: names of the axes.
-        shape: their lengths.
-        coords: values on the axes (none for a sample).
-        columns: the raw columns, flat, in memory or on disk.
+        shape: lengths of the axes.
+        coords: values on the axes; empty for points and samples.
+        columns: the flat columns, in memory or on disk.
         attrs: level of the equation, settings, versions.
         seconds: wall time of the sweep, compilation included; NaN for a loaded basin.
     """
@@ -61,7 +61,7 @@ class Basin:
 
         Raises:
             ValueError: the basin has no such column.
-            StoreDamaged: it is on disk, and is not what was written there.
+            StoreDamaged: the column is on disk, and is not what was written there.
         """
         if not isinstance(name, str) or name not in self.columns:
             refuse(
@@ -76,7 +76,7 @@ class Basin:
 
     @property
     def omega_inf(self) -> Float[np.ndarray, "*shape"]:
-        """Residual angular velocity along the dipole, signed; 0 for STOP, NaN where not known."""
+        """Residual angular velocity along the dipole, signed; 0 for STOP, NaN where unknown."""
         return self.column("omega_inf")
 
     @property
@@ -114,8 +114,8 @@ class Basin:
 
         | where | value |
         |---|---|
-        | the top stops, as its neighbours do | 0 |
-        | ω∞ is not known, or not differentiable, as at a basin boundary | NaN |
+        | the top stops, and so do its neighbours | 0 |
+        | ω∞ is unknown, or not differentiable, such as at a basin boundary | NaN |
         | a change turns the dipole of a general body off its principal axis | infinite |
         | a change violates the condition (δ = 0 or ω₃ = 0) under which ω₁ is conserved | infinite |
 
@@ -133,13 +133,13 @@ class Basin:
 
     @property
     def level(self) -> str:
-        """Which level of the equation of motion the outcomes came from."""
+        """The level of the equation of motion that was integrated."""
         return self.attrs["level"]
 
     def fractions(self) -> dict[str, Share]:
         """Share of every outcome that occurs, with 95 % intervals (Wilson).
 
-        The interval is that of independent random starts; on a regular grid it overstates the
+        The intervals are those of independent random starts; on a regular grid they overstate the
         error.
         """
         values, counts = np.unique(self.outcome, return_counts=True)
@@ -150,7 +150,7 @@ class Basin:
         }
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The same as an `xarray.Dataset`, with units, versions and settings as attributes."""
+        """The basin as an `xarray.Dataset`, with units, versions and settings as attributes."""
         import xarray
 
         columns, coords = {}, {}

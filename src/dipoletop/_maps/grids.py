@@ -1,4 +1,4 @@
-"""Which starts and shapes a sweep visits: a grid of named axes, listed points, a random sample."""
+"""The points of a sweep: a grid of named axes, listed points, or a random sample."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ class Grid:
             single number is an axis of length 1.
 
     Raises:
-        ValueError: no axis, or one that is empty, or not finite, or not made of numbers.
+        ValueError: there is no axis, or one is empty, not finite, or not made of numbers.
 
     Example:
         >>> import dipoletop as dt
@@ -91,7 +91,7 @@ class Points:
             the sweep's `problem`. Shape (n,) for numbers, or (n, …) for vectors such as starts.
 
     Raises:
-        ValueError: no column, or one that is not finite, or columns of different lengths.
+        ValueError: there is no column, one is not finite, or their lengths differ.
 
     Example:
         >>> import dipoletop as dt
@@ -166,16 +166,16 @@ def counted(shape: tuple[int, ...]) -> str:
 def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: ArrayLike = 0.5) -> Grid:
     """One symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
 
-    The symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which every level of the equation has,
-    give the rest; `plots.basin` unfolds it.
+    Every level of the equation has the symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which give
+    all other starts; `plots.basin` draws them too.
 
     Args:
-        n_phi: points on φ.
-        n_w3: points on ω₃.
+        n_phi: number of points on φ.
+        n_w3: number of points on ω₃.
         w3_max: the largest ω₃, dimensionless.
 
     Raises:
-        ValueError: fewer points than one, or a largest ω₃ that is not positive.
+        ValueError: a number of points is not positive, or the largest ω₃ is not.
     """
     n_phi, n_w3 = budget("n_phi", n_phi), budget("n_w3", n_w3)
     most = finite("w3_max", w3_max, batch=False)
@@ -185,17 +185,17 @@ def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: ArrayLike = 0.5) ->
 
 
 class Sample:
-    """Random starts; the i-th depends on (seed, i) only.
+    """Random starts; start i depends on (seed, i) only.
 
     Args:
-        n: how many.
+        n: number of starts.
         amplitude: |ω₀| of isotropic starts; a pair (least, most) draws it log-uniformly.
         seed: a whole number.
-        draw: another distribution in place of that, such as `uniform_box(low, high)`: a
+        draw: another distribution than the isotropic one, such as `uniform_box(low, high)`: a
             function of a random key that gives ω₀, or a dict of the `problem`'s arguments.
 
     Raises:
-        ValueError: n < 1, an amplitude that is not positive, or a `draw` that is no function.
+        ValueError: n < 1, an amplitude that is not positive, or a `draw` that is not callable.
 
     Example:
         >>> import dipoletop as dt

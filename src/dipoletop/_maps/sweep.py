@@ -1,4 +1,4 @@
-"""Basin maps: a problem over a grid, points or a sample, tile by tile, on all cores or devices."""
+"""Sweeps: the outcomes of a problem on a grid, points or a sample, tile by tile, on all devices."""
 
 import sys
 import time
@@ -6,15 +6,18 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
+import numpy as np
 from jaxtyping import ArrayLike
 
+from .._base.checks import check_verdict
 from .._base.parallel import in_parallel, workers
 from .._base.tolerances import MAX_STEPS, budget, check_atol
-from .._runs.classify_many import Value
+from .._engines.select import select_engines
+from .._runs.classify_many import Value, assemble, goal
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem, block_builder
-from .sweep_plan import Plan, derivative_names, plan_of, tolerances
+from .sweep_plan import Plan, derivative_names, tolerances
 from .sweep_stores import MemoryStore, ZarrStore
 
 
@@ -37,35 +40,37 @@ def sweep(
     """Outcomes of a problem on every point of a grid, a list or a sample.
 
     Args:
-        problem: a function of the grid's axes (by name) or of the sample's start that gives the
-            equation and the start; pure JAX, since it is vectorised.
+        problem: a function that gives the equation and the start ω₀, from the grid's axes (by
+            name) or the sample's start. It is vectorised, so it must be pure JAX.
         over: a `Grid`, `Points` or a `Sample`.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
             rtol·|ω₀| for each start with `value=False`.
         max_steps: budget of each run; one that exhausts it is UNDECIDED.
-        value: when a run may end; see the table below.
+        value: whether ω∞ is wanted, not only the outcome; see the table below.
         derivatives: arguments of the problem, each a number; `basin.derivative(name)` is then
             ∂ω∞/∂name. The equation's first variations are integrated with tolerance 10·rtol;
             their errors accumulate over many turns, so repeat with a smaller `rtol` to check.
         confirm: a second `rtol`; `basin.changed` then marks the outcomes that differ.
         store: a folder for the result, which the same sweep resumes; see below.
-        repair: whether to compute damaged tiles of the store again, in place of `StoreDamaged`.
-        progress: whether to show a progress bar; None shows it on a terminal, a text with that
+        repair: whether to compute damaged tiles of the store again, instead of raising
+            `StoreDamaged`.
+        progress: whether to show a progress bar; None shows it on a terminal only. A text is its
             label.
         devices: which devices to use; None means all.
         engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
-            "auto", the fastest that can run here; `basin.attrs` says which did.
+            "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
     | True | ω∞ is known | from three neighbouring starts | 1 |
-    | "unchecked" | ω∞ is known | infinite, if a step was needed | about 1/3 |
-    | False | the outcome is certain | infinite and ω∞ NaN, if a step was needed | least |
+    | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about 1/3 |
+    | False | the outcome is certain | infinite, and ω∞ NaN, where it was integrated | least |
 
-    With a `store` a grid of any size needs little memory, and an interrupted sweep goes on where
-    it stopped. Finished tiles are read first, and their equations and starts are compared bit by
-    bit with those of this sweep. Another kind of processor may compute others; they are refused.
+    With a `store` a grid of any size needs little memory, and an interrupted sweep is resumed when
+    it is called again. Finished tiles are read first; the equations and starts that they were
+    computed from are compared bit by bit with those of this call. On another kind of processor
+    these may differ, and the store is then refused.
 
     Returns:
         A `Basin`.
@@ -87,12 +92,16 @@ def sweep(
     # convert
     names = derivative_names(derivatives, value)
     blocks = block_builder(problem, over, names)
-    # check
     if atol is not None:
         check_atol(atol)
-    rtols, steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
+    rtols, max_steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
+    devices = workers(devices)
+    # check
+    equation, _ = blocks(np.zeros(1, int))
+    check_verdict(equation)
+    engines = select_engines(engine, equation, devices, goal(equation, value), assemble)
     # compute
-    plan = plan_of(blocks, rtols, atol, steps, value, engine, workers(devices))
+    plan = Plan(blocks, equation, rtols, atol, max_steps, value, devices, engines)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
     _compute(plan, columns, progress)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)

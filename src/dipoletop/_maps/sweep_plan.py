@@ -10,12 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._base.checks import check_verdict, names_of, refuse
-from .._base.stopping import Until
+from .._base.checks import names_of, refuse
 from .._base.tolerances import absolute, tolerance
+from .._base.types import Equation
 from .._engines.interface import Limits
-from .._engines.select import select_engines
-from .._runs.classify_many import TILE, Value, assemble, classify_block, goal, power_of_two
+from .._runs.classify_many import TILE, Value, classify_block, power_of_two
 from ..equations.levels import level_of
 from .columns import COLUMNS, DERIVATIVE_PREFIX
 from .problems import Block, BlockBuilder, block_digest
@@ -25,7 +24,7 @@ Columns = dict[str, np.ndarray]
 
 
 def tolerances(rtol: ArrayLike, confirm: float | None) -> list[Float[Array, ""]]:
-    """That of the columns; then, if outcomes are to be confirmed, a second one."""
+    """The tolerance of the columns; then, if outcomes are to be confirmed, a second one."""
     first = tolerance("rtol", rtol)
     return [first] if confirm is None else [first, tolerance("confirm", confirm)]
 
@@ -45,30 +44,28 @@ class Plan:
     """All that a sweep computes.
 
     Attributes:
-        blocks: gives the equations and starts of a tile.
-        rtols: that of the columns; then, if outcomes are to be confirmed, a second one.
-        atol: as given; None has the meaning that `sweep` documents.
+        blocks: builds the equations and starts of a tile.
+        equation: the equation of the first point.
+        rtols: the tolerance of the columns; then, if outcomes are to be confirmed, a second one.
+        atol: the absolute tolerance as the user gave it; see `sweep` for None.
         max_steps: budget of every run.
         value: whether ω∞ is wanted, and with an estimate of its error.
-        devices: each as often as threads feed it.
+        devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
-        until: what ends a run.
-        level: that of the equation.
     """
 
     blocks: BlockBuilder
+    equation: Equation
     rtols: list[Float[Array, ""]]
     atol: Any
     max_steps: int
     value: Value
     devices: list[Any]
     engines: dict[Any, Any]
-    until: Until
-    level: str
 
     @property
     def tiling(self) -> Tiling:
-        """Of the same size whatever the machine: a store may move to another one."""
+        """Tiles have the same size on every machine, so that a store may move to another one."""
         size = int(np.prod(self.blocks.over.shape))
         return Tiling(size, min(TILE, power_of_two(-(-size // 8))))
 
@@ -81,14 +78,13 @@ class Plan:
     @property
     def attrs(self) -> dict[str, Any]:
         """The attributes of the basin: level, settings, versions."""
-        value, atol, rtols = self.value, self.atol, self.rtols
-        derivatives = list(self.blocks.derivatives)
+        atol, rtols, derivatives = self.atol, self.rtols, list(self.blocks.derivatives)
         return {
-            "level": self.level,
+            "level": level_of(self.equation),
             "rtol": float(rtols[0]),
-            "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
+            "atol": float(atol or 0) if self.value or atol is not None else "rtol*|omega_0|",
             "max_steps": self.max_steps,
-            "value": value,
+            "value": self.value,
             "engine": self.engines[self.devices[0]].name,
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
@@ -133,32 +129,13 @@ class Plan:
     ) -> Columns:
         equation, omegas = block
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
-        atol = absolute(self.atol, rtol, omegas, label_only=self.until == "outcome")
+        atol = absolute(self.atol, rtol, omegas, label_only=not self.value)
         limits = Limits(rtol, atol, end, jnp.asarray(self.max_steps))
-        engine, value = self.engines[device], self.value
-        ends = classify_block(equation, omegas, limits, value, engine, device)
+        ends = classify_block(equation, omegas, limits, self.value, self.engines[device], device)
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns
-
-
-def plan_of(
-    blocks: BlockBuilder,
-    rtols: list[Float[Array, ""]],
-    atol: Any,
-    max_steps: int,
-    value: Value,
-    engine: str,
-    devices: list[Any],
-) -> Plan:
-    """The plan, once it is checked that the equation has a verdict, and that an engine takes it."""
-    equation, _ = blocks(np.zeros(1, int))
-    check_verdict(equation)
-    until = goal(equation, value)
-    engines = select_engines(engine, equation, devices, until, assemble)
-    level = level_of(equation)
-    return Plan(blocks, rtols, atol, max_steps, value, devices, engines, until, level)
 
 
 @functools.cache  # it reads files

@@ -55,7 +55,7 @@ class ZarrStore:
         self._tiles = begin_or_resume(path, plan.header(), values, repair)
 
     def unfinished(self) -> list[int]:
-        """The tiles to compute; finished ones are read, and their inputs are compared."""
+        """The tiles to compute. Finished ones are read, and their inputs are compared."""
         tiles = self._tiles
         left = tiles.unfinished()
         finished = tiles.tiling.others(left)
@@ -67,10 +67,10 @@ class ZarrStore:
             there = tiles.record(tile).inputs
             if here != there:
                 reason = (
-                    f"in tile {tile} of {tiles.place} the equations or starts are others "
+                    f"in tile {tile} of {tiles.folder} the equations or starts are others "
                     f"({there.hex()[:8]} there and {here.hex()[:8]} here)"
                 )
-                raise StoreMismatch("store", tiles.place, THIS_SWEEP, reason)
+                raise StoreMismatch("store", tiles.folder, THIS_SWEEP, reason)
         return sorted([*left, *damaged])
 
     def write(self, tile: int, columns: Columns, block: Block) -> None:

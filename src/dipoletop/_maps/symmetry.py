@@ -1,4 +1,4 @@
-"""From one symmetry cell to the whole plane of starts."""
+"""Basins on the whole plane of starts, extended from one symmetry cell."""
 
 import dataclasses
 
@@ -12,18 +12,24 @@ from .basin import Basin
 def unfold(basin: Basin) -> Basin:
     """The same basin with φ ∈ [0, 2π) and ω₃ ∈ [−max, max] instead of one symmetry cell.
 
-    Every level has the symmetries (ω₁,ω₂) → −(ω₁,ω₂), that is φ → φ + π with ω∞ → −ω∞, and
-    (ω₂,ω₃) → −(ω₂,ω₃), that is (φ,ω₃) → (−φ,−ω₃) with the same ω∞, if the dipole lies along
-    axis 1 and the axes are principal, and whatever the other axes of the grid are.
+    If the dipole lies along axis 1 and the axes are principal, every level has two symmetries:
+
+    | rotation by π about | start | on the grid | ω∞ |
+    |---|---|---|---|
+    | axis 3 | (ω₁, ω₂) → −(ω₁, ω₂) | φ → φ + π | changes sign |
+    | axis 1 | (ω₂, ω₃) → −(ω₂, ω₃) | (φ, ω₃) → (−φ, −ω₃) | is the same |
+
+    They hold whatever the other axes of the grid are.
 
     Args:
         basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, as
-            in `symmetry_cell`; its axis `w3` if it rises from 0 or more and φ goes round.
+            in `symmetry_cell`; its axis `w3` if it increases from 0 or more and φ then covers
+            [0, 2π).
 
     Returns:
-        A basin in memory, whose level and settings are those of `basin`; `basin` itself if there
-        is nothing to extend. Its starts at ω₃ = 0 are not doubled, so take `fractions` of the
-        cell.
+        A basin in memory with the level and settings of `basin`; `basin` itself if there is
+        nothing to extend. Starts at ω₃ = 0 occur once and all others twice, so take `fractions`
+        of the cell.
 
     Source: the symmetries of (4.2)–(4.4).
     """

@@ -19,7 +19,7 @@ class Tiling(NamedTuple):
         return -(-self.size // self.tile_size)
 
     def others(self, tiles: Iterable[int]) -> list[int]:
-        """All tiles but these."""
+        """All tiles except these."""
         return sorted(set(range(self.count)) - set(tiles))
 
     def length(self, tile: int) -> int:

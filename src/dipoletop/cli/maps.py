@@ -190,7 +190,7 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
     settings |= {"repair": True, "progress": level[0] if progress else False}
     grid = Grid(**{name: tiles.values(name) for name in axes})
-    run = run_level(level[0], grid, tiles.place, **settings)
+    run = run_level(level[0], grid, tiles.folder, **settings)
     return run, sum(tiles.tiling.length(tile) for tile in (*whole.unfinished, *whole.damaged))
 
 

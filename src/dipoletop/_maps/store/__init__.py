@@ -1,4 +1,4 @@
-"""Stores: basins on disk as Zarr groups, in which every bit is checked when it is read.
+"""Stores: basins on disk as Zarr groups; every bit is checked when it is read.
 
 `tiles` is the format on disk, `headers` tells one sweep from another, `resume` begins or resumes a
 sweep's store, and `contents` saves, loads and verifies whole basins. No module here knows `Basin`.

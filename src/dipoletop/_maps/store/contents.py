@@ -27,9 +27,9 @@ class Verification(NamedTuple):
 
 def save(parts: BasinParts, path: Any) -> None:
     """Write a basin as one tile."""
-    place = absolute_path("path", path)
-    if exists("path", place):
-        raise StoreMismatch("path", place, "not exist yet", f"{place} does")
+    folder = absolute_path("path", path)
+    if exists("path", folder):
+        raise StoreMismatch("path", folder, "not exist yet", f"{folder} does")
     header = {
         "dims": list(parts.dims),
         "shape": list(parts.shape),
@@ -38,7 +38,7 @@ def save(parts: BasinParts, path: Any) -> None:
         "attrs": parts.attrs,
         "axes": list(parts.coords),
     }
-    with atomic_folder("path", place) as fresh:
+    with atomic_folder("path", folder) as fresh:
         create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
         open_tiles("path", fresh, "r+").write(0, dict(parts.columns), bytes(SIZE))
 
@@ -49,10 +49,10 @@ def load(path: Any) -> BasinParts:
     parts = tiles.contents()
     if left := len(tiles.unfinished()):
         reason = (
-            f"{tiles.place} lacks {left} of {tiles.tiling.count} tiles; "
+            f"{tiles.folder} lacks {left} of {tiles.tiling.count} tiles; "
             "run the sweep again with this store"
         )
-        raise StoreMismatch("path", tiles.place, "hold a finished sweep", reason)
+        raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
     tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
     return parts
 

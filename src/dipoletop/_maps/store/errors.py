@@ -1,4 +1,4 @@
-"""What can be wrong with a store: it is damaged, or another one than was asked for."""
+"""Errors of stores: one is damaged, or a path does not lead to the one that was asked for."""
 
 from pathlib import Path
 

@@ -31,18 +31,18 @@ def begin_or_resume(
         StoreMismatch: the path cannot be used, or holds something else.
         StoreDamaged: its metadata are damaged, and are not to be repaired.
     """
-    place = absolute_path("store", path)
+    folder = absolute_path("store", path)
     header = with_value_digests(header, values)
-    if not exists("store", place):
-        with atomic_folder("store", place) as fresh:
+    if not exists("store", folder):
+        with atomic_folder("store", folder) as fresh:
             create_arrays(fresh, header, values)
-        return open_tiles("store", place, "r+")
+        return open_tiles("store", folder, "r+")
     try:
-        tiles = open_tiles("store", place, "r+")
+        tiles = open_tiles("store", folder, "r+")
         if not tiles.checked:
             must = f"be new or a {FORMAT}, to go on with it"
-            reason = f"{place} is a {FORMAT_UNCHECKED} (`Basin.load` reads it)"
-            raise StoreMismatch("store", place, must, reason)
+            reason = f"{folder} is a {FORMAT_UNCHECKED} (`Basin.load` reads it)"
+            raise StoreMismatch("store", folder, must, reason)
         different = differences(
             tiles.header, header, lambda x: first_difference(x, tiles.values(x), values[x])
         )
@@ -51,27 +51,27 @@ def begin_or_resume(
     except StoreDamaged:
         if not repair:
             raise
-        return _with_new_metadata(place, header, values)
+        return _with_new_metadata(folder, header, values)
     if different:
-        reason = f"{place} holds another sweep: {different}"
-        raise StoreMismatch("store", place, THIS_SWEEP, reason)
+        reason = f"{folder} holds another sweep: {different}"
+        raise StoreMismatch("store", folder, THIS_SWEEP, reason)
     return tiles
 
 
-def _with_new_metadata(place: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
+def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
     """The store with its metadata written again, if its records belong to this sweep."""
-    every = (TileRecord(place, tile) for tile in range(tiling_of(header).count))
+    every = (TileRecord(folder, tile) for tile in range(tiling_of(header).count))
     records = [record for record in every if record.is_sound]
     if not records or any(record.sweep != sweep_digest(header) for record in records):
-        reason = f"the metadata of {place} are damaged, and its tiles are of another one, or none"
-        raise StoreMismatch("store", place, THIS_SWEEP, reason)
-    with tempfile.TemporaryDirectory(prefix=".dipoletop-", dir=place.parent) as folder:
-        fresh = Path(folder)
+        reason = f"the metadata of {folder} are damaged, and its tiles are of another one, or none"
+        raise StoreMismatch("store", folder, THIS_SWEEP, reason)
+    with tempfile.TemporaryDirectory(prefix=".dipoletop-", dir=folder.parent) as hidden:
+        fresh = Path(hidden)
         create_arrays(fresh, header, values)
         # The header last: until then the store is known to be damaged.
         for file in sorted(fresh.rglob("*"), key=lambda file: file == fresh / "zarr.json"):
             if file.is_file():
-                target = place / file.relative_to(fresh)
+                target = folder / file.relative_to(fresh)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, target)
-    return open_tiles("store", place, "r+")
+    return open_tiles("store", folder, "r+")

@@ -26,7 +26,7 @@ FORMAT_UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for
 
 
 @contextlib.contextmanager
-def _reading(place: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
+def _reading(folder: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
     """Turns whatever zarr and its codecs raise at damaged bytes into `StoreDamaged`.
 
     The types of their errors are not documented. No code of the user runs in here.
@@ -36,20 +36,20 @@ def _reading(place: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
     except (StoreDamaged, MemoryError):
         raise
     except Exception as error:
-        raise _unreadable(place, tiles, what, error) from None
+        raise _unreadable(folder, tiles, what, error) from None
 
 
-def _unreadable(place: Path, tiles: tuple[int, ...], what: str, error: Exception) -> StoreDamaged:
+def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exception) -> StoreDamaged:
     why = " ".join(f"{type(error).__name__} {error}".split())
-    return StoreDamaged(place, tiles, f"{what} cannot be read ({why})")
+    return StoreDamaged(folder, tiles, f"{what} cannot be read ({why})")
 
 
-def create_arrays(place: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
+def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
     """An empty store: metadata and the swept values, but no tile."""
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    group = zarr.open_group(place, mode="w")
+    group = zarr.open_group(folder, mode="w")
     packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}
     tiling, names = tiling_of(header), header["columns"]
     flat: Any = {"shape": (tiling.size,), "chunks": (tiling.tile_size,), **packed}
@@ -64,7 +64,7 @@ def create_arrays(place: Path, header: Header, values: Mapping[str, np.ndarray])
     shape = (tiling.count, SIZE * (3 + len(names)))
     group.create_array("done", shape=shape, chunks=(1, shape[1]), dtype="uint8", compressors=None)
     created = (*names, *(f"axis_{name}" for name in values), "done")
-    layout = {name: _metadata_digest(place, name) for name in created}
+    layout = {name: _metadata_digest(folder, name) for name in created}
     full = {"format": FORMAT, "layout": layout, **header}
     group.attrs.update({**full, "digest": header_digest(full)})
 
@@ -74,15 +74,15 @@ def tiling_of(header: Header) -> Tiling:
     return Tiling(int(np.prod(header["shape"])), int(header["tile"]))
 
 
-def _metadata_digest(place: Path, array: str) -> str:
-    return digest((place / array / "zarr.json").read_bytes()).hex()
+def _metadata_digest(folder: Path, array: str) -> str:
+    return digest((folder / array / "zarr.json").read_bytes()).hex()
 
 
 class TileRecord:
     """What is kept of a finished tile: digests of its sweep, of its inputs and of its columns."""
 
-    def __init__(self, place: Path, tile: int) -> None:
-        file = place / "done" / "c" / str(tile) / "0"
+    def __init__(self, folder: Path, tile: int) -> None:
+        file = folder / "done" / "c" / str(tile) / "0"
         content = file.read_bytes() if file.is_file() else b""
         offsets = range(0, max(len(content), 3 * SIZE), SIZE)
         seal, self.sweep, self.inputs, *self.columns = (
@@ -117,7 +117,7 @@ class Tiles:
     """An open store of either version; its header is checked when it is opened.
 
     Attributes:
-        place: its folder.
+        folder: its folder.
         header: what it says about the sweep; see `headers`.
         checked: whether it has checksums, as version 2 does.
         tiling: how its columns are cut into tiles.
@@ -125,20 +125,20 @@ class Tiles:
         swept_names: those of the swept values.
     """
 
-    def __init__(self, place: Path, group: Any) -> None:
+    def __init__(self, folder: Path, group: Any) -> None:
         import zarr
 
-        self.place = place
+        self.folder = folder
         self.header: Header = dict(group.attrs)
         written = self.header.pop("digest", None)
         self.checked = written is not None or self.header.get("format") != FORMAT_UNCHECKED
-        with _reading(place, (), "its header"):
+        with _reading(folder, (), "its header"):
             if self.checked and written != header_digest(self.header):
-                raise StoreDamaged(place, (), "its header is not what was written")
+                raise StoreDamaged(folder, (), "its header is not what was written")
             self.tiling, self.names = tiling_of(self.header), list(self.header["columns"])
             for name, expected in self.header.get("layout", {}).items():
-                if _metadata_digest(place, name) != expected:
-                    raise StoreDamaged(place, (), f"the metadata of {name} are not as written")
+                if _metadata_digest(folder, name) != expected:
+                    raise StoreDamaged(folder, (), f"the metadata of {name} are not as written")
             self.swept_names = list(self.header["values" if self.checked else "axes"])
             axes = (f"axis_{name}" for name in self.swept_names)
             # Chunks of zeros are written too, so that a missing chunk always means damage.
@@ -149,13 +149,13 @@ class Tiles:
     def values(self, name: str) -> np.ndarray:
         """What was swept: an axis, or a column of points."""
         what = f"the values of {name}"
-        with _reading(self.place, (), what):
+        with _reading(self.folder, (), what):
             array = self._arrays[f"axis_{name}"]
             if array.nchunks_initialized != array.nchunks:
-                raise StoreDamaged(self.place, (), f"{what} are missing")
+                raise StoreDamaged(self.folder, (), f"{what} are missing")
             values = np.asarray(array[...])
         if self.checked and array_digest(values).hex() != self.header["values"][name]:
-            raise StoreDamaged(self.place, (), f"{what} are not what was written")
+            raise StoreDamaged(self.folder, (), f"{what} are not what was written")
         return values
 
     def write(self, tile: int, columns: dict[str, np.ndarray], inputs: bytes) -> None:
@@ -170,30 +170,30 @@ class Tiles:
         """The tiles that have to be computed."""
         every = range(self.tiling.count)
         if self.checked:
-            return [tile for tile in every if not TileRecord(self.place, tile).exists]
-        with _reading(self.place, (), "the flags"):
+            return [tile for tile in every if not TileRecord(self.folder, tile).exists]
+        with _reading(self.folder, (), "the flags"):
             flags = np.asarray(self._arrays["done"][:])
         return np.flatnonzero(flags[: self.tiling.count] == 0).tolist()
 
     def record(self, tile: int) -> TileRecord:
         """The record of a finished tile."""
-        record = TileRecord(self.place, tile)
+        record = TileRecord(self.folder, tile)
         if not record.exists:
-            raise StoreDamaged(self.place, (tile,), "its record is missing")
+            raise StoreDamaged(self.folder, (tile,), "its record is missing")
         if not record.is_sound or record.sweep != self._sweep:
-            raise StoreDamaged(self.place, (tile,), "its record is not what was written")
+            raise StoreDamaged(self.folder, (tile,), "its record is not what was written")
         return record
 
     def read(self, name: str, tile: int) -> np.ndarray:
         """The part of a column in a tile."""
-        if not (self.place / name / "c" / str(tile)).is_file():
-            raise StoreDamaged(self.place, (tile,), f"its {name} is missing")
+        if not (self.folder / name / "c" / str(tile)).is_file():
+            raise StoreDamaged(self.folder, (tile,), f"its {name} is missing")
         written = self.record(tile).columns[self.names.index(name)] if self.checked else None
-        with _reading(self.place, (tile,), f"its {name}"):
+        with _reading(self.folder, (tile,), f"its {name}"):
             part = np.asarray(self._arrays[name][self.tiling.span(tile)])
         complete = len(part) == self.tiling.length(tile)
         if not complete or (self.checked and array_digest(part) != written):
-            raise StoreDamaged(self.place, (tile,), f"its {name} is not what was written")
+            raise StoreDamaged(self.folder, (tile,), f"its {name} is not what was written")
         return part
 
     def column(self, name: str) -> np.ndarray:
@@ -223,7 +223,7 @@ class Tiles:
         """Raise what is wrong with them, if there are any."""
         if damaged:
             reason = next(iter(damaged.values())) + way_out
-            raise StoreDamaged(self.place, tuple(damaged), reason)
+            raise StoreDamaged(self.folder, tuple(damaged), reason)
 
 
 def open_store(path: Any) -> Tiles:
@@ -231,7 +231,7 @@ def open_store(path: Any) -> Tiles:
     return open_tiles("path", absolute_path("path", path), "r")
 
 
-def open_tiles(argument: str, place: Path, mode: Literal["r", "r+"]) -> Tiles:
+def open_tiles(argument: str, folder: Path, mode: Literal["r", "r+"]) -> Tiles:
     """The store in a folder.
 
     Raises:
@@ -241,23 +241,23 @@ def open_tiles(argument: str, place: Path, mode: Literal["r", "r+"]) -> Tiles:
     import zarr
 
     must = "be a folder with a basin"
-    if not exists(argument, place):
-        raise StoreMismatch(argument, place, must, f"{place} does not exist")
-    was_store = (place / "done").is_dir()
+    if not exists(argument, folder):
+        raise StoreMismatch(argument, folder, must, f"{folder} does not exist")
+    was_store = (folder / "done").is_dir()
     try:
-        group = zarr.open_group(place, mode=mode)
+        group = zarr.open_group(folder, mode=mode)
         header = dict(group.attrs)
     except MemoryError:
         raise
     except Exception as error:  # of any type, as in `_reading`
         if was_store:
-            raise _unreadable(place, (), "its header", error) from None
-        reason = f"{place} cannot be read as one ({error})"
-        raise StoreMismatch(argument, place, must, reason) from None
+            raise _unreadable(folder, (), "its header", error) from None
+        reason = f"{folder} cannot be read as one ({error})"
+        raise StoreMismatch(argument, folder, must, reason) from None
     version, written = header.get("format"), header.pop("digest", None)
     if version in (FORMAT, FORMAT_UNCHECKED):
-        return Tiles(place, group)
+        return Tiles(folder, group)
     if was_store and written != header_digest(header):
-        raise StoreDamaged(place, (), "its header is not what was written")
-    reason = f"the format of {place} is {version!r}"
-    raise StoreMismatch(argument, place, f"be a {FORMAT}", reason)
+        raise StoreDamaged(folder, (), "its header is not what was written")
+    reason = f"the format of {folder} is {version!r}"
+    raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
