@@ -47,8 +47,8 @@ class Body(eqx.Module):
     dipole: Float[Array, "*batch 3"]
 
     def __init__(self, inertia: Any, dipole: Any) -> None:
-        self.inertia, self.dipole = _one_batch(
-            inertia=(_inertia(inertia), 2), dipole=(_nonzero(dipole), 1)
+        self.inertia, self.dipole = _same_batch(
+            inertia=(_inertia(inertia), 2), dipole=(_nonzero_dipole(dipole), 1)
         )
 
     @property
@@ -78,7 +78,7 @@ def axisymmetric(delta: Any, dipole: Any = "transverse") -> Body:
     delta = finite("delta", delta)
     delta = where_valid("delta", delta, (delta >= -1) & (delta < 1), "satisfy -1 <= delta < 1")
     if not isinstance(dipole, str):
-        vector = _nonzero(dipole)
+        vector = _nonzero_dipole(dipole)
         direction = vector / jnp.linalg.norm(vector, axis=-1, keepdims=True)
     elif dipole in AXES:
         direction = AXES[dipole]
@@ -104,7 +104,7 @@ def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
         >>> spheroid(5.0, 1.0, 2.0, dipole=[1, 0, 0]).moments.tolist()
         [2.0, 5.0, 5.0]
     """
-    mass, a, c = _one_batch(
+    mass, a, c = _same_batch(
         mass=(_positive("mass", mass), 0), a=(_positive("a", a), 0), c=(_positive("c", c), 0)
     )
     transverse = mass * (a**2 + c**2) / 5
@@ -126,7 +126,7 @@ def box(mass: Any, lengths: Any, dipole: Any) -> Body:
         >>> box(12.0, [1, 2, 3], [1, 0, 0]).inertia.diagonal().tolist()
         [13.0, 10.0, 5.0]
     """
-    mass, lengths = _one_batch(
+    mass, lengths = _same_batch(
         mass=(_positive("mass", mass), 0), lengths=(_positive("lengths", lengths, (3,)), 1)
     )
     x, y, z = (mass * lengths[..., axis] ** 2 / 12 for axis in range(3))
@@ -149,7 +149,7 @@ def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
         >>> rod(12.0, 2.0, 1.0, dipole=[0, 0, 1]).inertia.diagonal().tolist()
         [7.0, 7.0, 6.0]
     """
-    mass, length, radius = _one_batch(
+    mass, length, radius = _same_batch(
         mass=(_positive("mass", mass), 0),
         length=(_positive("length", length), 0),
         radius=(_positive("radius", radius), 0),
@@ -184,7 +184,7 @@ def from_charges(masses: Any, positions: Any, charges: Any) -> Body:
     masses = finite("masses", masses, (-1,))
     n = masses.shape[-1]
     physical = (masses >= 0) & (jnp.sum(masses, axis=-1, keepdims=True) > 0)
-    masses, positions, charges = _one_batch(
+    masses, positions, charges = _same_batch(
         masses=(where_valid("masses", masses, physical, "be non-negative and not all zero"), 1),
         positions=(finite("positions", positions, (n, 3)), 2),
         charges=(finite("charges", charges, (n,)), 1),
@@ -210,14 +210,16 @@ def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
     inertia = finite("inertia", value, (3, 3))
     skew = jnp.abs(inertia - jnp.swapaxes(inertia, -1, -2))
     size = jnp.max(jnp.abs(inertia), axis=(-1, -2), keepdims=True)
-    symmetric = skew <= _slack() * size
+    symmetric = skew <= _tolerance() * size
     inertia = where_valid("inertia", inertia, symmetric, "be symmetric")
     inertia = _where_moments(
         (inertia + jnp.swapaxes(inertia, -1, -2)) / 2,
-        _invertible(inertia),
+        _positive_moments(inertia),
         "be positive definite (masses on one line have a principal moment of zero)",
     )
-    return _where_moments(inertia, _triangle(inertia), "have principal moments with J1 + J2 >= J3")
+    return _where_moments(
+        inertia, _triangle_inequality(inertia), "have principal moments with J1 + J2 >= J3"
+    )
 
 
 def _where_moments(
@@ -235,22 +237,22 @@ def _rounding() -> float:
     return 16 * float(jnp.finfo(jnp.result_type(float)).eps)
 
 
-def _slack() -> float:
+def _tolerance() -> float:
     """How far off, relatively, a symmetry or an equality in the user's numbers may be."""
     return max(1e-12, _rounding())
 
 
 @functools.partial(jnp.vectorize, signature="(n,n)->()")
-def _invertible(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
+def _positive_moments(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
     """Whether every principal moment is positive beyond rounding."""
     return _positive_definite(inertia - _rounding() * jnp.trace(inertia) * jnp.eye(3))
 
 
 @functools.partial(jnp.vectorize, signature="(n,n)->()")
-def _triangle(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
+def _triangle_inequality(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
     """Whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
     trace = jnp.trace(inertia)
-    return _positive_definite((0.5 + _slack()) * trace * jnp.eye(3) - inertia)
+    return _positive_definite((0.5 + _tolerance()) * trace * jnp.eye(3) - inertia)
 
 
 def _positive_definite(m: Float[Array, "3 3"]) -> Bool[Array, ""]:
@@ -266,7 +268,7 @@ def _positive_definite(m: Float[Array, "3 3"]) -> Bool[Array, ""]:
     return (first > 0) & (second > 0) & (third > 0)
 
 
-def _nonzero(dipole: Any) -> Float[Array, "*batch 3"]:
+def _nonzero_dipole(dipole: Any) -> Float[Array, "*batch 3"]:
     """`dipole` unless it is zero."""
     vector = finite("dipole", dipole, (3,))
     return where_valid("dipole", vector, jnp.any(vector != 0, axis=-1), "not be zero")
@@ -282,15 +284,15 @@ def _diagonal(*moments: Float[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:
     return jnp.vectorize(jnp.diag, signature="(n)->(n,n)")(jnp.stack(moments, axis=-1))
 
 
-def _one_batch(**fields: tuple[Float[Array, "..."], int]) -> list[Float[Array, "..."]]:
+def _same_batch(**fields: tuple[Float[Array, "..."], int]) -> list[Float[Array, "..."]]:
     """The arrays, each given with its natural rank, repeated to their common batch."""
     sizes = {name: array.shape[0] for name, (array, rank) in fields.items() if array.ndim > rank}
     if not sizes:
         return [array for array, _ in fields.values()]
-    leader, size = next(iter(sizes.items()))
+    first, size = next(iter(sizes.items()))
     for name in sizes:
         if sizes[name] != size:
-            refuse(name, f"have the batch size {size} of `{leader}`", f"has {sizes[name]}")
+            refuse(name, f"have the batch size {size} of `{first}`", f"has {sizes[name]}")
     return [
         array if name in sizes else jnp.broadcast_to(array, (size, *array.shape))
         for name, (array, _) in fields.items()

@@ -90,7 +90,7 @@ class Particle(eqx.Module):
         """
         radius = _positive("radius", radius)
         mass = _mass(4 * math.pi / 3 * radius**3, mass, density)
-        return cls(mass, spheroid(mass, radius, radius, dipole=_UNUSED).inertia, dipole)
+        return cls(mass, spheroid(mass, radius, radius, dipole=_ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def cuboid(
@@ -110,7 +110,7 @@ class Particle(eqx.Module):
         """
         lengths = _positive("lengths", lengths, (3,))
         mass = _mass(jnp.prod(lengths), mass, density)
-        return cls(mass, box(mass, lengths, _UNUSED).inertia, dipole)
+        return cls(mass, box(mass, lengths, _ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def rod(
@@ -131,7 +131,7 @@ class Particle(eqx.Module):
         """
         length, radius = _positive("length", length), _positive("radius", radius)
         mass = _mass(math.pi * radius**2 * length, mass, density)
-        return cls(mass, rod(mass, length, radius, dipole=_UNUSED).inertia, dipole)
+        return cls(mass, rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def gaussian(cls, mass: Any, inertia: Any, dipole: Any) -> "Particle":
@@ -333,8 +333,8 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
         '2401.6 D, 1.427e-35 s, 1.775e+15 s'
     """
     must = "hold rotators, such as `paper_particles()`"
-    each = instance("rotators", rotators, Iterable, must)
-    rows = [instance("rotators", row, Rotator, must) for row in each]
+    iterable = instance("rotators", rotators, Iterable, must)
+    checked = [instance("rotators", rotator, Rotator, must) for rotator in iterable]
     return [
         Row(
             name,
@@ -344,11 +344,11 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
             tau0=float(particle.tau0(axis)),
             braking_time=float(particle.braking_time(speed, axis)),
         )
-        for name, particle, axis in rows
+        for name, particle, axis in checked
     ]
 
 
-_UNUSED = (1.0, 0.0, 0.0)
+_ANY_DIPOLE = (1.0, 0.0, 0.0)
 """A dipole for a body of which only the inertia is wanted."""
 
 

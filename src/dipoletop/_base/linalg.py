@@ -21,8 +21,9 @@ def length(a: Vector) -> Real:
     """|a|, without underflow of the squares."""
     sizes = jnp.abs(a)
     most = largest(sizes)
-    one = jnp.where(most > 0, most, 1.0)
-    return most * jnp.sqrt((sizes[0] / one) ** 2 + (sizes[1] / one) ** 2 + (sizes[2] / one) ** 2)
+    unit = jnp.where(most > 0, most, 1.0)
+    squares = (sizes[0] / unit) ** 2 + (sizes[1] / unit) ** 2 + (sizes[2] / unit) ** 2
+    return most * jnp.sqrt(squares)
 
 
 def scale(s: Real, a: Vector) -> Vector:

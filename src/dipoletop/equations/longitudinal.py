@@ -21,7 +21,7 @@ from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]
 """(ω₁, ω₂, ω₃, ω₁′, ω₂′)."""
-SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
+SLOW = 0.1  # |ω|² up to which orders 2–4 are trusted
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
@@ -37,7 +37,7 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
     )
 
 
-def _settles(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
+def _settled(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
     """ω → (0, 0, ω₃), where that is certain."""
     rotating = w[2] != 0
     outcome = jnp.where(rotating, int(Outcome.RESIDUAL), int(Outcome.STOP))
@@ -93,9 +93,9 @@ class LongitudinalReduced(eqx.Module):
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: certain at once, proven. Orders 2–4: where |ω|² ≤ 0.1, not certified."""
         square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
-        certain = jnp.isfinite(square) if self.order == 1 else square <= SMALL
-        found = _settles(y, certain, self.order == 1)
-        return found._replace(equation=LongitudinalReduced)
+        certain = jnp.isfinite(square) if self.order == 1 else square <= SLOW
+        verdict = _settled(y, certain, self.order == 1)
+        return verdict._replace(equation=LongitudinalReduced)
 
     @property
     def body(self) -> Body:
@@ -130,9 +130,9 @@ class LongitudinalSemi(eqx.Module):
         w1, w2, w3 = y
         drag = w1**2 + w2**2 + (1 + d**2) * w3**2
         r1, r2 = d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2
-        turn = 2 * w3
-        determinant = 1 + turn**2
-        p1, p2 = (r1 - turn * r2) / determinant, (r2 + turn * r1) / determinant
+        coupling = 2 * w3
+        determinant = 1 + coupling**2
+        p1, p2 = (r1 - coupling * r2) / determinant, (r2 + coupling * r1) / determinant
         return jnp.stack([p1, p2, jnp.zeros_like(w3)])
 
     def lift(self, omega0: Vector) -> Vector:
@@ -145,8 +145,8 @@ class LongitudinalSemi(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Certain at once, proven: ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
-        found = _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
-        return found._replace(equation=LongitudinalSemi)
+        verdict = _settled(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
+        return verdict._replace(equation=LongitudinalSemi)
 
     @property
     def body(self) -> Body:
@@ -191,8 +191,8 @@ class LongitudinalFull(eqx.Module):
         That is rotation about the dipole, by the balance of energy. Not certified: that the
         branch goes on is not proven.
         """
-        found = _settles(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
-        return found._replace(equation=LongitudinalFull)
+        verdict = _settled(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
+        return verdict._replace(equation=LongitudinalFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₁′, ω₂′)."""

@@ -16,7 +16,7 @@ from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from ._common import one_order_up, reduced_order, rigid_body
-from ._verdicts import any_body as _general
+from ._verdicts import any_body
 from .levels import Level
 
 FullState = Float[Array, "6 *lanes"]
@@ -71,7 +71,7 @@ class Reduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
+        return any_body.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
 
     @property
     def level(self) -> str:
@@ -119,7 +119,7 @@ class SemiReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
+        return any_body.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
 
 
 class Full(eqx.Module):
@@ -147,20 +147,20 @@ class Full(eqx.Module):
         body, omega = self.body, y[:3]
         rate = self.omega_dot(y)
         torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
-        lack = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
+        unbalanced = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
         square = dot(body.dipole, body.dipole)
-        return jnp.concatenate([rate, self.fast(scale(1 / square, lack))])
+        return jnp.concatenate([rate, self.fast(scale(1 / square, unbalanced))])
 
     def omega_dot(self, y: FullState) -> Vector:
         """Ω̇ of a state, shape (3,) or (3, B)."""
         body, omega, a = self.body, y[:3], y[3:]
-        lever = matvec(body.inertia, body.dipole)  # I is symmetric
-        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(lever, a)
-        return a - scale(along / dot(lever, body.dipole), body.dipole)
+        inertia_d = matvec(body.inertia, body.dipole)  # d·(I a) = (I d)·a, since I is symmetric
+        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(inertia_d, a)
+        return a - scale(along / dot(inertia_d, body.dipole), body.dipole)
 
     def verdict(self, y: FullState) -> Verdict:
         """That of a state on the physical branch, by the same tests; not certified."""
-        return _general.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
+        return any_body.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that is state, and runs away: a = PΩ̇."""
@@ -183,13 +183,13 @@ class Full(eqx.Module):
         The eigenvalues, but for the one along n, of P(I − Inn'I/(n·In))P/|d|².
         """
         inertia, d = self.body.inertia, self.body.dipole
-        square, lever = dot(d, d), matvec(inertia, d)
-        along = dot(lever, d)
-        rest = jnp.stack([inertia[i] - scale(lever[i] / along, lever) for i in range(3)])
+        square, inertia_d = dot(d, d), matvec(inertia, d)
+        along = dot(inertia_d, d)
+        across = jnp.stack([inertia[i] - scale(inertia_d[i] / along, inertia_d) for i in range(3)])
         # That matrix already annihilates n from both sides: trace and sum of the 2×2 minors.
-        total = trace(rest)
+        total = trace(across)
         pairs = ((0, 1), (0, 2), (1, 2))
-        minors = sum(rest[i, i] * rest[j, j] - rest[i, j] * rest[j, i] for i, j in pairs)
+        minors = sum(across[i, i] * across[j, j] - across[i, j] * across[j, i] for i, j in pairs)
         root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
         return minors / ((total / 2 + root) * square)
 

@@ -27,8 +27,8 @@ __all__ = [
     "separatrix",
 ]
 
-One = Float[Array, "1 *lanes"]
-Pair = Float[Array, "2 *lanes"]
+BranchState = Float[Array, "1 *lanes"]
+FullState = Float[Array, "2 *lanes"]
 
 
 def _speed(omega0: Vector) -> Real:
@@ -43,7 +43,7 @@ def _about_axis_3(y: Float[Array, "n *lanes"]) -> Vector:
     return jnp.stack([zero, zero, y[0]])
 
 
-def _stops(y: Float[Array, "n *lanes"]) -> Verdict:
+def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
     """STOP, always, on the physical branch: ω falls like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
     outcome = jnp.where(jnp.isfinite(y[0]), int(Outcome.STOP), int(Outcome.FAILED))
@@ -61,21 +61,21 @@ class RotatorReduced(eqx.Module):
 
     level = Level.ORDER_1.label
 
-    def __call__(self, t: Any, y: One, args: Any = None) -> One:
+    def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
         """dω/dτ, shape (1,) or (1, B)."""
         return -(y**3)
 
-    def lift(self, omega0: Vector) -> One:
+    def lift(self, omega0: Vector) -> BranchState:
         """Component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: One) -> Vector:
+    def omega(self, y: BranchState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: One) -> Verdict:
+    def verdict(self, y: BranchState) -> Verdict:
         """STOP, proven."""
-        return _stops(y)._replace(equation=RotatorReduced)
+        return _always_stops(y)._replace(equation=RotatorReduced)
 
     @property
     def body(self) -> Body:
@@ -88,21 +88,21 @@ class RotatorBranch(eqx.Module):
 
     level = Level.FULL.label
 
-    def __call__(self, t: Any, y: One, args: Any = None) -> One:
+    def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
         """dω/dτ, shape (1,) or (1, B)."""
         return critical_manifold(y)
 
-    def lift(self, omega0: Vector) -> One:
+    def lift(self, omega0: Vector) -> BranchState:
         """Component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: One) -> Vector:
+    def omega(self, y: BranchState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: One) -> Verdict:
+    def verdict(self, y: BranchState) -> Verdict:
         """STOP, proven."""
-        return _stops(y)._replace(equation=RotatorBranch)
+        return _always_stops(y)._replace(equation=RotatorBranch)
 
     @property
     def body(self) -> Body:
@@ -138,28 +138,28 @@ class RotatorFull(eqx.Module):
 
     level = Level.FULL.label
 
-    def __call__(self, t: Any, y: Pair, args: Any = None) -> Pair:
+    def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """d(ω, ϖ)/dτ, shape (2,) or (2, B)."""
         return jnp.stack([y[1], y[1] + y[0] ** 3])
 
-    def lift(self, omega0: Vector) -> Pair:
+    def lift(self, omega0: Vector) -> FullState:
         """Onto the physical branch, ϖ = f(ω)."""
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
 
-    def omega(self, y: Pair) -> Vector:
+    def omega(self, y: FullState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: Pair) -> Verdict:
+    def verdict(self, y: FullState) -> Verdict:
         """STOP, for a state on the physical branch."""
-        return _stops(y)._replace(equation=RotatorFull)
+        return _always_stops(y)._replace(equation=RotatorFull)
 
-    def lyapunov(self, y: Pair) -> Real:
+    def lyapunov(self, y: FullState) -> Real:
         """V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""
         return y[0] * (y[1] - y[0] / 2)
 
-    def domain(self, y: Pair) -> Domain:
+    def domain(self, y: FullState) -> Domain:
         """In which of the four domains of the phase plane a state (ω, ϖ) lies."""
         past = jnp.sign(separatrix(y[0]) - y[1])
         future = jnp.sign(y[1] - critical_manifold(y[0]))

@@ -1,11 +1,13 @@
 """Two curves ϖ(ω) in the phase plane of the rotator: the critical manifold and the separatrix.
 
-Both solve ϖ dϖ/dω = ϖ + ω³, the full equation ω″ = ω′ + ω³ as one for ϖ = ω′. The critical
-manifold f ~ −ω³ is the physical branch (AOC in the paper), the separatrix g ~ ω (BOD) holds the
-motions that come from rest. Near 0 both follow from their power series, which diverge but serve up
-to |ω| = SERIES. Beyond, r = |ϖ|/ω² obeys dr/d ln ω = 1/r ± 1/ω − 2r (upper sign for g); this is
-integrated towards large ω, where solutions converge, by collocation on panels of ln ω, once for all
-calls.
+Both solve ϖ dϖ/dω = ϖ + ω³, which is the full equation ω″ = ω′ + ω³ with ϖ = ω′. The critical
+manifold f ~ −ω³ is the physical branch (curve AOC of the paper). The separatrix g ~ ω (curve BOD)
+holds the motions that come from rest.
+
+Near 0 both are given by power series. These diverge, but up to `SERIES_UP_TO` they are exact to
+rounding. From there on the ratio r = |ϖ|/ω² obeys dr/d ln ω = 1/r ∓ 1/ω − 2r (upper sign for f),
+whose solutions converge towards large ω. It is integrated in that direction by collocation on
+panels of ln ω, once, and kept as Chebyshev coefficients.
 """
 
 import functools
@@ -19,10 +21,10 @@ from jaxtyping import Array, Float
 from .._base.chebyshev import rule
 from .._base.checks import real
 
-SERIES = 0.11  # |ω| up to which the divergent series of f serves, to rounding
+SERIES_UP_TO = 0.11  # |ω| up to which the divergent series of f serves, to rounding
 TERMS = 34  # they fall until (2n + 8)ω² = 1, and what is left is as large as the last one
-PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES to 10¹⁶
-NEWTON = 8
+PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES_UP_TO to 10¹⁶
+NEWTON_STEPS = 8
 
 
 def critical_manifold(w: Any) -> Float[Array, "*n"]:
@@ -76,10 +78,10 @@ def _real(w: Any) -> Float[Array, "*n"]:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _curve(sign: int, array: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    small = jnp.abs(array) <= SERIES
-    by_series = _series(sign, jnp.where(small, array, 0.0))
-    risen = _risen(sign, jnp.where(small, SERIES, jnp.abs(array)))
-    return jnp.where(small, by_series, sign * risen * array * jnp.abs(array))
+    in_series = jnp.abs(array) <= SERIES_UP_TO
+    by_series = _series(sign, jnp.where(in_series, array, 0.0))
+    ratio = _tabulated_ratio(sign, jnp.where(in_series, SERIES_UP_TO, jnp.abs(array)))
+    return jnp.where(in_series, by_series, sign * ratio * array * jnp.abs(array))
 
 
 @functools.cache
@@ -100,37 +102,38 @@ def _series(sign: int, w: Any) -> Any:
     return total * w
 
 
-def _slope(sign: int, w: Any, r: Any) -> Any:
+def _ratio_slope(sign: int, w: Any, r: Any) -> Any:
     """dr/d ln ω of r = |ϖ|/ω²."""
     return 1 / r + sign / w - 2 * r
 
 
 @functools.cache
 def _table(sign: int) -> np.ndarray:
-    """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES.
+    """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES_UP_TO.
 
     By collocation and Newton's method. After the last panel 1/ω is less than rounding of r.
     """
     nodes, sums, coefficients = rule(NODES)
-    r, panels = sign * _series(sign, SERIES) / SERIES**2, []
+    r = sign * _series(sign, SERIES_UP_TO) / SERIES_UP_TO**2
+    panels = []
     for panel in range(PANELS):
-        w = SERIES * np.exp(WIDTH * (panel + nodes))
+        w = SERIES_UP_TO * np.exp(WIDTH * (panel + nodes))
         values = np.full(NODES, r)
-        for _ in range(NEWTON):
-            lack = values - r - WIDTH * sums @ _slope(sign, w, values)
-            matrix = np.eye(NODES) + WIDTH * sums * (1 / values**2 + 2)
-            values = values - np.linalg.solve(matrix, lack)
+        for _ in range(NEWTON_STEPS):
+            residual = values - r - WIDTH * sums @ _ratio_slope(sign, w, values)
+            jacobian = np.eye(NODES) + WIDTH * sums * (1 / values**2 + 2)
+            values = values - np.linalg.solve(jacobian, residual)
         panels.append(coefficients @ values)
         r = values[-1]
     return np.stack(panels)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _risen(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The ratio |ϖ|/ω² at ω ≥ SERIES, by the table."""
-    place = jnp.log(w / SERIES) / WIDTH
-    panel = jnp.clip(jnp.floor(place), 0, PANELS - 1)
-    x = jnp.minimum(2 * (place - panel) - 1, 1.0)
+def _tabulated_ratio(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, by the table."""
+    position = jnp.log(w / SERIES_UP_TO) / WIDTH
+    panel = jnp.clip(jnp.floor(position), 0, PANELS - 1)
+    x = jnp.minimum(2 * (position - panel) - 1, 1.0)
     c = jnp.moveaxis(jnp.asarray(_table(sign), w.dtype)[panel.astype("int32")], -1, 0)
     last, sum_ = jnp.zeros_like(x), jnp.zeros_like(x)
     for k in range(NODES - 1, 0, -1):  # Clenshaw
@@ -138,8 +141,8 @@ def _risen(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return c[0] + x * sum_ - last
 
 
-@_risen.defjvp
-def _risen_jvp(sign: int, primals: Any, tangents: Any) -> Any:
+@_tabulated_ratio.defjvp
+def _tabulated_ratio_jvp(sign: int, primals: Any, tangents: Any) -> Any:
     (w,), (dw,) = primals, tangents
-    r = _risen(sign, w)
-    return r, _slope(sign, w, r) / w * dw
+    r = _tabulated_ratio(sign, w)
+    return r, _ratio_slope(sign, w, r) / w * dw

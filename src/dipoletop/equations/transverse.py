@@ -24,7 +24,7 @@ from ._common import (
     shape_parameter,
     transverse_omega_scale,
 )
-from ._verdicts import transverse as _regions
+from ._verdicts import transverse as regions
 from .coordinates import cylindrical
 from .levels import Level
 from .transverse_approximations import (
@@ -71,11 +71,11 @@ def _reduced(delta: Real, w: Vector, order: int) -> Vector:
         return _balance(delta, w, rate, second)
     # What depends on δ alone stands together: the stages of a step share it.
     d, (w1, w2, w3) = delta, w
-    turn = d * w3
+    precession = d * w3
     drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
-    light = reciprocal(1 - d)
-    axial = (1 + 2 * d) * light * w1**2 + w2**2 + light * w3**2
-    return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
+    inverse = reciprocal(1 - d)
+    axial = (1 + 2 * d) * inverse * w1**2 + w2**2 + inverse * w3**2
+    return jnp.stack([precession * w2, -precession * w1 - drag * w2, -axial * w3])
 
 
 class TransverseReduced(eqx.Module):
@@ -119,8 +119,8 @@ class TransverseReduced(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
-        found = _regions.of_level(self.delta, y, Level.of_order(self.order))
-        return found._replace(equation=TransverseReduced)
+        verdict = regions.of_level(self.delta, y, Level.of_order(self.order))
+        return verdict._replace(equation=TransverseReduced)
 
     @property
     def body(self) -> Body:
@@ -175,7 +175,7 @@ class TransverseSemi(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
-        return _regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
+        return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
     @property
     def body(self) -> Body:
@@ -220,7 +220,7 @@ class TransverseFull(eqx.Module):
 
     def verdict(self, y: FullState) -> Verdict:
         """That of a state on the physical branch: the semi-reduced regions, uncertified."""
-        return _regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
+        return regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""

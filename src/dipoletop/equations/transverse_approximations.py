@@ -13,7 +13,7 @@ from .._base.checks import finite
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from ._common import shape_parameter, transverse_omega_scale
-from ._verdicts import transverse as _regions
+from ._verdicts import transverse as regions
 from .coordinates import from_cylindrical, to_cylindrical
 from .levels import Level
 
@@ -56,8 +56,8 @@ class TransverseCylindrical(eqx.Module):
 
     def verdict(self, y: Vector) -> Verdict:
         """As order 1 in Cartesian components."""
-        found = _regions.first_order(self.delta, self.omega(y))
-        return found._replace(equation=TransverseCylindrical)
+        verdict = regions.first_order(self.delta, self.omega(y))
+        return verdict._replace(equation=TransverseCylindrical)
 
     @property
     def body(self) -> Body:
