@@ -21,8 +21,8 @@ from jaxtyping import Array, Float
 from .._base.chebyshev import rule
 from .._base.checks import real
 
-SERIES_UP_TO = 0.11  # |ω| up to which the divergent series of f serves, to rounding
-TERMS = 34  # they fall until (2n + 8)ω² = 1, and what is left is as large as the last one
+SERIES_UP_TO = 0.11  # |ω| up to which the divergent series of f are exact to rounding
+TERMS = 34  # terms decrease until (2n + 8)ω² = 1; the error is as large as the last one
 PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES_UP_TO to 10¹⁶
 NEWTON_STEPS = 8
 
@@ -30,9 +30,7 @@ NEWTON_STEPS = 8
 def critical_manifold(w: Any) -> Float[Array, "*n"]:
     """f(ω) of the physical branch ϖ = f(ω): f f′ = f + ω³, f ~ −ω³ at 0 (A.16), curve AOC.
 
-    The asymptotic series up to |ω| = 0.11, from there integration upwards, which is stable, made
-    once and kept as polynomials. Relative error below 1e-14, any ω. May be jitted, mapped and
-    differentiated.
+    Relative error below 1e-14 for any ω. May be jitted, vmapped and differentiated.
 
     Args:
         w: ω, dimensionless, any shape; f is odd.
@@ -49,7 +47,7 @@ def critical_manifold(w: Any) -> Float[Array, "*n"]:
 
 
 def separatrix(w: Any) -> Float[Array, "*n"]:
-    """g(ω) of the curve BOD: g g′ = g + ω³, g ~ ω at 0: the motions that come from rest.
+    """g(ω) of the curve BOD, the motions that come from rest: g g′ = g + ω³, g ~ ω at 0.
 
     Args:
         w: ω, dimensionless, any shape; g is odd.
@@ -63,10 +61,13 @@ def separatrix(w: Any) -> Float[Array, "*n"]:
 def closed_manifold(w: Any) -> Float[Array, "*n"]:
     """The paper's closed approximation of f(ω): −ω³/√(1 + 2ω²).
 
-    Right to leading order at 0 and at infinity; 22 % too large at ω = 1.
+    Exact to leading order at 0 and at infinity; 22 % too large at ω = 1.
 
     Args:
         w: ω, dimensionless, any shape.
+
+    Returns:
+        The approximation, of the shape of `w`.
     """
     w = _real(w)
     return -(w**3) / jnp.sqrt(1 + 2 * w**2)
@@ -86,11 +87,11 @@ def _curve(sign: int, array: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 @functools.cache
 def _coefficients(sign: int) -> tuple[int | float, ...]:
-    """cₙ of Σ cₙω^{2n+1}, from c₀ on: those of f (c₀ = 0, integers) or of g (c₀ = 1)."""
+    """cₙ of Σ cₙω^{2n+1}, from c₀ on: of f (sign −1, c₀ = 0, integers) or of g (sign 1, c₀ = 1)."""
     c: list[int | float] = [max(sign, 0)]
     for n in range(1, TERMS):
         products = sum((2 * j + 1) * c[n - j] * c[j] for j in range(1, n))
-        # Terms in which cₙ itself stands: −cₙ for f, (2n + 2)c₀cₙ − cₙ for g.
+        # cₙ itself occurs as −cₙ for f, and as (2n + 2)c₀cₙ − cₙ for g.
         c.append(products - (n == 1) if sign < 0 else ((n == 1) - products) / (2 * n + 1))
     return tuple(c)
 
@@ -111,7 +112,7 @@ def _ratio_slope(sign: int, w: Any, r: Any) -> Any:
 def _table(sign: int) -> np.ndarray:
     """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES_UP_TO.
 
-    By collocation and Newton's method. After the last panel 1/ω is less than rounding of r.
+    Collocation, solved by Newton's method. Beyond the last panel 1/ω is below the rounding of r.
     """
     nodes, sums, coefficients = rule(NODES)
     r = sign * _series(sign, SERIES_UP_TO) / SERIES_UP_TO**2
@@ -130,7 +131,7 @@ def _table(sign: int) -> np.ndarray:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _tabulated_ratio(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, by the table."""
+    """The ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, from the table."""
     position = jnp.log(w / SERIES_UP_TO) / WIDTH
     panel = jnp.clip(jnp.floor(position), 0, PANELS - 1)
     x = jnp.minimum(2 * (position - panel) - 1, 1.0)
