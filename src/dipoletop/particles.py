@@ -1,8 +1,8 @@
-"""Particles in SI or Gaussian units: the border to the dimensionless rest of the library.
+"""Particles in SI or Gaussian units, and their conversion to the dimensionless library.
 
-A rotation about an axis gives the unit of inertia I₁, the moment about that axis, and the unit of
-time τ₀ = k d²/I₁ with k = 1/(6πε₀c³). In these units |d| = 1, an angular velocity Ω is ω = τ₀Ω,
-and a time t is τ = t/τ₀.
+An axis of rotation defines the unit of inertia I₁, the moment about it, and the unit of time
+τ₀ = k d²/I₁ with k = 1/(6πε₀c³). In these units |d| = 1, an angular velocity Ω is ω = τ₀Ω, and a
+time t is τ = t/τ₀.
 """
 
 import math
@@ -36,17 +36,17 @@ def _batch_axes(particle: Any) -> int:
 class Particle(eqx.Module):
     """A rigid body in SI units, for which τ₀ = k d²/I, k = 1/(6πε₀c³).
 
-    Its numbers need float64, because float32 ends near 1e-38. A batch is made by `jax.vmap`, and
-    what its methods give then has the batch axes in front.
+    SI values need float64, because float32 ends near 1e-38. `jax.vmap` makes a batch, whose
+    methods return arrays with the batch axes in front.
 
     Args:
-        mass: Mass, kg.
-        inertia: Inertia tensor I in body axes, shape (3, 3), kg m².
-        dipole: Dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
+        mass: mass, kg.
+        inertia: inertia tensor I in body axes, shape (3, 3), kg m².
+        dipole: dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
 
     Raises:
-        ValueError: If `mass` is not positive; as `Body` for `inertia` and `dipole`; if float64 is
-            off. Traced bad values become NaN instead.
+        ValueError: a `mass` that is not positive; a bad `inertia` or `dipole`, as for `Body`;
+            float64 is off. Traced bad values become NaN instead.
 
     Source: equation (2.2) and the conclusions.
 
@@ -65,7 +65,7 @@ class Particle(eqx.Module):
 
     def __init__(self, mass: Any, inertia: Any, dipole: Any) -> None:
         self.mass = _positive("mass", mass)
-        # a body's conditions have no scale, so they hold for SI numbers, too
+        # The conditions on a body have no scale, so they hold for SI values, too.
         body = Body(
             finite("inertia", inertia, (3, 3), batch=False),
             finite("dipole", dipole, (3,), batch=False),
@@ -79,18 +79,18 @@ class Particle(eqx.Module):
         """The homogeneous sphere, I = 2mR²/5.
 
         Args:
-            radius: Radius R, m.
-            dipole: Dipole moment, shape (3,), C m.
-            mass: Mass m, kg; or else
+            radius: radius R, m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass m, kg; or else
             density: density, kg/m³.
 
         Raises:
-            ValueError: Unless `radius` and one of `mass` and `density` are given and positive; as
-                `Particle` for `dipole`.
+            ValueError: `radius`, or the one of `mass` and `density` that is given, not positive;
+                neither or both of these given; a bad `dipole`, as for `Particle`.
         """
         radius = _positive("radius", radius)
         mass = _mass(4 * math.pi / 3 * radius**3, mass, density)
-        return cls(mass, spheroid(mass, radius, radius, dipole=_UNUSED).inertia, dipole)
+        return cls(mass, spheroid(mass, radius, radius, dipole=_ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def cuboid(
@@ -99,18 +99,18 @@ class Particle(eqx.Module):
         """The homogeneous cuboid with its edges along the body axes.
 
         Args:
-            lengths: Edges, shape (3,), m.
-            dipole: Dipole moment, shape (3,), C m.
-            mass: Mass, kg; or else
+            lengths: edges, shape (3,), m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass, kg; or else
             density: density, kg/m³.
 
         Raises:
-            ValueError: Unless `lengths` and one of `mass` and `density` are given and positive; as
-                `Particle` for `dipole`.
+            ValueError: `lengths`, or the one of `mass` and `density` that is given, not positive;
+                neither or both of these given; a bad `dipole`, as for `Particle`.
         """
         lengths = _positive("lengths", lengths, (3,))
         mass = _mass(jnp.prod(lengths), mass, density)
-        return cls(mass, box(mass, lengths, _UNUSED).inertia, dipole)
+        return cls(mass, box(mass, lengths, _ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def rod(
@@ -119,31 +119,31 @@ class Particle(eqx.Module):
         """The homogeneous cylinder about the third body axis.
 
         Args:
-            length: Length, m.
-            radius: Radius, m.
-            dipole: Dipole moment, shape (3,), C m.
-            mass: Mass, kg; or else
+            length: length, m.
+            radius: radius, m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass, kg; or else
             density: density, kg/m³.
 
         Raises:
-            ValueError: Unless `length`, `radius` and one of `mass` and `density` are given and
-                positive; as `Particle` for `dipole`.
+            ValueError: `length`, `radius`, or the one of `mass` and `density` that is given, not
+                positive; neither or both of these given; a bad `dipole`, as for `Particle`.
         """
         length, radius = _positive("length", length), _positive("radius", radius)
         mass = _mass(math.pi * radius**2 * length, mass, density)
-        return cls(mass, rod(mass, length, radius, dipole=_UNUSED).inertia, dipole)
+        return cls(mass, rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia, dipole)
 
     @classmethod
     def gaussian(cls, mass: Any, inertia: Any, dipole: Any) -> "Particle":
-        """A particle whose numbers are in Gaussian units.
+        """A particle from values in Gaussian units.
 
         Args:
-            mass: Mass, g.
-            inertia: Inertia tensor, shape (3, 3), g cm².
-            dipole: Dipole moment, shape (3,), statC cm (1 debye is 1e-18 statC cm).
+            mass: mass, g.
+            inertia: inertia tensor, shape (3, 3), g cm².
+            dipole: dipole moment, shape (3,), statC cm (1 debye is 1e-18 statC cm).
 
         Raises:
-            ValueError: As `Particle`; the sentence tells the Gaussian numbers.
+            ValueError: as for `Particle`; the message shows the Gaussian values.
         """
         given = cls(mass, inertia, dipole)
         return cls(1e-3 * given.mass, 1e-7 * given.inertia, STATCOULOMB_CM * given.dipole)
@@ -153,13 +153,13 @@ class Particle(eqx.Module):
         """I = n·In, the moment of inertia about the direction n of `axis`.
 
         Args:
-            axis: Axis of rotation in body axes, shape (3,), of any length but 0.
+            axis: axis of rotation in body axes, shape (3,), of any length except 0.
 
         Returns:
             The moment, kg m².
 
         Raises:
-            ValueError: If `axis` is zero or has a wrong shape.
+            ValueError: an `axis` of zero, or of a wrong shape.
         """
         axis = finite("axis", axis, (3,), batch=False)
         axis = where_valid("axis", axis, jnp.any(axis != 0), "not be zero")
@@ -171,8 +171,8 @@ class Particle(eqx.Module):
         """τ₀ = k d²/I, with I the moment about `axis`: the unit of time.
 
         Args:
-            axis: Axis of rotation, shape (3,). A top wants an axis across its symmetry axis, so
-                that I is its transverse moment; a plane rotator the axis it turns about.
+            axis: axis of rotation, shape (3,). For a top take an axis across its symmetry axis,
+                so that I is its transverse moment; for a plane rotator its axis of rotation.
 
         Returns:
             τ₀, s.
@@ -186,7 +186,7 @@ class Particle(eqx.Module):
         """The dimensionless body: I in units of its moment about `axis`, and |d| = 1.
 
         Args:
-            axis: As for `tau0`, which is then the unit of time.
+            axis: as for `tau0`, which is then the unit of time.
 
         Returns:
             The body.
@@ -199,7 +199,7 @@ class Particle(eqx.Module):
 
         Args:
             angular_velocity: Ω in body axes, shape (3,) or (B, 3), rad/s.
-            axis: As for `tau0`.
+            axis: as for `tau0`.
 
         Returns:
             ω, of the same shape.
@@ -211,8 +211,8 @@ class Particle(eqx.Module):
         """Ω = ω/τ₀, the angular velocity in rad/s.
 
         Args:
-            omega: Dimensionless ω in body axes, shape (3,) or (B, 3).
-            axis: As for `tau0`.
+            omega: dimensionless ω in body axes, shape (3,) or (B, 3).
+            axis: as for `tau0`.
 
         Returns:
             Ω, of the same shape, rad/s.
@@ -224,8 +224,8 @@ class Particle(eqx.Module):
         """The time t = τ₀τ in seconds.
 
         Args:
-            tau: Dimensionless time τ, shape () or (B,).
-            axis: As for `tau0`.
+            tau: dimensionless time τ, shape () or (B,).
+            axis: as for `tau0`.
 
         Returns:
             t, of the same shape, s.
@@ -234,17 +234,17 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def braking_time(self, speed: Any, axis: Any) -> Float[Array, "*batch"]:
-        """T = 1/(τ₀Ω₀²), after which a rotator has slowed down from Ω₀ to Ω₀/√3.
+        """T = 1/(τ₀Ω₀²), the time in which a rotator slows down from Ω₀ to Ω₀/√3.
 
         Args:
-            speed: Angular speed Ω₀ > 0, shape () or (B,), rad/s.
-            axis: Axis of rotation, shape (3,), across the dipole.
+            speed: angular speed Ω₀ > 0, shape () or (B,), rad/s.
+            axis: axis of rotation, shape (3,), across the dipole.
 
         Returns:
             T, of the same shape, s.
 
         Raises:
-            ValueError: If `speed` is not positive; as `moment` for `axis`.
+            ValueError: a `speed` that is not positive; a bad `axis`, as for `moment`.
 
         Source: equation (2.4).
         """
@@ -254,7 +254,7 @@ class Particle(eqx.Module):
 
 
 class Rotator(NamedTuple):
-    """A particle that turns about an axis."""
+    """A particle and the axis that it rotates about."""
 
     name: str
     particle: Particle
@@ -263,7 +263,7 @@ class Rotator(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What `particle_table` says of a rotator."""
+    """A row of `particle_table`."""
 
     name: str
     mass: float
@@ -290,7 +290,7 @@ def paper_particles() -> tuple[Rotator, ...]:
         cellulose; spheres of CdSe and CdS, 5 nm wide.
 
     Raises:
-        ValueError: If float64 is off.
+        ValueError: float64 is off.
 
     Source: conclusions.
 
@@ -315,17 +315,17 @@ def paper_particles() -> tuple[Rotator, ...]:
 
 
 def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> list[Row]:
-    """τ₀ = k d²/I and T = 1/(τ₀Ω₀²) of each rotator, as plain numbers.
+    """τ₀ = k d²/I and T = 1/(τ₀Ω₀²) of each rotator, as Python numbers.
 
     Args:
-        rotators: Such as `paper_particles()`.
+        rotators: particles with their axes, such as `paper_particles()`.
         speed: Ω₀, rad/s; by default 2π·10⁹/s.
 
     Returns:
-        One row a rotator.
+        One row for each rotator.
 
     Raises:
-        ValueError: If `speed` is not positive.
+        ValueError: a `speed` that is not positive.
 
     Example:
         >>> row = particle_table(paper_particles())[0]
@@ -333,8 +333,8 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
         '2401.6 D, 1.427e-35 s, 1.775e+15 s'
     """
     must = "hold rotators, such as `paper_particles()`"
-    each = instance("rotators", rotators, Iterable, must)
-    rows = [instance("rotators", row, Rotator, must) for row in each]
+    iterable = instance("rotators", rotators, Iterable, must)
+    checked = [instance("rotators", rotator, Rotator, must) for rotator in iterable]
     return [
         Row(
             name,
@@ -344,12 +344,12 @@ def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> l
             tau0=float(particle.tau0(axis)),
             braking_time=float(particle.braking_time(speed, axis)),
         )
-        for name, particle, axis in rows
+        for name, particle, axis in checked
     ]
 
 
-_UNUSED = (1.0, 0.0, 0.0)
-"""A dipole for a body of which only the inertia is wanted."""
+_ANY_DIPOLE = (1.0, 0.0, 0.0)
+"""The dipole of a body from which only the inertia is taken."""
 
 
 def _positive(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
@@ -362,7 +362,7 @@ def _positive(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array
 
 
 def _mass(volume: Float[Array, ""], mass: Any, density: Any) -> Float[Array, ""]:
-    """The mass, given or from the density, kg."""
+    """The mass that is given, or that follows from the density, kg."""
     if (mass is None) == (density is None):
         was = "neither is" if mass is None else "both are"
         refuse("mass", "be given or else `density`", was)

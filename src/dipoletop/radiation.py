@@ -1,12 +1,12 @@
-"""Dipole radiation of a rotating body: torque, power, and what the balance laws need.
+"""Dipole radiation of a rotating body: torque, power, and the Schott terms of the balance laws.
 
-Components are on axis 0, in body axes; lanes (if any) trail and broadcast. Units are those of
-`Body`, with k = 1. Along every motion, whatever torque drives it, the radiation torque T obeys
+Components are on axis 0, in body axes; lanes (if any) are behind and broadcast. Units are those of
+`Body`, with k = 1. Along every motion, whatever other torque acts, the radiation torque T obeys
 
     Ω·T = d/dt(d₁·d₂) − |d₂|²        T = d/dt(d×d₂) − d₁×d₂    (lab frame),
 
-where d₁ and d₂ are the first two derivatives of the dipole in the lab frame. A body under no other
-torque therefore loses E − d₁·d₂ at the rate |d₂|², and L − d×d₂ at the rate d₁×d₂.
+where d₁ and d₂ are the first two derivatives of the dipole in the lab frame. If no other torque
+acts, E − d₁·d₂ therefore decreases at the rate |d₂|², and L − d×d₂ at the rate d₁×d₂.
 """
 
 import numpy as np
@@ -22,9 +22,9 @@ def dipole_derivatives(body: Body, omega: Vector, omega_dot: Vector) -> tuple[Ve
     """d₁ = Ω×d and d₂ = Ω×(Ω×d) + Ω̇×d, the lab-frame derivatives of the dipole in body axes.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
-        omega_dot: Its time derivative Ω̇ (the same in both frames), shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
+        omega_dot: its time derivative Ω̇ (the same in both frames), shape (3, ...).
 
     Returns:
         d₁ and d₂, each of shape (3, ...).
@@ -38,8 +38,8 @@ def angular_momentum(body: Body, omega: Vector) -> Vector:
     """L = IΩ.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
 
     Returns:
         L in body axes, shape (3, ...).
@@ -49,7 +49,7 @@ def angular_momentum(body: Body, omega: Vector) -> Vector:
 
 
 def _check(body: Body, **vectors: Vector) -> None:
-    """Refuse what has no components on its leading axes, such as a batch from `jax.vmap`."""
+    """Refuse arrays without components on the leading axes, such as a batch from `jax.vmap`."""
     instance("body", body, Body)
     if body.inertia.shape[:2] != (3, 3) or body.dipole.shape[:1] != (3,):
         must = "have its components on the leading axes (`jax.vmap` takes a batch of bodies)"
@@ -63,8 +63,8 @@ def kinetic_energy(body: Body, omega: Vector) -> Float[Array, "..."]:
     """E = ½ Ω·IΩ.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
 
     Returns:
         E, shape (...).
@@ -76,8 +76,8 @@ def gyroscopic_torque(body: Body, omega: Vector) -> Vector:
     """N = Ω×IΩ, so that the lab-frame rate of angular momentum is IΩ̇ + N.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
 
     Returns:
         N in body axes, shape (3, ...).
@@ -89,10 +89,10 @@ def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: V
     """T = d×{ d×(Ω²Ω − Ω̈) + (d·Ω̇)Ω + 2(d·Ω)Ω̇ }, which is d × d⃛.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
-        omega_dot: Its time derivative Ω̇ in body axes, shape (3, ...).
-        omega_ddot: The time derivative Ω̈ of those components, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
+        omega_dot: its time derivative Ω̇ in body axes, shape (3, ...).
+        omega_ddot: the time derivative Ω̈ of those components, shape (3, ...).
 
     Returns:
         T in body axes, shape (3, ...); it has no component along d.
@@ -100,7 +100,7 @@ def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: V
     Source: the right-hand side of equation (3.3).
 
     Example:
-        A plane rotator feels Ω̈ − Ω³, equation (2.2).
+        The torque on a plane rotator is Ω̈ − Ω³, equation (2.2).
 
         >>> import jax.numpy as jnp
         >>> from dipoletop.bodies import axisymmetric
@@ -110,7 +110,7 @@ def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: V
     """
     _check(body, omega=omega, omega_dot=omega_dot, omega_ddot=omega_ddot)
     d = body.dipole
-    # d⃛ by (3.3), but for terms along d
+    # d⃛ by (3.3), except for terms along d
     third = (
         cross(d, scale(dot(omega, omega), omega) - omega_ddot)
         + scale(dot(d, omega_dot), omega)
@@ -120,12 +120,12 @@ def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: V
 
 
 def radiated_power(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
-    """|d₂|², the power that leaves with the radiation (Larmor's formula).
+    """|d₂|², the radiated power (Larmor's formula).
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
-        omega_dot: Its time derivative Ω̇, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
+        omega_dot: its time derivative Ω̇, shape (3, ...).
 
     Returns:
         The power, shape (...).
@@ -135,12 +135,12 @@ def radiated_power(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array,
 
 
 def schott_energy(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
-    """d₁·d₂, the energy lent by the near field: d/dt(E − d₁·d₂) = −|d₂|².
+    """d₁·d₂, the Schott energy, stored in the near field: d/dt(E − d₁·d₂) = −|d₂|².
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
-        omega_dot: Its time derivative Ω̇, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
+        omega_dot: its time derivative Ω̇, shape (3, ...).
 
     Returns:
         d₁·d₂, shape (...).
@@ -149,12 +149,12 @@ def schott_energy(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, 
 
 
 def schott_angular_momentum(body: Body, omega: Vector, omega_dot: Vector) -> Vector:
-    """d×d₂, which the near field lends: d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
+    """d×d₂, stored in the near field: d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
 
     Args:
-        body: The body.
-        omega: Angular velocity Ω, shape (3, ...).
-        omega_dot: Its time derivative Ω̇, shape (3, ...).
+        body: the body.
+        omega: angular velocity Ω, shape (3, ...).
+        omega_dot: its time derivative Ω̇, shape (3, ...).
 
     Returns:
         d×d₂ in body axes, shape (3, ...).

@@ -1,7 +1,8 @@
 """Vectors and 3×3 matrices with their components on the leading axes.
 
-Whatever trails (lanes) broadcasts, so one line of physics serves a single top and a block of
-tops. Written out in components: XLA fuses these, and batched library calls on 3×3 do not.
+Trailing axes (lanes) broadcast, so one line of physics serves a single top and a block of tops.
+The operations are written out in components, because XLA fuses these and does not fuse batched
+library calls on 3×3 matrices.
 """
 
 import functools
@@ -13,7 +14,7 @@ from .types import Matrix, Real, Vector
 
 
 def largest(components: Array) -> Real:
-    """The largest component; a chain, since XLA:CPU does not vectorise `max`."""
+    """The largest component, by a chain of `maximum`: XLA:CPU does not vectorise `max`."""
     return functools.reduce(jnp.maximum, list(components))
 
 
@@ -21,8 +22,9 @@ def length(a: Vector) -> Real:
     """|a|, without underflow of the squares."""
     sizes = jnp.abs(a)
     most = largest(sizes)
-    one = jnp.where(most > 0, most, 1.0)
-    return most * jnp.sqrt((sizes[0] / one) ** 2 + (sizes[1] / one) ** 2 + (sizes[2] / one) ** 2)
+    unit = jnp.where(most > 0, most, 1.0)
+    squares = (sizes[0] / unit) ** 2 + (sizes[1] / unit) ** 2 + (sizes[2] / unit) ** 2
+    return most * jnp.sqrt(squares)
 
 
 def scale(s: Real, a: Vector) -> Vector:

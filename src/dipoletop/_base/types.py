@@ -27,42 +27,42 @@ class Outcome(enum.IntEnum):
     """How a run ended."""
 
     FAILED = -1
-    """Not a number, a step size underflow, or a runaway: no statement about the top."""
+    """Not a number, step-size underflow, or a runaway: nothing is known about the top."""
     UNDECIDED = 0
-    """The budget of steps ran out before the outcome was certain."""
+    """The maximum number of steps was reached before the outcome was certain."""
     RESIDUAL = 1
-    """ω tends to ω∞ ≠ 0 along the dipole."""
+    """ω tends to the residual rotation ω∞ ≠ 0 along the dipole."""
     STOP = 2
     """ω tends to 0."""
 
 
 class Stop(enum.IntEnum):
-    """In which way a top stops; NONE for every other outcome."""
+    """The way in which a top stops; NONE for every other outcome."""
 
     NONE = 0
     AXIS = 1
-    """Spin about a fixed axis that decays by itself (or no rotation at all)."""
+    """Rotation about a fixed axis of the body that decays (or no rotation at all)."""
     ROTATING = 2
-    """The angular velocity keeps turning about the symmetry axis while it decays."""
+    """The angular velocity keeps precessing about the symmetry axis while it decays."""
     WOBBLING = 3
-    """The angular velocity swings about the axis across the dipole while it decays."""
+    """The angular velocity oscillates about the axis across the dipole while it decays."""
     TUMBLING = 4
     """Free rotation of a general body whose energy and angular momentum decay."""
 
 
 class Verdict(NamedTuple):
-    """What an equation says of a state: is its fate certain, and what is it?
+    """The outcome that follows from a state, if it is certain, with ω∞ and estimates of errors.
 
-    Every field but `equation` has one value for each lane. An equation may return a plain tuple
-    of the first fields, too: that is never certified.
+    Every field except `equation` has one value for each lane. An equation may also return a plain
+    tuple of the first fields; that is never certified.
     """
 
     outcome: Int[Array, "*lanes"]
-    """`Outcome.UNDECIDED` while the state does not decide."""
+    """A member of `Outcome`; UNDECIDED while the outcome is not certain."""
     omega_inf: Real
     """Residual angular velocity, signed, along the dipole; 0 for STOP, NaN if undecided."""
     certified: Bool[Array, "*lanes"]
-    """Whether the region that was entered is proven to decide, for the motions of `equation`."""
+    """Whether the region that contains the state is proven to decide, for motions of `equation`."""
     stop: Int[Array, "*lanes"] | int = 0
     """A member of `Stop`."""
     error: Real | float = 0.0
@@ -70,19 +70,19 @@ class Verdict(NamedTuple):
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
     equation: type | None = None
-    """The class of equation that the regions belong to. `certified` counts only where that very
-    class is integrated: not with another `__call__`, nor with a torque added from outside."""
+    """The class of equation that the regions are proven for. `certified` counts only where that
+    very class is integrated, not with another `__call__` or with a torque added from outside."""
 
     def belongs_to(self, equation: Any) -> bool:
-        """Whether the regions are those of this equation."""
+        """Whether the regions are proven for the class of this equation."""
         return self.equation is type(equation)
 
     def certified_for(self, equation: Any) -> Any:
-        """`certified`, unless the regions are those of another equation."""
+        """`certified`, or False if the regions are those of another class."""
         return self.certified & self.belongs_to(equation)
 
 
-# The class of an equation is no array: it stays out of what is traced.
+# A class cannot be traced: `equation` is static data of the pytree.
 jax.tree_util.register_pytree_node(
     Verdict, lambda verdict: (verdict[:-1], verdict[-1]), lambda kind, rest: Verdict(*rest, kind)
 )

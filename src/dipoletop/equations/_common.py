@@ -1,7 +1,7 @@
-"""What several equations share: converters of fields, order reduction, and members that may lack.
+"""Code that several equations share: converters of fields, order reduction, optional members.
 
-An equation may leave out the members of `OptionalMembers`. Each of them is read by one function,
-here or in `levels`, which knows what to do without it.
+An equation may lack any member of `OptionalMembers`. One function reads each of them, here or in
+`levels`, and supplies the default.
 """
 
 import dataclasses
@@ -22,12 +22,12 @@ from ..bodies import Body
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
     """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
     array = real("delta", delta)
-    known = np.asarray(array) if concrete(array) else array  # in NumPy, many are faster compared
+    known = np.asarray(array) if concrete(array) else array  # NumPy compares large arrays faster
     return where_valid("delta", array, (known >= -1) & (known < 1), "lie in [-1, 1)")
 
 
 def rigid_body(body: Any) -> Body:
-    """A body; an equation, or its parameter, is none."""
+    """A `Body`; anything else is refused."""
     return instance("body", body, Body)
 
 
@@ -39,13 +39,13 @@ def reduced_order(order: Any) -> int:
 
 
 def one_order_up(lower: Any, t: Any, y: Vector) -> tuple[Vector, Vector]:
-    """Ω̇ and Ω̈ = DF·F of the motions of an equation F, which order m + 1 puts into the torque."""
+    """Ω̇ = F and Ω̈ = DF·F of an equation F of order m, which order m + 1 inserts into the torque."""
     return jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
 
 
 @jax.custom_jvp
 def reciprocal(x: Real) -> Real:
-    """1/x, whose derivatives multiply: a division costs as much as a dozen products."""
+    """1/x with derivatives made of products: a division costs as much as a dozen of them."""
     return 1 / x
 
 
@@ -57,41 +57,41 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
 
 
 def is_full(equation: Any) -> bool:
-    """Whether an equation has runaways, and so a physical branch that has to be followed."""
+    """Whether an equation has runaways, so that its physical branch has to be followed."""
     return getattr(equation, "runaway_rate", None) is not None
 
 
 def physical(equation: Any) -> Any:
-    """The equation that runs from an initial condition ω₀ integrate: its `branch`, else itself."""
+    """The equation to integrate from an initial condition ω₀: its `branch` if any, else itself."""
     return getattr(equation, "branch", equation)
 
 
 def has_body_field(equation: Any) -> bool:
-    """Whether the body is a parameter: a field, not a top that is derived from δ."""
+    """Whether the body is a parameter of the equation: a field, not a top derived from δ."""
     fields = dataclasses.fields(equation) if dataclasses.is_dataclass(equation) else ()
     is_field = any(field.name == "body" for field in fields)
     return is_field and isinstance(getattr(equation, "body", None), Body)
 
 
 def omega_scale_of(equation: Any) -> OmegaScale:
-    """What relative errors of ω refer to: `equation.omega_scale`, else the largest component."""
+    """The scale of relative errors of ω: `equation.omega_scale`, else the largest component."""
     return getattr(equation, "omega_scale", largest_component)
 
 
 def error_scale_of(equation: Any) -> ErrorScale:
-    """What relative errors of a state refer to: `equation.error_scale`, else its present ω."""
+    """The scale of relative errors of a state: `equation.error_scale`, else `present_scale`."""
     return getattr(equation, "error_scale", Partial(present_scale, equation))
 
 
 def largest_component(omega: Vector) -> Vector:
-    """The largest component, for all three."""
+    """The largest component of |ω|, for all three components."""
     return jnp.broadcast_to(largest(jnp.abs(omega))[None], omega.shape)
 
 
 def present_scale(equation: Equation, y: State) -> State:
-    """The scale of ω if that is the state, else |y| or the largest component of ω.
+    """The scale of ω if ω is the state, else |y| or the largest component of ω.
 
-    So a component that passes through 0 needs no short steps.
+    A component that passes through 0 then does not force short steps.
     """
     omega = equation.omega(y)
     if omega is y:
@@ -100,9 +100,9 @@ def present_scale(equation: Equation, y: State) -> State:
 
 
 def transverse_omega_scale(omega: Vector) -> Vector:
-    """Of a transverse top: ω⊥ for ω₁ and ω₂; for ω₃ itself, or ω⊥ min(ω⊥, 1) if that is larger.
+    """The scale for a transverse top: ω⊥ for ω₁ and ω₂, max(|ω₃|, ω⊥ min(ω⊥, 1)) for ω₃.
 
-    Near the residual line, and at a capture, ω₃ ~ ω⊥² where that is small.
+    Near the residual line, and where a top is captured by it, ω₃ ~ ω⊥² if ω⊥ is small.
     """
     w1, w2, w3 = jnp.abs(omega)
     across = jnp.maximum(w1, w2)

@@ -37,9 +37,12 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
 
 
 def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
-    """ω of cylindrical variables of one shape; at multiples of π/2 one component is exactly 0."""
+    """ω of cylindrical variables of one shape.
+
+    At multiples of π/2 one component is exactly 0, because those planes decide outcomes.
+    """
     quarter = jnp.round(phi / (jnp.pi / 2))
-    rest = phi - quarter * (jnp.pi / 2)  # exactly 0 at multiples of π/2
+    rest = phi - quarter * (jnp.pi / 2)
     cos, sin = jnp.cos(rest), jnp.sin(rest)
     quadrant = jnp.mod(quarter, 4)
     w1 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [cos, -sin, -cos], sin)

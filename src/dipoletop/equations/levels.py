@@ -17,8 +17,8 @@ class Level(enum.StrEnum):
     ORDER_1 = "order-1"
     """The paper's reduced equation: ω′ and ω″ in the torque are those of free rotation."""
     ORDER_2 = "order-2"
-    """ω′ and ω″ in the torque are those of order 1. Order m is the asymptotic expansion of the
-    physical branch up to its m-th correction; the series diverges."""
+    """ω′ and ω″ in the torque are those of order 1, and so on for the next orders. The sequence is
+    the asymptotic expansion of the physical branch."""
     ORDER_3 = "order-3"
     ORDER_4 = "order-4"
     SEMI = "semi"

@@ -1,11 +1,11 @@
 """Axisymmetric top with a longitudinal dipole (section 3.1, appendix B of the paper).
 
-Dimensionless: I₁ = I₂ = 1, I₃ = ζ = 1 − δ, the dipole along axis 3, k d² = 1. There is no torque
-about axis 3, so ω₃ is constant at every level, and the balance of torques is
+Dimensionless: I₁ = I₂ = 1, I₃ = ζ = 1 − δ, the dipole along axis 3, k d² = 1. The torque has no
+component along axis 3, so ω₃ is constant at every level. The balance of torques is
 
     ω₁′ = ω₁″ + δω₂ω₃ − ω²ω₁ − 2ω₃ω₂′,   ω₂′ = ω₂″ − δω₁ω₃ − ω²ω₂ + 2ω₃ω₁′.
 
-Every physical motion ends in rotation about the dipole, ω → (0, 0, ω₃).
+and every physical motion ends in rotation about the dipole, ω → (0, 0, ω₃).
 """
 
 from typing import Any
@@ -21,11 +21,11 @@ from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]
 """(ω₁, ω₂, ω₃, ω₁′, ω₂′)."""
-SMALL = 0.1  # |ω|² up to which orders 2–4 are trusted
+SLOW = 0.1  # |ω|² up to which orders 2–4 are taken to follow the physical branch
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
-    """ω′ from the balance of torques, with ω′ and ω″ on its right given."""
+    """ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
     w1, w2, w3 = w
     square = w1**2 + w2**2 + w3**2
     return jnp.stack(
@@ -37,8 +37,8 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
     )
 
 
-def _settles(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
-    """ω → (0, 0, ω₃), where that is certain."""
+def _settled(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
+    """The verdict ω → (0, 0, ω₃) where that is certain, else undecided."""
     rotating = w[2] != 0
     outcome = jnp.where(rotating, int(Outcome.RESIDUAL), int(Outcome.STOP))
     return Verdict(
@@ -53,7 +53,7 @@ class LongitudinalReduced(eqx.Module):
     """Reduced equations (3.9)–(3.10): ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥, φ′ = −δω₃, ω₃ constant.
 
     Order 1 is the paper's, in Cartesian components; `exact.longitudinal` is its solution. Order m
-    puts the rates of order m − 1 into the balance of torques.
+    inserts the rates of order m − 1 into the balance of torques.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -91,11 +91,11 @@ class LongitudinalReduced(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Order 1: certain at once, proven. Orders 2–4: where |ω|² ≤ 0.1, not certified."""
+        """Certain at once and certified at order 1; at orders 2–4 where |ω|² ≤ 0.1, uncertified."""
         square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
-        certain = jnp.isfinite(square) if self.order == 1 else square <= SMALL
-        found = _settles(y, certain, self.order == 1)
-        return found._replace(equation=LongitudinalReduced)
+        certain = jnp.isfinite(square) if self.order == 1 else square <= SLOW
+        verdict = _settled(y, certain, self.order == 1)
+        return verdict._replace(equation=LongitudinalReduced)
 
     @property
     def body(self) -> Body:
@@ -111,7 +111,7 @@ class LongitudinalReduced(eqx.Module):
 class LongitudinalSemi(eqx.Module):
     """Semi-reduced equation: (1 − 2iω₃)w′ = −(ω² + δ²ω₃² + iδω₃)w of w = ω₁ + iω₂.
 
-    Only ω″ is replaced, by that of free precession.
+    Only ω″ is replaced, by that of free precession. There are no runaways.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -130,9 +130,9 @@ class LongitudinalSemi(eqx.Module):
         w1, w2, w3 = y
         drag = w1**2 + w2**2 + (1 + d**2) * w3**2
         r1, r2 = d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2
-        turn = 2 * w3
-        determinant = 1 + turn**2
-        p1, p2 = (r1 - turn * r2) / determinant, (r2 + turn * r1) / determinant
+        coupling = 2 * w3
+        determinant = 1 + coupling**2
+        p1, p2 = (r1 - coupling * r2) / determinant, (r2 + coupling * r1) / determinant
         return jnp.stack([p1, p2, jnp.zeros_like(w3)])
 
     def lift(self, omega0: Vector) -> Vector:
@@ -144,9 +144,9 @@ class LongitudinalSemi(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Certain at once, proven: ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
-        found = _settles(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
-        return found._replace(equation=LongitudinalSemi)
+        """Certain at once and certified, since ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
+        verdict = _settled(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
+        return verdict._replace(equation=LongitudinalSemi)
 
     @property
     def body(self) -> Body:
@@ -157,8 +157,8 @@ class LongitudinalSemi(eqx.Module):
 class LongitudinalFull(eqx.Module):
     """Full equations (3.6)–(3.8): the balance of torques, state (ω₁, ω₂, ω₃, ω₁′, ω₂′).
 
-    From a start of shape (3,), `simulate` and `classify` follow the physical branch; what is off
-    it grows at the rate 1.
+    From a start ω₀ of shape (3,), `simulate` and `classify` follow the physical branch. Distances
+    from it grow at the rate 1.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -178,7 +178,7 @@ class LongitudinalFull(eqx.Module):
         return jnp.concatenate([rate, (rate - balance)[:2]])
 
     def lift(self, omega0: Vector) -> FullState:
-        """Onto the physical branch as the reduction of order 3 has it."""
+        """The state near the physical branch, by the reduction of order 3."""
         return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
     def omega(self, y: FullState) -> Vector:
@@ -186,16 +186,16 @@ class LongitudinalFull(eqx.Module):
         return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
-        """On the physical branch certain at once: a bounded motion ends where |d₂|² is 0.
+        """Certain at once for a state on the physical branch, uncertified.
 
-        That is rotation about the dipole, by the balance of energy. Not certified: that the
-        branch goes on is not proven.
+        By the balance of energy a bounded motion ends where the radiated power |d₂|² vanishes,
+        which is rotation about the dipole. It is not proven that the branch continues to that end.
         """
-        found = _settles(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
-        return found._replace(equation=LongitudinalFull)
+        verdict = _settled(y[:3], jnp.isfinite(y[0] + y[1] + y[2]), False)
+        return verdict._replace(equation=LongitudinalFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
-        """The part of ω′ that is state, and runs away: (ω₁′, ω₂′)."""
+        """The part of ω′ that belongs to the state and runs away: (ω₁′, ω₂′)."""
         return omega_dot[:2]
 
     def omega_dot(self, y: FullState) -> Vector:
@@ -213,7 +213,7 @@ class LongitudinalFull(eqx.Module):
 
     @property
     def runaway_rate(self) -> Real:
-        """At which what is off the physical branch grows, near rest."""
+        """The rate at which distances from the physical branch grow near rest."""
         return jnp.ones_like(self.delta)
 
     @property

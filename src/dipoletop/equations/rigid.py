@@ -1,7 +1,7 @@
 """Any rigid body, any dipole: the full equation of motion and its reductions.
 
 The equation of motion (3.3) is IΩ̇ + N = T(Ω, Ω̇, Ω̈) with N = Ω×IΩ and T the radiation torque.
-The levels differ in what they put for Ω̇ and Ω̈ in T.
+The levels differ in the Ω̇ and Ω̈ that they insert into T.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from ._common import one_order_up, reduced_order, rigid_body
-from ._verdicts import any_body as _general
+from ._verdicts import any_body
 from .levels import Level
 
 FullState = Float[Array, "6 *lanes"]
@@ -36,16 +36,17 @@ def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
 class Reduced(eqx.Module):
     """Reduced equation of order m: IΩ̇ = −N + T(Ω, F, DF·F), F the rates of order m − 1.
 
-    Order 0 is free rotation. Order 1 is the paper's (3.4). The sequence is the asymptotic
-    expansion of the physical branch of the full equation. For an axisymmetric body whose dipole
-    lies across the axis, `TransverseReduced` is the same equation, faster and better judged.
+    Order 0 is free rotation, order 1 the paper's equation (3.4). The sequence is the asymptotic
+    expansion of the physical branch of the full equation. For an axisymmetric body with its dipole
+    across the axis, `TransverseReduced` is the same equation: faster, and at order 1 with
+    proven regions.
 
     Args:
         body: inertia tensor and dipole, dimensionless.
         order: 1 … 4; each costs about four times the one before.
 
     Raises:
-        ValueError: something else than a `Body`, or an order that is not 1, 2, 3 or 4.
+        ValueError: something other than a `Body`, or an order that is not 1, 2, 3 or 4.
     """
 
     body: Body = eqx.field(converter=rigid_body)
@@ -70,8 +71,8 @@ class Reduced(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
+        """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
+        return any_body.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
 
     @property
     def level(self) -> str:
@@ -82,14 +83,14 @@ class Reduced(eqx.Module):
 class SemiReduced(eqx.Module):
     """Semi-reduced equation: {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = −N + d×(d×(Ω²Ω − Ω̈)), Ω̈ of (3.4).
 
-    Only Ω̈ is replaced, by that of free rotation; Ω̇ stays where it is, a 3×3 solve. There are
-    no runaways, and residual rotation has no spurious threshold.
+    Only Ω̈ is replaced, by that of free rotation; Ω̇ is kept, which requires a 3×3 solve. There
+    are no runaways, and residual rotation has no spurious threshold.
 
     Args:
         body: inertia tensor and dipole, dimensionless.
 
     Raises:
-        ValueError: something else than a `Body`.
+        ValueError: something other than a `Body`.
     """
 
     body: Body = eqx.field(converter=rigid_body)
@@ -118,8 +119,8 @@ class SemiReduced(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Residual by a Lyapunov function, stop by balance or slow flow; not certified."""
-        return _general.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
+        """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
+        return any_body.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
 
 
 class Full(eqx.Module):
@@ -128,14 +129,14 @@ class Full(eqx.Module):
         Ω̇ = a + s n,   s = −[n·N + n·(I a)]/(n·I n)   (no torque along the dipole d = |d| n)
         ȧ = PΩ̈ = [IΩ̇ + N − T(Ω, Ω̇, 0)]/|d|²
 
-    Physical motions lie on a slow manifold that repels forwards in time; this is the vector
-    field, and a run started off that manifold runs away.
+    Physical motions lie on a slow manifold that repels forwards in time; all other motions run
+    away. This class is the vector field; `simulate` and `classify` follow the manifold.
 
     Args:
         body: inertia tensor and dipole, dimensionless.
 
     Raises:
-        ValueError: something else than a `Body`.
+        ValueError: something other than a `Body`.
     """
 
     body: Body = eqx.field(converter=rigid_body)
@@ -147,23 +148,23 @@ class Full(eqx.Module):
         body, omega = self.body, y[:3]
         rate = self.omega_dot(y)
         torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
-        lack = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
+        unbalanced = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
         square = dot(body.dipole, body.dipole)
-        return jnp.concatenate([rate, self.fast(scale(1 / square, lack))])
+        return jnp.concatenate([rate, self.fast(scale(1 / square, unbalanced))])
 
     def omega_dot(self, y: FullState) -> Vector:
         """Ω̇ of a state, shape (3,) or (3, B)."""
         body, omega, a = self.body, y[:3], y[3:]
-        lever = matvec(body.inertia, body.dipole)  # I is symmetric
-        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(lever, a)
-        return a - scale(along / dot(lever, body.dipole), body.dipole)
+        inertia_d = matvec(body.inertia, body.dipole)  # d·(I a) = (I d)·a, since I is symmetric
+        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(inertia_d, a)
+        return a - scale(along / dot(inertia_d, body.dipole), body.dipole)
 
     def verdict(self, y: FullState) -> Verdict:
-        """That of a state on the physical branch, by the same tests; not certified."""
-        return _general.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
+        """For a state on the physical branch, by the tests of the other levels; uncertified."""
+        return any_body.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
 
     def fast(self, omega_dot: Vector) -> Vector:
-        """The part of Ω̇ that is state, and runs away: a = PΩ̇."""
+        """The part of Ω̇ that belongs to the state and runs away: a = PΩ̇."""
         d = self.body.dipole
         return omega_dot - scale(dot(d, omega_dot) / dot(d, d), d)
 
@@ -178,23 +179,25 @@ class Full(eqx.Module):
 
     @property
     def runaway_rate(self) -> Real:
-        """The slower of the two rates at which what is off the physical branch grows.
+        """The slower of the two rates at which distances from the physical branch grow near rest.
 
-        The eigenvalues, but for the one along n, of P(I − Inn'I/(n·In))P/|d|².
+        There N and T(Ω, Ω̇, 0) are negligible, so ȧ = PIΩ̇/|d|² with Ω̇ = a − n (n·Ia)/(n·In): the
+        rates are the eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|².
         """
         inertia, d = self.body.inertia, self.body.dipole
-        square, lever = dot(d, d), matvec(inertia, d)
-        along = dot(lever, d)
-        rest = jnp.stack([inertia[i] - scale(lever[i] / along, lever) for i in range(3)])
-        # That matrix already annihilates n from both sides: trace and sum of the 2×2 minors.
-        total = trace(rest)
+        square, inertia_d = dot(d, d), matvec(inertia, d)
+        along = dot(inertia_d, d)
+        across = jnp.stack([inertia[i] - scale(inertia_d[i] / along, inertia_d) for i in range(3)])
+        # This matrix annihilates n from both sides without P. Its two other eigenvalues follow
+        # from its trace and from the sum of its principal 2×2 minors.
+        total = trace(across)
         pairs = ((0, 1), (0, 2), (1, 2))
-        minors = sum(rest[i, i] * rest[j, j] - rest[i, j] * rest[j, i] for i, j in pairs)
+        minors = sum(across[i, i] * across[j, j] - across[i, j] * across[j, i] for i, j in pairs)
         root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
         return minors / ((total / 2 + root) * square)
 
     def lift(self, omega0: Vector) -> FullState:
-        """Onto the physical branch as the reduction of order 3 has it."""
+        """The state near the physical branch, by the reduction of order 3."""
         rate = Reduced(self.body, 3)(0.0, omega0)
         return jnp.concatenate([omega0, self.fast(rate)])
 

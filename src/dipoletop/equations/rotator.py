@@ -1,7 +1,7 @@
 """Plane rotator (section 2 and appendix A of the paper): the dipole turns in a plane.
 
 Dimensionless: ω about body axis 3, the dipole along axis 1, τ₀ = k d²/I, ϖ = ω′. The full
-equation ω″ = ω′ + ω³ has one physical branch, ϖ = f(ω); every other motion runs away.
+equation ω″ = ω′ + ω³ has one physical branch, ϖ = f(ω); all other motions run away.
 """
 
 from typing import Any, NamedTuple
@@ -27,24 +27,24 @@ __all__ = [
     "separatrix",
 ]
 
-One = Float[Array, "1 *lanes"]
-Pair = Float[Array, "2 *lanes"]
+BranchState = Float[Array, "1 *lanes"]
+FullState = Float[Array, "2 *lanes"]
 
 
 def _speed(omega0: Vector) -> Real:
-    """The only component that a plane rotator has."""
+    """Component 3 of ω₀; a plane rotator has no other."""
     flat = (omega0[0] == 0) & (omega0[1] == 0)
     return where_valid("omega0", omega0[2], flat, "lie along axis 3 (a plane rotator)")
 
 
 def _about_axis_3(y: Float[Array, "n *lanes"]) -> Vector:
-    """(0, 0, ω)."""
+    """(0, 0, ω) of a state whose first component is ω."""
     zero = jnp.zeros_like(y[0])
     return jnp.stack([zero, zero, y[0]])
 
 
-def _stops(y: Float[Array, "n *lanes"]) -> Verdict:
-    """STOP, always, on the physical branch: ω falls like (2τ)^{−1/2}."""
+def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
+    """The verdict STOP: on the physical branch ω always decays, like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
     outcome = jnp.where(jnp.isfinite(y[0]), int(Outcome.STOP), int(Outcome.FAILED))
     return Verdict(outcome.astype("int32"), zero, zero == 0, int(Stop.AXIS))
@@ -61,21 +61,21 @@ class RotatorReduced(eqx.Module):
 
     level = Level.ORDER_1.label
 
-    def __call__(self, t: Any, y: One, args: Any = None) -> One:
+    def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
         """dω/dτ, shape (1,) or (1, B)."""
         return -(y**3)
 
-    def lift(self, omega0: Vector) -> One:
+    def lift(self, omega0: Vector) -> BranchState:
         """Component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: One) -> Vector:
+    def omega(self, y: BranchState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: One) -> Verdict:
+    def verdict(self, y: BranchState) -> Verdict:
         """STOP, proven."""
-        return _stops(y)._replace(equation=RotatorReduced)
+        return _always_stops(y)._replace(equation=RotatorReduced)
 
     @property
     def body(self) -> Body:
@@ -88,21 +88,21 @@ class RotatorBranch(eqx.Module):
 
     level = Level.FULL.label
 
-    def __call__(self, t: Any, y: One, args: Any = None) -> One:
+    def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
         """dω/dτ, shape (1,) or (1, B)."""
         return critical_manifold(y)
 
-    def lift(self, omega0: Vector) -> One:
+    def lift(self, omega0: Vector) -> BranchState:
         """Component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: One) -> Vector:
+    def omega(self, y: BranchState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: One) -> Verdict:
+    def verdict(self, y: BranchState) -> Verdict:
         """STOP, proven."""
-        return _stops(y)._replace(equation=RotatorBranch)
+        return _always_stops(y)._replace(equation=RotatorBranch)
 
     @property
     def body(self) -> Body:
@@ -111,68 +111,68 @@ class RotatorBranch(eqx.Module):
 
 
 class Domain(NamedTuple):
-    """Between which infinities a motion of the full equation runs, as signs of ω.
+    """The signs of ω at the two blow-ups, in the past and in the future, of a full motion.
 
-    The separatrices AOC (`critical_manifold`) and BOD (`separatrix`) cut the phase plane into
-    four domains, one for each pair.
+    The curves AOC (`critical_manifold`) and BOD (`separatrix`) divide the phase plane into four
+    domains, one for each pair of signs.
     """
 
     past: Int[Array, "*lanes"]
-    """Sign of ω at the blow-up in the past; 0 on BOD, which comes from rest."""
+    """Sign of ω at the blow-up in the past; 0 on BOD, whose motions come from rest."""
     future: Int[Array, "*lanes"]
-    """Sign of ω at the runaway in the future; 0 on AOC, the physical branch, which stops."""
+    """Sign of ω at the runaway in the future; 0 on AOC, whose motions stop."""
 
 
 class RotatorFull(eqx.Module):
     """Full equation (2.2), dimensionless (A.1): ω″ = ω′ + ω³, state (ω, ϖ = ω′).
 
-    From a start ω₀ of shape (3,), `simulate` and `classify` take the physical branch
-    (`RotatorBranch`); a whole state (ω, ϖ) is taken as given, and runs away.
+    From a start ω₀ of shape (3,), `simulate` and `classify` follow the physical branch
+    (`RotatorBranch`). A whole state (ω, ϖ) is integrated as given, and runs away.
 
     Example:
         >>> import jax.numpy as jnp, dipoletop as dt
-        >>> run = dt.classify(dt.RotatorFull(), jnp.array([1.0, 0.0]))  # at rest in ϖ: off it
-        >>> dt.Outcome(int(run.outcome)).name, f"{run.time:.4f}"  # blows up then
+        >>> run = dt.classify(dt.RotatorFull(), jnp.array([1.0, 0.0]))  # off the branch
+        >>> dt.Outcome(int(run.outcome)).name, f"{run.time:.4f}"  # time of the blow-up
         ('FAILED', '1.6351')
     """
 
     level = Level.FULL.label
 
-    def __call__(self, t: Any, y: Pair, args: Any = None) -> Pair:
+    def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """d(ω, ϖ)/dτ, shape (2,) or (2, B)."""
         return jnp.stack([y[1], y[1] + y[0] ** 3])
 
-    def lift(self, omega0: Vector) -> Pair:
-        """Onto the physical branch, ϖ = f(ω)."""
+    def lift(self, omega0: Vector) -> FullState:
+        """The state (ω, f(ω)) on the physical branch."""
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
 
-    def omega(self, y: Pair) -> Vector:
+    def omega(self, y: FullState) -> Vector:
         """(0, 0, ω)."""
         return _about_axis_3(y)
 
-    def verdict(self, y: Pair) -> Verdict:
-        """STOP, for a state on the physical branch."""
-        return _stops(y)._replace(equation=RotatorFull)
+    def verdict(self, y: FullState) -> Verdict:
+        """STOP, proven for a state on the physical branch."""
+        return _always_stops(y)._replace(equation=RotatorFull)
 
-    def lyapunov(self, y: Pair) -> Real:
+    def lyapunov(self, y: FullState) -> Real:
         """V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""
         return y[0] * (y[1] - y[0] / 2)
 
-    def domain(self, y: Pair) -> Domain:
-        """In which of the four domains of the phase plane a state (ω, ϖ) lies."""
+    def domain(self, y: FullState) -> Domain:
+        """The domain of the phase plane that contains a state (ω, ϖ)."""
         past = jnp.sign(separatrix(y[0]) - y[1])
         future = jnp.sign(y[1] - critical_manifold(y[0]))
         return Domain(past.astype("int32"), future.astype("int32"))
 
     @property
     def branch(self) -> RotatorBranch:
-        """The equation of its physical motions, which has no runaways."""
+        """The equation on the physical branch, which has no runaways."""
         return RotatorBranch()
 
     @property
     def runaway_rate(self) -> float:
-        """At which what is off the physical branch grows, near rest."""
+        """The rate at which distances from the physical branch grow near rest."""
         return 1.0
 
     @property

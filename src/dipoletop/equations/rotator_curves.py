@@ -1,11 +1,13 @@
 """Two curves ϖ(ω) in the phase plane of the rotator: the critical manifold and the separatrix.
 
-Both solve ϖ dϖ/dω = ϖ + ω³, the full equation ω″ = ω′ + ω³ as one for ϖ = ω′. The critical
-manifold f ~ −ω³ is the physical branch (AOC in the paper), the separatrix g ~ ω (BOD) holds the
-motions that come from rest. Near 0 both follow from their power series, which diverge but serve up
-to |ω| = SERIES. Beyond, r = |ϖ|/ω² obeys dr/d ln ω = 1/r ± 1/ω − 2r (upper sign for g); this is
-integrated towards large ω, where solutions converge, by collocation on panels of ln ω, once for all
-calls.
+Both solve ϖ dϖ/dω = ϖ + ω³, which is the full equation ω″ = ω′ + ω³ with ϖ = ω′. The critical
+manifold f ~ −ω³ is the physical branch (curve AOC of the paper). The separatrix g ~ ω (curve BOD)
+holds the motions that come from rest.
+
+Near 0 both are given by power series. These diverge, but up to `SERIES_UP_TO` they are exact to
+rounding. From there on the ratio r = |ϖ|/ω² obeys dr/d ln ω = 1/r ∓ 1/ω − 2r (upper sign for f),
+whose solutions converge towards large ω. It is integrated in that direction by collocation on
+panels of ln ω, once, and kept as Chebyshev coefficients.
 """
 
 import functools
@@ -19,18 +21,16 @@ from jaxtyping import Array, Float
 from .._base.chebyshev import collocation_rule
 from .._base.checks import real
 
-SERIES = 0.11  # |ω| up to which the divergent series of f serves, to rounding
-TERMS = 34  # they fall until (2n + 8)ω² = 1, and what is left is as large as the last one
-PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES to 10¹⁶
-NEWTON = 8
+SERIES_UP_TO = 0.11  # |ω| up to which the divergent series of f are exact to rounding
+TERMS = 34  # terms decrease until (2n + 8)ω² = 1; the error is as large as the last one
+PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES_UP_TO to 10¹⁶
+NEWTON_STEPS = 8
 
 
 def critical_manifold(w: Any) -> Float[Array, "*n"]:
     """f(ω) of the physical branch ϖ = f(ω): f f′ = f + ω³, f ~ −ω³ at 0 (A.16), curve AOC.
 
-    The asymptotic series up to |ω| = 0.11, from there integration upwards, which is stable, made
-    once and kept as polynomials. Relative error below 1e-14, any ω. May be jitted, mapped and
-    differentiated.
+    Relative error below 1e-14 for any ω. May be jitted, vmapped and differentiated.
 
     Args:
         w: ω, dimensionless, any shape; f is odd.
@@ -47,7 +47,7 @@ def critical_manifold(w: Any) -> Float[Array, "*n"]:
 
 
 def separatrix(w: Any) -> Float[Array, "*n"]:
-    """g(ω) of the curve BOD: g g′ = g + ω³, g ~ ω at 0: the motions that come from rest.
+    """g(ω) of the curve BOD, the motions that come from rest: g g′ = g + ω³, g ~ ω at 0.
 
     Args:
         w: ω, dimensionless, any shape; g is odd.
@@ -61,10 +61,13 @@ def separatrix(w: Any) -> Float[Array, "*n"]:
 def closed_manifold(w: Any) -> Float[Array, "*n"]:
     """The paper's closed approximation of f(ω): −ω³/√(1 + 2ω²).
 
-    Right to leading order at 0 and at infinity; 22 % too large at ω = 1.
+    Exact to leading order at 0 and at infinity; 22 % too large at ω = 1.
 
     Args:
         w: ω, dimensionless, any shape.
+
+    Returns:
+        The approximation, of the shape of `w`.
     """
     w = _real(w)
     return -(w**3) / jnp.sqrt(1 + 2 * w**2)
@@ -76,19 +79,19 @@ def _real(w: Any) -> Float[Array, "*n"]:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _curve(sign: int, array: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    small = jnp.abs(array) <= SERIES
-    by_series = _series(sign, jnp.where(small, array, 0.0))
-    risen = _risen(sign, jnp.where(small, SERIES, jnp.abs(array)))
-    return jnp.where(small, by_series, sign * risen * array * jnp.abs(array))
+    in_series = jnp.abs(array) <= SERIES_UP_TO
+    by_series = _series(sign, jnp.where(in_series, array, 0.0))
+    ratio = _tabulated_ratio(sign, jnp.where(in_series, SERIES_UP_TO, jnp.abs(array)))
+    return jnp.where(in_series, by_series, sign * ratio * array * jnp.abs(array))
 
 
 @functools.cache
 def _coefficients(sign: int) -> tuple[int | float, ...]:
-    """cₙ of Σ cₙω^{2n+1}, from c₀ on: those of f (c₀ = 0, integers) or of g (c₀ = 1)."""
+    """cₙ of Σ cₙω^{2n+1}, from c₀ on: of f (sign −1, c₀ = 0, integers) or of g (sign 1, c₀ = 1)."""
     c: list[int | float] = [max(sign, 0)]
     for n in range(1, TERMS):
         products = sum((2 * j + 1) * c[n - j] * c[j] for j in range(1, n))
-        # Terms in which cₙ itself stands: −cₙ for f, (2n + 2)c₀cₙ − cₙ for g.
+        # cₙ itself occurs as −cₙ for f, and as (2n + 2)c₀cₙ − cₙ for g.
         c.append(products - (n == 1) if sign < 0 else ((n == 1) - products) / (2 * n + 1))
     return tuple(c)
 
@@ -100,37 +103,38 @@ def _series(sign: int, w: Any) -> Any:
     return total * w
 
 
-def _slope(sign: int, w: Any, r: Any) -> Any:
+def _ratio_slope(sign: int, w: Any, r: Any) -> Any:
     """dr/d ln ω of r = |ϖ|/ω²."""
     return 1 / r + sign / w - 2 * r
 
 
 @functools.cache
 def _table(sign: int) -> np.ndarray:
-    """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES.
+    """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES_UP_TO.
 
-    By collocation and Newton's method. After the last panel 1/ω is less than rounding of r.
+    Collocation, solved by Newton's method. Beyond the last panel 1/ω is below the rounding of r.
     """
     nodes, sums, coefficients = collocation_rule(NODES)
-    r, panels = sign * _series(sign, SERIES) / SERIES**2, []
+    r = sign * _series(sign, SERIES_UP_TO) / SERIES_UP_TO**2
+    panels = []
     for panel in range(PANELS):
-        w = SERIES * np.exp(WIDTH * (panel + nodes))
+        w = SERIES_UP_TO * np.exp(WIDTH * (panel + nodes))
         values = np.full(NODES, r)
-        for _ in range(NEWTON):
-            lack = values - r - WIDTH * sums @ _slope(sign, w, values)
-            matrix = np.eye(NODES) + WIDTH * sums * (1 / values**2 + 2)
-            values = values - np.linalg.solve(matrix, lack)
+        for _ in range(NEWTON_STEPS):
+            residual = values - r - WIDTH * sums @ _ratio_slope(sign, w, values)
+            jacobian = np.eye(NODES) + WIDTH * sums * (1 / values**2 + 2)
+            values = values - np.linalg.solve(jacobian, residual)
         panels.append(coefficients @ values)
         r = values[-1]
     return np.stack(panels)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _risen(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The ratio |ϖ|/ω² at ω ≥ SERIES, by the table."""
-    place = jnp.log(w / SERIES) / WIDTH
-    panel = jnp.clip(jnp.floor(place), 0, PANELS - 1)
-    x = jnp.minimum(2 * (place - panel) - 1, 1.0)
+def _tabulated_ratio(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, from the table."""
+    position = jnp.log(w / SERIES_UP_TO) / WIDTH
+    panel = jnp.clip(jnp.floor(position), 0, PANELS - 1)
+    x = jnp.minimum(2 * (position - panel) - 1, 1.0)
     c = jnp.moveaxis(jnp.asarray(_table(sign), w.dtype)[panel.astype("int32")], -1, 0)
     last, sum_ = jnp.zeros_like(x), jnp.zeros_like(x)
     for k in range(NODES - 1, 0, -1):  # Clenshaw
@@ -138,8 +142,8 @@ def _risen(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return c[0] + x * sum_ - last
 
 
-@_risen.defjvp
-def _risen_jvp(sign: int, primals: Any, tangents: Any) -> Any:
+@_tabulated_ratio.defjvp
+def _tabulated_ratio_jvp(sign: int, primals: Any, tangents: Any) -> Any:
     (w,), (dw,) = primals, tangents
-    r = _risen(sign, w)
-    return r, _slope(sign, w, r) / w * dw
+    r = _tabulated_ratio(sign, w)
+    return r, _ratio_slope(sign, w, r) / w * dw

@@ -1,12 +1,13 @@
 """Axisymmetric top with a transverse dipole (section 4 of the paper): closed forms.
 
-Dimensionless: I₁ = I₂ = 1, I₃ = 1 − δ, the dipole along axis 1, k d² = 1. The balance of
-torques, with ω₁′ = δ ω₂ω₃ exact at every level, is
+Dimensionless: I₁ = I₂ = 1, I₃ = 1 − δ, the dipole along axis 1, k d² = 1. The torque has no
+component along the dipole, so ω₁′ = δω₂ω₃ at every level. The other components of the balance of
+torques are
 
     ω₂′        = ω₂″ − δω₁ω₃ − ω²ω₂ − ω₁′ω₃ − 2ω₁ω₃′
     (1−δ)ω₃′   = ω₃″ − ω²ω₃ + ω₁′ω₂ + 2ω₁ω₂′
 
-and the levels differ in what they put for ω′ and ω″ on the right.
+and the levels differ in the ω′ and ω″ that they insert on the right.
 """
 
 from typing import Any
@@ -24,7 +25,7 @@ from ._common import (
     shape_parameter,
     transverse_omega_scale,
 )
-from ._verdicts import transverse as _regions
+from ._verdicts import transverse as regions
 from .coordinates import cylindrical
 from .levels import Level
 from .transverse_approximations import (
@@ -51,7 +52,7 @@ __all__ = [
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
-    """ω′ from the balance of torques, with ω′ and ω″ on its right given."""
+    """ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
     w1, w2, w3 = w
     p1, p2, p3 = rate
     square = w1**2 + w2**2 + w3**2
@@ -69,20 +70,20 @@ def _reduced(delta: Real, w: Vector, order: int) -> Vector:
     if order > 1:
         rate, second = one_order_up(lambda t, w: _reduced(delta, w, order - 1), 0.0, w)
         return _balance(delta, w, rate, second)
-    # What depends on δ alone stands together: the stages of a step share it.
+    # Factors of δ alone are grouped, so that all stages of a step share them.
     d, (w1, w2, w3) = delta, w
-    turn = d * w3
+    precession = d * w3
     drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
-    light = reciprocal(1 - d)
-    axial = (1 + 2 * d) * light * w1**2 + w2**2 + light * w3**2
-    return jnp.stack([turn * w2, -turn * w1 - drag * w2, -axial * w3])
+    inverse = reciprocal(1 - d)
+    axial = (1 + 2 * d) * inverse * w1**2 + w2**2 + inverse * w3**2
+    return jnp.stack([precession * w2, -precession * w1 - drag * w2, -axial * w3])
 
 
 class TransverseReduced(eqx.Module):
     """Reduced equation (4.2)–(4.4): ω₁′ = δω₂ω₃, ω₂′ = −δω₁ω₃ − {ω² + δ(1+δ)ω₃²}ω₂, ….
 
-    Order 1 is the paper's. Order m puts the rates of order m − 1 into the balance of torques:
-    the asymptotic expansion of the physical branch of the full equation.
+    Order 1 is the paper's. Order m inserts the rates of order m − 1 into the balance of torques.
+    The sequence is the asymptotic expansion of the physical branch of the full equation.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -92,7 +93,7 @@ class TransverseReduced(eqx.Module):
         ValueError: δ outside [−1, 1), or an order that is not 1, 2, 3 or 4.
 
     Example:
-        Where ω₃ = 0 it stays so, ω₁ is constant, and ω₂′ = −ω²ω₂:
+        The plane ω₃ = 0 is invariant; in it ω₁ is constant and ω₂′ = −ω²ω₂:
 
         >>> import jax.numpy as jnp, dipoletop as dt
         >>> rate = dt.TransverseReduced(delta=-0.2)(0.0, jnp.array([0.3, 0.4, 0.0]))
@@ -118,9 +119,9 @@ class TransverseReduced(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Order 1: the proven regions. Orders 2–4: those of the semi-reduced level, uncertified."""
-        found = _regions.of_level(self.delta, y, Level.of_order(self.order))
-        return found._replace(equation=TransverseReduced)
+        """The proven regions at order 1; at orders 2–4 the semi-reduced ones, uncertified."""
+        verdict = regions.of_level(self.delta, y, Level.of_order(self.order))
+        return verdict._replace(equation=TransverseReduced)
 
     @property
     def body(self) -> Body:
@@ -139,7 +140,7 @@ class TransverseSemi(eqx.Module):
         [[1, 2ω₁], [−2ω₁, 1−δ]] (ω₂′, ω₃′)ᵀ
             = (−δω₁ω₃ − ω²ω₂ − δ(1+δ)ω₂ω₃², −ω²ω₃ + δω₂²ω₃)ᵀ,   ω₁′ = δω₂ω₃.
 
-    It has no runaways, and no spurious threshold at δ = −1/2.
+    There are no runaways, and no spurious threshold at δ = −1/2.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -174,8 +175,8 @@ class TransverseSemi(eqx.Module):
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """The regions of the semi-reduced level: residual, rotating stop, wobbling stop."""
-        return _regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
+        """The regions of the semi-reduced level: residual rotation, rotating and wobbling stop."""
+        return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
     @property
     def body(self) -> Body:
@@ -186,8 +187,8 @@ class TransverseSemi(eqx.Module):
 class TransverseFull(eqx.Module):
     """Full equation: the balance of torques itself, state (ω₁, ω₂, ω₃, ω₂′, ω₃′).
 
-    Physical motions lie on a slow manifold that repels forwards in time (runaway rates 1 and
-    1 − δ); this is the vector field.
+    Physical motions lie on a slow manifold that repels forwards in time, at the rates 1 and 1 − δ
+    near rest. This class is the vector field; `simulate` and `classify` follow the manifold.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -210,7 +211,7 @@ class TransverseFull(eqx.Module):
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
 
     def lift(self, omega0: Vector) -> FullState:
-        """Onto the physical branch as the reduction of order 3 has it: error O(ω⁹) at most."""
+        """The state near the physical branch, by the reduction of order 3: error O(ω⁹) at most."""
         rate = TransverseReduced(self.delta, 3)(0.0, omega0)
         return jnp.concatenate([omega0, rate[1:]])
 
@@ -219,11 +220,11 @@ class TransverseFull(eqx.Module):
         return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
-        """That of a state on the physical branch: the semi-reduced regions, uncertified."""
-        return _regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
+        """For a state on the physical branch: the semi-reduced regions, uncertified."""
+        return regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
-        """The part of ω′ that is state, and runs away: (ω₂′, ω₃′)."""
+        """The part of ω′ that belongs to the state and runs away: (ω₂′, ω₃′)."""
         return omega_dot[1:]
 
     def omega_dot(self, y: FullState) -> Vector:
@@ -241,7 +242,7 @@ class TransverseFull(eqx.Module):
 
     @property
     def runaway_rate(self) -> Real:
-        """The slower of the rates at which what is off the physical branch grows: 1 and 1 − δ."""
+        """The slower of the rates 1 and 1 − δ at which distances from the branch grow near rest."""
         return jnp.minimum(1.0, 1 - self.delta)
 
     @property
@@ -256,11 +257,14 @@ def equation_at(
     """The equation of the transverse top at a level.
 
     Args:
-        level: a `Level`, or its word.
-        delta: δ = 1 − I₃/I₁, from −1 (a disc) up to but not 1 (a needle).
+        level: a `Level`, or its value, such as "semi".
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
+
+    Returns:
+        The equation of motion.
 
     Raises:
-        ValueError: an unknown level, or δ out of range.
+        ValueError: an unknown level, or δ outside [−1, 1).
 
     Example:
         >>> import dipoletop as dt

@@ -1,6 +1,8 @@
-"""Approximations to order 1 of the transverse top (section 4 of the paper), cylindrical state.
+"""Cylindrical form of order 1 of the transverse top, and its approximations (section 4).
 
-The state is (ω⊥, ω₃, φ) with ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃).
+The state is (ω⊥, ω₃, φ) with ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃). With M = 1 + δ + δ² order 1 reads
+(4.9)–(4.11). Averaging over φ neglects the terms that oscillate while ω precesses fast;
+linearisation keeps the first powers of ω₃ and φ near the residual line.
 """
 
 import functools
@@ -13,7 +15,7 @@ from .._base.checks import finite
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from ._common import shape_parameter, transverse_omega_scale
-from ._verdicts import transverse as _regions
+from ._verdicts import transverse as regions
 from .coordinates import from_cylindrical, to_cylindrical
 from .levels import Level
 
@@ -55,9 +57,9 @@ class TransverseCylindrical(eqx.Module):
         return from_cylindrical(y[0], y[1], y[2])
 
     def verdict(self, y: Vector) -> Verdict:
-        """As order 1 in Cartesian components."""
-        found = _regions.first_order(self.delta, self.omega(y))
-        return found._replace(equation=TransverseCylindrical)
+        """That of order 1 in Cartesian components."""
+        verdict = regions.first_order(self.delta, self.omega(y))
+        return verdict._replace(equation=TransverseCylindrical)
 
     @property
     def body(self) -> Body:
@@ -70,7 +72,7 @@ class TransverseAveraged(eqx.Module):
 
         ω⊥′ = −½(ω⊥² + Mω₃²) ω⊥,   ω₃′ = −{(1 + δ/2)ω⊥² + ω₃²} ω₃/(1−δ),   φ̄′ = −δω₃
 
-    Its solutions always stop, so it has no verdict: it cannot show a residual rotation.
+    All solutions stop, so there is no verdict: the averaged top has no residual rotation.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -114,7 +116,7 @@ class TransverseLinearised(eqx.Module):
 
         ω⊥′ = 0,   ω₃′ = −(1+2δ)/(1−δ) w² ω₃,   φ′ = −δω₃ − w²φ
 
-    It has no verdict: it is about one end, and cannot say which starts come to it.
+    There is no verdict: the equation describes one final state, not which starts end there.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
