@@ -26,12 +26,13 @@ from .equations._common import shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM
 from .equations.levels import Level
 
+Scalar = Float[Array, ""]
 Point = Float[Array, "2 *#lanes"]
 """A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
 
 PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
-SETTLED = 1e-6  # last step of Newton's method, whose error is then its square
-ROUNDS = 8  # of Newton's method for the cycle, whose z lies within 3 % of the start for every δ
+LAST_STEP = 1e-6  # of Newton's method, relative; its error is then the square of that
+NEWTON_STEPS = 8  # for the cycle, whose z lies within 3 % of the first guess for every δ
 HALVINGS = 52  # for its largest swing
 
 
@@ -121,14 +122,14 @@ def _saddle(system: Planar) -> Saddle:
     exists = (d != 0) & (d > (-1.0 if system.corrected else -0.5))
     d = jnp.where(exists, d, 0.5)
     if system.corrected:
-        square = (1 + d) / (2 + d)
+        cos2 = (1 + d) / (2 + d)
         unstable, stable = 2 / (2 + d), -(1 + d) / (1 - d)
     else:
-        square = (1 - d) / (2 + d)
+        cos2 = (1 - d) / (2 + d)
         unstable, stable = 2 * (1 + 2 * d) / (2 + d), -jnp.ones_like(d)
-    cos, sin = jnp.sqrt(square), jnp.sqrt(1 - square)
-    cosine = 2 * square - 1  # cos 2φ*
-    found = (
+    cos, sin = jnp.sqrt(cos2), jnp.sqrt(1 - cos2)
+    cosine = 2 * cos2 - 1  # cos 2φ*
+    values = (
         jnp.arctan2(sin, cos),
         -sin * cos / d,
         unstable,
@@ -136,7 +137,7 @@ def _saddle(system: Planar) -> Saddle:
         -(unstable + cosine) / d,
         -(stable + cosine) / d,
     )
-    return Saddle(*(or_nan(x, exists) for x in found))
+    return Saddle(*(or_nan(x, exists) for x in values))
 
 
 def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
@@ -186,43 +187,45 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
 def _branches(
     system: Planar, stable: Bool[Array, "b"], side: Float[Array, "b"], phi: Float[Array, "b n"]
 ) -> Float[Array, "b n"]:
-    """Several branches at once, each at several angles."""
+    """Several branches of the manifolds at once, each at several angles: z."""
     at_angles = jax.vmap(_branch, in_axes=(None, None, None, 0))
     return jax.vmap(at_angles, in_axes=(None, 0, 0, 0))(system, stable, side, phi)
 
 
-def _branch(system: Planar, stable: Any, side: Any, phi: Array) -> Array:
+def _branch(system: Planar, stable: Bool[Array, ""], side: Scalar, phi: Scalar) -> Scalar:
     """Where one half of a manifold of the saddle first reaches φ (modulo π): z.
 
-    Followed away from the saddle, along which what is off the manifold decays: backwards in σ if
-    it is stable, forwards if not. NaN if there is a fold before φ.
+    The curve is followed away from the saddle, backwards in σ if it is the stable manifold and
+    forwards if not: in this direction errors decay. NaN if there is a fold before φ.
     """
-    at = _saddle(system)
-    slope = jnp.where(stable, at.stable_slope, at.unstable_slope)
+    origin = _saddle(system)
+    slope = jnp.where(stable, origin.stable_slope, origin.unstable_slope)
     heading = jnp.where(stable, -side, side)  # the sign of φ_σ
     near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # so near, the curvature is below rounding
 
-    def rate(e: Array, z: Array, args: Any) -> Array:
-        change, lift = system(e, jnp.stack([at.phi + side * e, z]))
-        graph = heading * change > 0
-        return jnp.where(graph, side * lift / jnp.where(graph, change, 1.0), jnp.nan)
+    def rate(distance: Scalar, z: Scalar, args: Any) -> Scalar:
+        phi_rate, z_rate = system(distance, jnp.stack([origin.phi + side * distance, z]))
+        is_graph = heading * phi_rate > 0
+        return jnp.where(is_graph, side * z_rate / jnp.where(is_graph, phi_rate, 1.0), jnp.nan)
 
-    distance = jnp.mod(side * (phi - at.phi), jnp.pi)
-    start = at.z + side * slope * near
-    found = _solve(rate, (near, jnp.maximum(distance, near)), near, start)
-    z = jnp.where(distance > near, found.ys[-1], at.z + side * slope * distance)
-    return or_nan(z, diffrax.is_successful(found.result))
+    distance = jnp.mod(side * (phi - origin.phi), jnp.pi)
+    z0 = origin.z + side * slope * near
+    curve = _solve(rate, (near, jnp.maximum(distance, near)), near, z0)
+    z = jnp.where(distance > near, curve.ys[-1], origin.z + side * slope * distance)
+    return or_nan(z, diffrax.is_successful(curve.result))
 
 
-def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
-    """A curve as precise as its floating-point type allows, from a first step on."""
+def _solve(
+    rate: Any, span: tuple[Any, Any], first_step: float, y0: Array, *, dense: bool = False
+) -> diffrax.Solution:
+    """A curve as precise as its floating-point type allows."""
     eps = float(jnp.finfo(y0.dtype).eps)
     controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
     return diffrax.diffeqsolve(
         diffrax.ODETerm(rate),
         diffrax.Dopri8(),
         *span,
-        step,
+        first_step,
         y0,
         saveat=diffrax.SaveAt(t1=True, dense=dense),
         stepsize_controller=controller,
@@ -274,64 +277,65 @@ def wobble(delta: Any) -> Wobble:
     system = Planar(delta)
     if system.delta.ndim:
         refuse("delta", "be a single number", f"has shape {system.delta.shape}")
-    edge, _ = _crossings(system, True, True)  # twice, for the program of `critical_delta`
-    return _wobble(system.delta, edge)
+    z_boundary, _ = _crossings(system, True, True)  # twice, to share the program of critical_delta
+    return _wobble(system.delta, z_boundary)
 
 
 @eqx.filter_jit
-def _wobble(delta: Float[Array, ""], edge: Float[Array, ""]) -> Wobble:
+def _wobble(delta: Scalar, z_boundary: Scalar) -> Wobble:
     exists = delta > WOBBLING_FROM
     system = Planar(jnp.where(exists, delta, 0.9))  # any value at which there is a cycle
 
-    def newton(_: Any, found: tuple[Array, ...]) -> tuple[Array, ...]:
-        z = found[0]
-        after, time, spread, swing = _half_turn(system, z)
-        nearer = z + (after - z) / (1 - z / after * jnp.exp(spread))
-        return nearer, swing, 2 * time, jnp.exp(2 * spread), jnp.abs(nearer - z)
+    def newton(_: Any, cycle: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        z = cycle[0]
+        after, time, divergence, swing = _half_turn(system, z)
+        nearer = z + (after - z) / (1 - z / after * jnp.exp(divergence))
+        return nearer, swing, 2 * time, jnp.exp(2 * divergence), jnp.abs(nearer - z)
 
     unknown = jnp.full_like(delta, jnp.nan)
-    start = jnp.full_like(delta, 4 / 3**0.5), *([unknown] * 4)  # the limit δ → 1
-    z, swing, period, multiplier, step = jax.lax.fori_loop(0, ROUNDS, newton, start)
+    guess = jnp.full_like(delta, 4 / 3**0.5), *([unknown] * 4)  # the limit δ → 1
+    z, swing, period, multiplier, step = jax.lax.fori_loop(0, NEWTON_STEPS, newton, guess)
     # Close to δ_c2 orbits linger at the saddles, and Newton's method may leave the basin.
-    good = exists & (step <= SETTLED * z) & (z < edge)
-    z, swing, period, multiplier = (or_nan(x, good) for x in (z, swing, period, multiplier))
-    return Wobble(z, swing, period, multiplier, or_nan(edge, exists))
+    converged = exists & (step <= LAST_STEP * z) & (z < z_boundary)
+    z, swing, period, multiplier = (or_nan(x, converged) for x in (z, swing, period, multiplier))
+    return Wobble(z, swing, period, multiplier, or_nan(z_boundary, exists))
 
 
-def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:
-    """From (π/2, z) once to the other side: the |z| there, σ, ∫div dσ, and the largest swing.
+def _half_turn(system: Planar, z: Scalar) -> tuple[Scalar, ...]:
+    """From (π/2, z) to the other side (π/2, −|z|): this |z|, ∫dσ, ∫div dσ, the largest swing.
 
-    Over the angle θ in the plane where orbits near the focus are circles: there θ_σ > 0 up to the
-    saddles and their manifolds.
+    Integrated over the polar angle θ round (π/2, 0), with z stretched so that orbits near this
+    focus are circles: up to the saddles and their manifolds θ_σ > 0.
     """
     d = system.delta
-    scale = jnp.sqrt(d * (1 - d) / 2)
+    stretch = jnp.sqrt(d * (1 - d) / 2)
 
-    def place(theta: Array, y: Array) -> Point:
+    def point(theta: Scalar, y: Float[Array, "3"]) -> Point:
         r = jnp.exp(y[0])
-        return jnp.stack([jnp.pi / 2 + r * jnp.cos(theta), r * jnp.sin(theta) / scale])
+        return jnp.stack([jnp.pi / 2 + r * jnp.cos(theta), r * jnp.sin(theta) / stretch])
 
-    def rate(theta: Array, y: Array, args: Any) -> Array:
+    def rate(theta: Scalar, y: Float[Array, "3"], args: Any) -> Float[Array, "3"]:
         cos, sin = jnp.cos(theta), jnp.sin(theta)
-        across, along = system(theta, place(theta, y)) * jnp.exp(-y[0])
-        divergence = jnp.trace(jax.jacfwd(lambda x: system(theta, x))(place(theta, y)))
-        turning = cos * scale * along - sin * across  # θ_σ
-        forward = turning > 0
-        change = jnp.stack([cos * across + sin * scale * along, jnp.ones_like(d), divergence])
-        return jnp.where(forward, change / jnp.where(forward, turning, 1.0), jnp.nan)
+        phi_rate, z_rate = system(theta, point(theta, y)) * jnp.exp(-y[0])
+        divergence = jnp.trace(jax.jacfwd(lambda x: system(theta, x))(point(theta, y)))
+        theta_rate = cos * stretch * z_rate - sin * phi_rate
+        is_graph = theta_rate > 0
+        log_r_rate = cos * phi_rate + sin * stretch * z_rate
+        change = jnp.stack([log_r_rate, jnp.ones_like(d), divergence])
+        return jnp.where(is_graph, change / jnp.where(is_graph, theta_rate, 1.0), jnp.nan)
 
     ends = jnp.pi / 2, 3 * jnp.pi / 2
-    start = jnp.stack([jnp.log(z * scale), jnp.zeros_like(z), jnp.zeros_like(z)])
-    found = _solve(rate, ends, 0.01, start, dense=True)
-    r, time, spread = found.ys[-1]
+    y0 = jnp.stack([jnp.log(z * stretch), jnp.zeros_like(z), jnp.zeros_like(z)])
+    orbit = _solve(rate, ends, 0.01, y0, dense=True)
+    log_r, time, divergence = orbit.ys[-1]
 
-    def returns(theta: Array) -> Bool[Array, ""]:
-        return system(theta, place(theta, found.evaluate(theta)))[0] > 0  # φ_σ > 0
+    def returns(theta: Scalar) -> Bool[Array, ""]:
+        return system(theta, point(theta, orbit.evaluate(theta)))[0] > 0  # φ_σ > 0
 
     low, high = (jnp.asarray(end, z.dtype) for end in ends)
-    theta, _ = bisect(returns, low, high, HALVINGS)
-    swing = jnp.pi / 2 - place(theta, found.evaluate(theta))[0]
-    return jnp.exp(r) / scale, time, spread, swing
+    farthest, _ = bisect(returns, low, high, HALVINGS)
+    swing = jnp.pi / 2 - point(farthest, orbit.evaluate(farthest))[0]
+    return jnp.exp(log_r) / stretch, time, divergence, swing
 
 
 def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
