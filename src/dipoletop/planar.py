@@ -1,14 +1,17 @@
 """Small amplitudes of the transverse top: a planar system, its saddle, boundary and wobbling.
 
-With z = ω₃/u, u = ω⊥² and dσ = u dτ every level of the equation of motion tends, as u → 0, to
+With φ = atan2(ω₂, ω₁), u = ω⊥², z = ω₃/u and dσ = u dτ every level of the equation of motion tends,
+as u → 0, to an autonomous system in the plane (φ, z),
 
     φ_σ = −δz − ½ sin 2φ        z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ)
 
-with c = 0 at order 1 and c = 1 at the levels that are consistent there: orders 2–4, the
-semi-reduced and the full equation ("corrected"). The first equation is the limit of (4.11).
-Symmetries: φ → φ + π, and (φ, z) → (−φ, −z). So the fate of a slow top is that of a point in a
-plane, the same at every small amplitude. Where dz/dφ = z_σ/φ_σ is regular, curves are followed
-as graphs over φ; round (π/2, 0) as graphs over the polar angle.
+with c = 0 at order 1 and c = 1 ("corrected") at the levels that hold every term of leading order:
+orders 2–4, the semi-reduced and the full equation (`Level.consistent`). The first equation is the
+limit of (4.11), the second that of z_σ = ω₃′/u² + 2z sin²φ, since u_σ = −2u sin²φ. So the outcome
+at small amplitude depends on φ and z only. Symmetries: φ → φ + π, and (φ, z) → (−φ, −z).
+
+The manifolds of the saddle are integrated as graphs z(φ), dz/dφ = z_σ/φ_σ, up to the fold where
+φ_σ = 0, and orbits round (π/2, 0) as graphs over the polar angle.
 """
 
 from typing import Any, NamedTuple
@@ -28,7 +31,7 @@ from .equations.levels import Level
 
 Scalar = Float[Array, ""]
 Point = Float[Array, "2 *#lanes"]
-"""A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
+"""A state (φ, z): φ in radians, z = ω₃/ω⊥² in units of τ₀."""
 
 PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
 LAST_STEP = 1e-6  # of Newton's method, relative; its error is then the square of that
@@ -39,17 +42,19 @@ HALVINGS = 52  # for its largest swing
 class Planar(eqx.Module):
     """Small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − (2+δ)/(1−δ) cos²φ} − ….
 
-    The part left out, sin 2φ/(1−δ), is there only at the consistent levels. σ = ∫ω⊥²dτ.
+    The last term is −sin 2φ/(1−δ) at the consistent levels, and 0 at order 1. σ = ∫ω⊥²dτ.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
-        corrected: whether it is the limit of orders 2–4, semi-reduced and full; else of order 1.
+        corrected: True for the limit of orders 2–4, the semi-reduced and the full equation, False
+            for that of order 1: `Level.consistent` of the level.
 
     Raises:
         ValueError: δ outside [−1, 1).
 
     Example:
-        At order 1 a top that turns across its symmetry axis goes on so; in truth ω₃ sets in:
+        At order 1 a top that rotates across its symmetry axis keeps ω₃ = 0; at the consistent
+        levels it does not:
 
         >>> import jax.numpy as jnp
         >>> from dipoletop.planar import Planar
@@ -74,7 +79,7 @@ class Planar(eqx.Module):
 
     @property
     def level(self) -> str:
-        """Which limit this is, for labels."""
+        """The label in tables and pictures: of order 1, or corrected."""
         return f"small amplitude, {'corrected' if self.corrected else Level.ORDER_1.label}"
 
 
@@ -84,7 +89,7 @@ class Saddle(NamedTuple):
     phi: Real
     """φ* in (0, π/2), radians."""
     z: Real
-    """z*, of the sign of −δ."""
+    """z*, whose sign is that of −δ."""
     unstable: Real
     """The positive eigenvalue, per unit of σ."""
     stable: Real
@@ -98,7 +103,7 @@ class Saddle(NamedTuple):
 def saddle(system: Planar) -> Saddle:
     """The saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
 
-    Others follow from it by φ → φ + π and (φ, z) → (−φ, −z).
+    There is one in 0 < φ < π/2; the others follow by φ → φ + π and (φ, z) → (−φ, −z).
 
     Args:
         system: the planar system; its δ may have any shape.
@@ -143,24 +148,25 @@ def _saddle(system: Planar) -> Saddle:
 def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
     """z_s(φ), the universal basin boundary: φ_σ z_s′ = z_σ along the saddle's stable manifold.
 
-    A slow top that starts at φ with ω₃ > z_s ω⊥² stops, rotating; from just below z_s it comes to
-    a residual rotation. Further below, only a narrow tongue between the fold (see below) and
-    φ = π/2 leads to a stop.
-    For ω₃ < 0 it is −z_s(−φ). In three dimensions the boundary lies O(ω⊥²) from it.
+    At small amplitude, starts at φ with ω₃ > z_s ω⊥² lead to a rotating stop, starts just below it
+    to residual rotation. Further below, only starts in a narrow tongue between the fold (see below)
+    and φ = π/2 lead to a stop. For ω₃ < 0 the boundary is −z_s(−φ). At finite amplitude it differs
+    by O(ω⊥²).
 
-    Each saddle's manifold comes to it from smaller φ, as a graph that begins at a fold, where its
-    slope is infinite. From there down to the saddle before, the highest curve is the other half
-    of that saddle's manifold; so z_s, their upper edge, jumps at the fold, and has period π.
-    May be jitted, vmapped, and differentiated forwards (`jax.jacfwd`).
+    The stable manifold of each saddle arrives from smaller φ as a graph, which begins at a fold,
+    where its slope is infinite. Between the fold and the next saddle at smaller φ, the highest
+    curve is the other half of the manifold of that saddle. So z_s, the upper envelope, jumps at the
+    fold; its period is π. May be jitted, vmapped, and differentiated forwards (`jax.jacfwd`).
 
     Args:
         system: the planar system, with a single δ.
         phi: φ, shape () or (n,), radians.
 
     Returns:
-        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and below
-        δ_c1 = −0.8598… (`critical_delta`) it parts the two senses of rotation only, residual
-        rotation keeps the inside of a cycle, and z_s is NaN between φ = π/2 and the fold.
+        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and for
+        δ < δ_c1 = −0.8598… (`critical_delta`) z_s separates the two senses of rotation only: the
+        basin of residual rotation is the inside of a cycle, and z_s is NaN between φ = π/2 and
+        the fold.
 
     Raises:
         ValueError: bad arguments.
@@ -215,17 +221,15 @@ def _branch(system: Planar, stable: Bool[Array, ""], side: Scalar, phi: Scalar) 
     return or_nan(z, diffrax.is_successful(curve.result))
 
 
-def _solve(
-    rate: Any, span: tuple[Any, Any], first_step: float, y0: Array, *, dense: bool = False
-) -> diffrax.Solution:
-    """A curve as precise as its floating-point type allows."""
+def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
+    """A curve as precise as its floating-point type allows; `step` is the first one."""
     eps = float(jnp.finfo(y0.dtype).eps)
     controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
     return diffrax.diffeqsolve(
         diffrax.ODETerm(rate),
         diffrax.Dopri8(),
         *span,
-        first_step,
+        step,
         y0,
         saveat=diffrax.SaveAt(t1=True, dense=dense),
         stepsize_controller=controller,
@@ -236,34 +240,34 @@ def _solve(
 
 
 class Wobble(NamedTuple):
-    """The wobbling limit cycle round (π/2, 0); NaN where there is none."""
+    """The limit cycle round (π/2, 0) on which a top wobbles; NaN where there is none."""
 
     z: Real
     """|z| where it crosses φ = π/2."""
     swing: Real
     """The largest |φ − π/2|, radians."""
     period: Real
-    """In units of σ."""
+    """The period, in units of σ."""
     multiplier: Real
-    """Floquet multiplier of a whole period; below 1: stable."""
+    """Floquet multiplier of a whole period; the cycle is stable if it is below 1."""
     boundary: Real
-    """z_W: at φ = π/2 a top with smaller |z| is caught, one with larger |z| turns on."""
+    """z_W: from φ = π/2 a top wobbles to a stop if |z| < z_W, and keeps rotating if |z| > z_W."""
 
 
 def wobble(delta: Any) -> Wobble:
-    """The cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, in which a needle wobbles to its stop.
+    """The limit cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, on which a needle wobbles to its stop.
 
-    Half a turn maps (π/2, z) to (π/2, −P(z)); the cycle is P(z) = z, by Newton's method, with
-    P′ = (z/P) exp ∫div dσ. The basin's edge z_W is the crossing of the saddle's stable manifold.
-    May be jitted and vmapped.
+    Half a period maps (π/2, z) to (π/2, −P(z)). The cycle solves P(z) = z, by Newton's method with
+    P′ = (z/P) exp ∫div dσ. Its basin ends at z_W, where the stable manifold of the saddle crosses
+    φ = π/2. May be jitted and vmapped.
 
     Args:
         delta: shape δ, dimensionless, a number.
 
     Returns:
-        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`, and but for the boundary also
-        within 1e-6 above it, where the cycle is not found. As δ → 1, z → 4/√3, the
-        swing √(8(1−δ)/3), the period 2π√((1−δ)/2).
+        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`. Within 1e-6 above δ_c2
+        Newton's method may fail, and all fields except `boundary` are NaN. As δ → 1, z → 4/√3, the
+        swing → √(8(1−δ)/3) and the period → 2π√((1−δ)/2).
 
     Raises:
         ValueError: δ outside [−1, 1), or not a single number.
@@ -339,7 +343,10 @@ def _half_turn(system: Planar, z: Scalar) -> tuple[Scalar, ...]:
 
 
 def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
-    """Z where stable or unstable manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0)."""
+    """Where manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0): z of each.
+
+    `stable` says of each whether it is the stable or the unstable manifold.
+    """
     prolate, each = system.delta > 0, jnp.ones(len(stable))
     sides = jnp.where(prolate, 1.0, -1.0) * each
     section = jnp.where(prolate, jnp.pi / 2, 0.0) * each
@@ -351,10 +358,10 @@ def critical_delta(*, prolate: bool = True) -> float:
 
     There the unstable manifold of the saddle meets the stable one of its mirror image. Above δ_c2
     a stable cycle round (π/2, 0) is the wobbling stop. Below δ_c1 an unstable cycle round (0, 0)
-    is the boundary of residual rotation. Both are of the corrected system only. A host function.
+    bounds the basin of residual rotation. Order 1 has neither. Driven from the host: not traceable.
 
     Args:
-        prolate: whether it is δ_c2, else δ_c1.
+        prolate: True for δ_c2, False for δ_c1.
 
     Returns:
         The critical δ, dimensionless.

@@ -20,14 +20,20 @@ from jaxtyping import Array, Bool, Complex, Float
 from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
 from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
+from ._base.types import Equation
 from ._branch.march import is_full
+from .bodies import Body
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.transverse import TransverseAveraged
 
-SWEEPS = 128  # of S = −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
+ITERATIONS = 128  # of S ← −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
 
-Two = Float[Array, "2 2"]
-Pair = Float[Array, "2"]
+Scalar = Float[Array, ""]
+Across = Float[Array, "2"]
+"""The two components across the dipole, along a and b."""
+AcrossMatrix = Float[Array, "2 2"]
+Axes = Float[Array, "3 3"]
+"""The unit vectors n, a and b, as rows."""
 
 
 class Equilibria(NamedTuple):
@@ -150,8 +156,10 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
     """
     check_single(equation)
     state = finite("state", state, (3,), batch=False)
-    found, fixed = _spectrum(equation, state)
-    where_valid("state", state, fixed, "be 0, or along a dipole that is on a principal axis")
+    found, is_equilibrium = _spectrum(equation, state)
+    where_valid(
+        "state", state, is_equilibrium, "be 0, or along a dipole that is on a principal axis"
+    )
     return found
 
 
@@ -200,7 +208,7 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
     return root_scalar(growth, bracket=(lower, upper), method="brentq", xtol=1e-15).root
 
 
-def _body(equation: Any) -> Any:
+def _body_on_line(equation: Any) -> Body:
     """The body of an equation that can stay on the line along its dipole."""
     check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
@@ -211,95 +219,96 @@ def _body(equation: Any) -> Any:
 
 
 @eqx.filter_jit
-def _direction(equation: Any) -> Float[Array, "3"]:
-    frame = seen_from_dipole(_body(equation), jnp.eye(3))
+def _direction(equation: Equation) -> Float[Array, "3"]:
+    frame = seen_from_dipole(_body_on_line(equation), jnp.eye(3))
     return or_nan(frame.w, frame.principal)
 
 
 @eqx.filter_jit
-def _spectrum(equation: Any, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
+def _spectrum(equation: Equation, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
     """The spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
     # The components of the unit vectors are those of n, a and b.
-    frame = seen_from_dipole(_body(equation), jnp.column_stack([jnp.eye(3), omega]))
-    table = jnp.stack([frame.w, frame.xa, frame.xb])
-    axes, w, off = table[:, :3], table[0, 3], table[1:, 3]
-    fixed = jnp.all(omega == 0) | (frame.principal & jnp.all(_negligible(off, w)))
-    w = or_nan(w, fixed)
+    frame = seen_from_dipole(_body_on_line(equation), jnp.column_stack([jnp.eye(3), omega]))
+    components = jnp.stack([frame.w, frame.xa, frame.xb])
+    axes, w, off_line = components[:, :3], components[0, 3], components[1:, 3]
+    at_rest = jnp.all(omega == 0)
+    is_equilibrium = at_rest | (frame.principal & jnp.all(_negligible(off_line, w)))
+    w = or_nan(w, is_equilibrium)
     zero = jax.lax.complex(w - w, w - w)
     if is_full(equation):
-        slow, runaway = _slow_and_fast(*_balance(equation, axes, w))
+        slow, runaway = _slow_and_fast(*_second_order(equation, axes, w))
         fast = _eigenvalues(runaway)
     else:
-        slow, fast = _slow(equation, axes, w), jnp.zeros((0,), zero.dtype)
-    return Spectrum(jnp.append(zero, _eigenvalues(slow)), fast, slow), fixed
+        slow, fast = _first_order(equation, axes, w), jnp.zeros((0,), zero.dtype)
+    return Spectrum(jnp.append(zero, _eigenvalues(slow)), fast, slow), is_equilibrium
 
 
-def _negligible(x: Float[Array, "*any"], size: Float[Array, ""]) -> Bool[Array, "*any"]:
+def _negligible(x: Float[Array, "*any"], size: Scalar) -> Bool[Array, "*any"]:
     """Whether x is no more than rounding of numbers of that size."""
     return jnp.abs(x) <= rounding(x) * jnp.abs(size)
 
 
-def _spread(axes: Float[Array, "3 3"], x: Pair) -> Float[Array, "3"]:
+def _vector_across(axes: Axes, x: Across) -> Float[Array, "3"]:
     """The vector across the dipole with components x."""
     return scale(x[0], axes[1]) + scale(x[1], axes[2])
 
 
-def _components(axes: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Pair:
-    """Its components across the dipole."""
+def _components_across(axes: Axes, vector: Float[Array, "3"]) -> Across:
+    """The components of a vector across the dipole."""
     return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
 
 
-def _slow(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> Two:
-    """S of an equation without runaways, whatever its variables."""
+def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
+    """S of an equation without runaways, x′ = Sx, whatever its variables."""
 
-    def rate(x: Pair) -> Pair:
-        y = equation.lift(scale(w, axes[0]) + _spread(axes, x))
-        return _components(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
+    def rate(x: Across) -> Across:
+        y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
+        return _components_across(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
 
     return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
 
 
-def _balance(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> tuple[Two, Two]:
+def _second_order(equation: Any, axes: Axes, w: Scalar) -> tuple[AcrossMatrix, AcrossMatrix]:
     """C and D of a full equation, x″ = Cx + Dx′: its state is (ω, fast part of ω′)."""
-    one, two = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, as a and b are
+    a, b = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, too
 
-    def second(x: Pair, c: Pair) -> Pair:
-        omega = scale(w, axes[0]) + _spread(axes, x)
-        runaway = equation(0.0, jnp.concatenate([omega, c[0] * one + c[1] * two]))[3:]
-        return jnp.stack([jnp.sum(one * runaway), jnp.sum(two * runaway)])
+    def second_derivative(x: Across, c: Across) -> Across:
+        omega = scale(w, axes[0]) + _vector_across(axes, x)
+        runaway = equation(0.0, jnp.concatenate([omega, c[0] * a + c[1] * b]))[3:]
+        return jnp.stack([jnp.sum(a * runaway), jnp.sum(b * runaway)])
 
     zero = jnp.zeros(2, w.dtype)
-    return jax.jacfwd(second, argnums=(0, 1))(zero, zero)
+    return jax.jacfwd(second_derivative, argnums=(0, 1))(zero, zero)
 
 
-def _slow_and_fast(c: Two, d: Two) -> tuple[Two, Two]:
+def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, AcrossMatrix]:
     """S with S² = DS + C and small eigenvalues, and D − S; NaN where they are not told apart.
 
-    λ² − λD − C = (λ − (D − S))(λ − S). Each sweep of S = −(D − S)⁻¹C damps the error by the ratio
+    λ² − λD − C = (λ − (D − S))(λ − S). Each iteration S ← −(D − S)⁻¹C damps the error by the ratio
     of slow to fast. No element is a small difference of large ones, so that their different
     powers of w are all right to rounding.
     """
 
-    def sweep(_: Any, s: Two) -> Two:
+    def iterate(_: Any, s: AcrossMatrix) -> AcrossMatrix:
         (p, q), (r, t) = d - s
         adjugate = jnp.stack([jnp.stack([t, -q]), jnp.stack([-r, p])])
         return jnp.matmul(adjugate, c, precision="highest") / (q * r - p * t)
 
-    before = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros_like(c))
-    s = sweep(None, before)
-    settled = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
-    s = or_nan(s, settled)
+    before = jax.lax.fori_loop(0, ITERATIONS, iterate, jnp.zeros_like(c))
+    s = iterate(None, before)
+    converged = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
+    s = or_nan(s, converged)
     return s, d - s
 
 
-def _eigenvalues(m: Two) -> Complex[Array, "2"]:
+def _eigenvalues(m: AcrossMatrix) -> Complex[Array, "2"]:
     """λ = (a+d)/2 ± √(((a−d)/2)² + bc); of two real ones the smaller as det/larger."""
     (a, b), (c, d) = m
     mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
-    size, turns = jnp.abs(square), square < 0
+    size, complex_pair = jnp.abs(square), square < 0
     root = safe_sqrt(size, otherwise=size)  # NaN stays NaN
     large = jnp.where(mean < 0, mean - root, mean + root)
     small = (a * d - b * c) / safe_divisor(large)
     falling = jnp.where(mean < 0, jnp.stack([small, large]), jnp.stack([large, small]))
-    real = jnp.where(turns, jnp.stack([mean, mean]), falling)
-    return jax.lax.complex(real, jnp.where(turns, jnp.stack([root, -root]), 0.0))
+    real = jnp.where(complex_pair, jnp.stack([mean, mean]), falling)
+    return jax.lax.complex(real, jnp.where(complex_pair, jnp.stack([root, -root]), 0.0))
