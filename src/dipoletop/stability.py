@@ -1,11 +1,13 @@
-"""Which rotations last, and how the motions beside them decay: equilibria and their spectra.
+"""Equilibria and their spectra: which rotations last, and how perturbations of them decay.
 
-In the frame (n, a, b) of the dipole n = d/|d| the equations of every level, linear at ω = w n, are
+In the frame (n, a, b) of the dipole, n = d/|d| a principal axis, every level of the equation of
+motion, linearised at ω = w n, is
 
-    w′ = 0,    x′ = S x,    x = (a·ω, b·ω),
+    w′ = 0,    x′ = S x,    x = (a·ω, b·ω).
 
-if n is a principal axis. A full equation has c = x′ as a state of its own, c′ = Cx + Dc. There S is
-the solvent of S² = DS + C with the small eigenvalues, and D − S has those of the runaways.
+A full equation has c = x′ in its state, too, with c′ = Cx + Dc. Then λ² − λD − C factorises into
+(λ − (D − S))(λ − S) for every solution S of S² = DS + C. The S with the small eigenvalues belongs
+to physical motions, and D − S to the runaways.
 """
 
 from collections.abc import Callable
@@ -37,13 +39,13 @@ Axes = Float[Array, "3 3"]
 
 
 class Equilibria(NamedTuple):
-    """Where an equation stays for ever: rest, and perhaps a line {w n} along the dipole."""
+    """The constant solutions: rest, and perhaps a line {w n} along the dipole."""
 
     direction: Float[Array, "*batch 3"]
-    """n, a unit vector; NaN where only rest is fixed."""
+    """n, a unit vector; NaN where rest is the only equilibrium."""
 
     def state(self, w: Any) -> Float[Array, "*batch 3"]:
-        """The angular velocity w n: rest at w = 0, else NaN where only rest is fixed."""
+        """The angular velocity w n; NaN for w ≠ 0 where rest is the only equilibrium."""
         w = finite("w", w, batch=False)
         return jnp.where(w == 0, 0.0, w * self.direction)
 
@@ -55,36 +57,36 @@ class Spectrum(NamedTuple):
     """
 
     slow: Complex[Array, "*batch 3"]
-    """Those of physical motions: 0 along the dipole, then two with falling real part."""
+    """Those of physical motions: 0 along the dipole, then two, the larger real part first."""
     fast: Complex[Array, "*batch runaways"]
-    """Those of the runaways: two for a full equation, else none."""
+    """Those of the runaways: two for a full equation, none otherwise."""
     across: Float[Array, "*batch 2 2"]
-    """S, the linear part of physical motions across the dipole, in principal axes."""
+    """S, the linear part of physical motions across the dipole, in the principal axes a, b."""
 
     @property
     def eigenvalues(self) -> Complex[Array, "*batch n"]:
-        """All of them, the slow ones first."""
+        """All eigenvalues, the slow ones first."""
         return jnp.concatenate([self.slow, self.fast], axis=-1)
 
     @property
     def growth(self) -> Float[Array, "*batch"]:
-        """Largest real part of the slow ones, without the 0 along the dipole."""
+        """Largest real part of the slow eigenvalues, without the 0 along the dipole."""
         return jnp.real(self.slow[..., 1])
 
     @property
     def stable(self) -> Bool[Array, "*batch"]:
-        """Whether what lies beside the equilibrium decays to first order: never at rest."""
+        """Whether perturbations across the dipole decay to first order; False at rest."""
         return self.growth < 0
 
     @property
     def return_time(self) -> Float[Array, "*batch"]:
-        """−1/growth, in units of τ₀; infinite where nothing returns."""
+        """−1/growth, in units of τ₀; infinite where perturbations do not decay."""
         returns = ~(self.growth >= 0)  # NaN stays NaN
         return jnp.where(returns, -1 / jnp.where(returns, self.growth, -1.0), jnp.inf)
 
     @property
     def reactivity(self) -> Float[Array, "*batch"]:
-        """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, above `growth` as a rule."""
+        """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, never below `growth`."""
         s = self.across
         mean, half = (s[..., 0, 0] + s[..., 1, 1]) / 2, (s[..., 0, 0] - s[..., 1, 1]) / 2
         square = half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2
@@ -98,12 +100,12 @@ def equilibria(equation: Any) -> Equilibria:
         equation: any equation with a `body`.
 
     Returns:
-        The direction n, shape (3,). The same rounding as in `verdict` is allowed for:
+        The direction n, shape (3,). As in `verdict`, n counts as a principal axis if
         |n × In| ≤ 4096 eps tr I, which is 9e-13 tr I in float64.
 
     Raises:
-        ValueError: an equation without a body, or without rotation along the dipole: that of the
-            plane rotator, and the averaged one, whose motions all stop.
+        ValueError: an equation without a body, or one that cannot keep rotation along the dipole:
+            that of the plane rotator, and the averaged one, whose motions all stop.
 
     Source: section 4, for a transverse dipole; for any body N = n × In = 0 in (3.3).
 
@@ -122,20 +124,20 @@ def equilibria(equation: Any) -> Equilibria:
 def spectrum(equation: Any, state: Any) -> Spectrum:
     """Eigenvalues at an equilibrium: λ = 0 along the dipole, the two of S, runaways of D − S.
 
-    The linear part is that of the equation itself, by automatic differentiation. Slow and fast
-    are taken apart before eigenvalues are, so that each is right to rounding (below 1e-12, real
-    and imaginary parts by themselves) however small w is, if the principal axes are the body
-    axes. In other axes rounding moves the elements of S by about eps |w|: relative to Re λ ~ w²
-    this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis
-    (nothing is left of it below |w| = 1e-8).
+    The equation is linearised by automatic differentiation. The slow and the fast matrix are
+    separated before their eigenvalues are computed. If the principal axes are the body axes, the
+    error of each eigenvalue is that of rounding, below 1e-12 in the real and in the imaginary part,
+    however small w is. In other axes rounding moves the elements of S by about eps |w|: relative to
+    Re λ ~ w² this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis,
+    for which no digit is right below |w| = 1e-8.
 
     Args:
-        equation: any level, of any body whose dipole is along a principal axis (else, only rest).
+        equation: any level; off the principal axes of the body, rest is the only equilibrium.
         state: the angular velocity ω, shape (3,): 0 or along the dipole, dimensionless.
 
     Returns:
         The spectrum. NaN at rest in cylindrical variables, which are singular there, and where
-        slow and fast are too close to be told apart (ω far above 1).
+        slow and fast eigenvalues are too close to be separated (ω far above 1).
 
     Raises:
         ValueError: as `equilibria`, or a state that is not an equilibrium. A traced one gives NaN.
@@ -166,23 +168,23 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
 def threshold(family: Callable[[float], Any], w: float, lower: float, upper: float) -> float:
     """The δ between `lower` and `upper` at which growth(δ) = 0 on the line ω = w n, by Brent.
 
-    It is driven from the host and compiles once, if the equations differ only in their numbers.
+    Driven from the host. It compiles once if the equations differ only in their numbers.
 
     Args:
-        family: the equation of a parameter, δ or any other.
+        family: a function from the parameter, δ or any other, to the equation.
         w: the angular velocity along the dipole, dimensionless.
         lower: one end of the bracket.
         upper: the other end.
 
     Returns:
-        δ to 1e-15 or rounding; NaN if the line is stable at both ends or at none.
+        δ to 1e-15 or rounding; NaN if the line is stable at both ends of the bracket, or at none.
 
     Raises:
         ValueError: as `spectrum`.
 
     Example:
-        At order 1 this is δ = −1/2. At the consistent levels there is none (orders
-        from 2 on: while |w| is well below 1 − δ).
+        At order 1 the threshold is δ = −1/2. At the consistent levels there is none (for orders
+        from 2 on, as long as |w| is well below 1 − δ).
 
         >>> from dipoletop import TransverseReduced, TransverseSemi
         >>> from dipoletop.stability import threshold
@@ -282,11 +284,11 @@ def _second_order(equation: Any, axes: Axes, w: Scalar) -> tuple[AcrossMatrix, A
 
 
 def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, AcrossMatrix]:
-    """S with S² = DS + C and small eigenvalues, and D − S; NaN where they are not told apart.
+    """S with S² = DS + C and small eigenvalues, and D − S; NaN if the iteration does not converge.
 
-    λ² − λD − C = (λ − (D − S))(λ − S). Each iteration S ← −(D − S)⁻¹C damps the error by the ratio
-    of slow to fast. No element is a small difference of large ones, so that their different
-    powers of w are all right to rounding.
+    Each iteration S ← −(D − S)⁻¹C damps the error by the ratio of slow to fast eigenvalues. No
+    element is a small difference of large numbers, so all of them, of different powers of w, are
+    right to rounding.
     """
 
     def iterate(_: Any, s: AcrossMatrix) -> AcrossMatrix:
@@ -302,7 +304,7 @@ def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, Acro
 
 
 def _eigenvalues(m: AcrossMatrix) -> Complex[Array, "2"]:
-    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); of two real ones the smaller as det/larger."""
+    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); if both are real, the smaller is det/larger."""
     (a, b), (c, d) = m
     mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
     size, complex_pair = jnp.abs(square), square < 0

@@ -1,6 +1,7 @@
 """Exact solutions and asymptotics of the rotator and of the axisymmetric top.
 
-Dimensionless, body axes; τ ≥ 0 since the start. A negative time is refused (NaN, if traced).
+Dimensionless, body axes; τ = 0 at the initial condition ω₀. A negative time is refused (NaN, if
+traced).
 """
 
 from typing import Any
@@ -51,9 +52,9 @@ def rotator_closed_time(w: Any) -> Times:
 
 
 def rotator_late(tau: Any) -> Times:
-    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, but for O(1/τ) (A.4).
+    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, up to terms of O(1/τ) (A.4).
 
-    The logarithm is missing in the paper. The O(1/τ) depends on the start.
+    The logarithm is missing in the paper. The terms of O(1/τ) depend on ω₀.
 
     Args:
         tau: τ > 0, shape () or (T,).
@@ -65,7 +66,7 @@ def rotator_late(tau: Any) -> Times:
 def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     """ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), s = ζω₃, φ = φ₀ − δω₃τ, ω₃ constant (3.11)–(3.12).
 
-    Order 1. The limits s → 0 are in it: a rod, δ = 1, and ω₃ = 0 (3.13).
+    Order 1. The limits s → 0 are included: a rod, δ = 1, and ω₃ = 0 (3.13).
 
     Args:
         delta: shape δ = 1 − ζ in [−1, 1]; 1, a rod without inertia about its axis, is allowed.
@@ -111,7 +112,7 @@ def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
 
 
 def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
-    """Where order 1 of the transverse top has a closed solution: (4.5), (4.6), and the sphere.
+    """The closed solutions of order 1 of the transverse top: (4.5), (4.6), and the sphere.
 
         ω₃ = 0, or δ = 0:   ω₁ constant, x = |(ω₂, ω₃)|:  x′ = −(ω₁² + x²)x
         ω⊥ = 0:             ω₃ = ω₃₀/√(1 + 2ω₃₀²τ/(1−δ))
@@ -151,8 +152,8 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         v = Cξ^{−q}|(1+2δ)ξ + 1+δ³|^p,   u = ξv,   τ = (1−δ) ∫ dξ/{ξv[(1+2δ)ξ + 1+δ³]}
 
     with u = ω⊥², v = ω₃², ξ = u/v, q = 2/(1+δ³) and the corrected exponent
-    p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]; the limits δ = −1, −1/2, 0 are in it. The time is inverted
-    by a bracketed root find.
+    p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]; the limits δ = −1, −1/2, 0 are included. The time integral
+    is inverted by bisection and a step of Newton's method.
 
     Args:
         delta: shape δ in [−1, 1).
@@ -191,13 +192,13 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
 
 
 def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
-    """When the averaged top comes by ω⊥²/ω₃² = ξ: the integral (4.17).
+    """Time at which ω⊥²/ω₃² of the averaged top reaches ξ: the integral (4.17).
 
     Args:
         delta: shape δ in [−1, 1).
         omega0: ω₀, shape (3,), with ω⊥ ≠ 0 and ω₃ ≠ 0.
-        xi: ξ, one number, between ξ₀ and the end of the way: ξ* = −(1+δ³)/(1+2δ) for δ < −1/2, ∞
-            otherwise.
+        xi: ξ, one number, between ξ₀ and its limit for τ → ∞: ξ* = −(1+δ³)/(1+2δ) for δ < −1/2,
+            ∞ otherwise.
 
     Returns:
         τ ≥ 0.
