@@ -1,14 +1,17 @@
 """Small amplitudes of the transverse top: a planar system, its saddle, boundary and wobbling.
 
-With z = ω₃/u, u = ω⊥² and dσ = u dτ every level of the equation of motion tends, as u → 0, to
+With φ = atan2(ω₂, ω₁), u = ω⊥², z = ω₃/u and dσ = u dτ every level of the equation of motion tends,
+as u → 0, to an autonomous system in the plane (φ, z),
 
     φ_σ = −δz − ½ sin 2φ        z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ)
 
-with c = 0 at order 1 and c = 1 at the levels that are consistent there: orders 2–4, the
-semi-reduced and the full equation ("corrected"). The first equation is the limit of (4.11).
-Symmetries: φ → φ + π, and (φ, z) → (−φ, −z). So the fate of a slow top is that of a point in a
-plane, the same at every small amplitude. Where dz/dφ = z_σ/φ_σ is regular, curves are followed
-as graphs over φ; round (π/2, 0) as graphs over the polar angle.
+with c = 0 at order 1 and c = 1 ("corrected") at the levels that hold every term of leading order:
+orders 2–4, the semi-reduced and the full equation (`Level.consistent`). The first equation is the
+limit of (4.11), the second that of z_σ = ω₃′/u² + 2z sin²φ, since u_σ = −2u sin²φ. So the outcome
+at small amplitude depends on φ and z only. Symmetries: φ → φ + π, and (φ, z) → (−φ, −z).
+
+The manifolds of the saddle are integrated as graphs z(φ), dz/dφ = z_σ/φ_σ, up to the fold where
+φ_σ = 0, and orbits round (π/2, 0) as graphs over the polar angle.
 """
 
 from typing import Any, NamedTuple
@@ -26,29 +29,32 @@ from .equations._common import shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM
 from .equations.levels import Level
 
+Scalar = Float[Array, ""]
 Point = Float[Array, "2 *#lanes"]
-"""A state (φ, z): radians, and ω₃/ω⊥² in units of τ₀."""
+"""A state (φ, z): φ in radians, z = ω₃/ω⊥² in units of τ₀."""
 
 PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
-SETTLED = 1e-6  # last step of Newton's method, whose error is then its square
-ROUNDS = 8  # of Newton's method for the cycle, whose z lies within 3 % of the start for every δ
+LAST_STEP = 1e-6  # of Newton's method, relative; its error is then the square of that
+NEWTON_STEPS = 8  # for the cycle, whose z lies within 3 % of the first guess for every δ
 HALVINGS = 52  # for its largest swing
 
 
 class Planar(eqx.Module):
     """Small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − (2+δ)/(1−δ) cos²φ} − ….
 
-    The part left out, sin 2φ/(1−δ), is there only at the consistent levels. σ = ∫ω⊥²dτ.
+    The last term is −sin 2φ/(1−δ) at the consistent levels, and 0 at order 1. σ = ∫ω⊥²dτ.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
-        corrected: whether it is the limit of orders 2–4, semi-reduced and full; else of order 1.
+        corrected: True for the limit of orders 2–4, the semi-reduced and the full equation, False
+            for that of order 1: `Level.consistent` of the level.
 
     Raises:
         ValueError: δ outside [−1, 1).
 
     Example:
-        At order 1 a top that turns across its symmetry axis goes on so; in truth ω₃ sets in:
+        At order 1 a top that rotates across its symmetry axis keeps ω₃ = 0; at the consistent
+        levels it does not:
 
         >>> import jax.numpy as jnp
         >>> from dipoletop.planar import Planar
@@ -73,7 +79,7 @@ class Planar(eqx.Module):
 
     @property
     def level(self) -> str:
-        """Which limit this is, for labels."""
+        """The label in tables and pictures: of order 1, or corrected."""
         return f"small amplitude, {'corrected' if self.corrected else Level.ORDER_1.label}"
 
 
@@ -83,7 +89,7 @@ class Saddle(NamedTuple):
     phi: Real
     """φ* in (0, π/2), radians."""
     z: Real
-    """z*, of the sign of −δ."""
+    """z*, whose sign is that of −δ."""
     unstable: Real
     """The positive eigenvalue, per unit of σ."""
     stable: Real
@@ -97,7 +103,7 @@ class Saddle(NamedTuple):
 def saddle(system: Planar) -> Saddle:
     """The saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
 
-    Others follow from it by φ → φ + π and (φ, z) → (−φ, −z).
+    There is one in 0 < φ < π/2; the others follow by φ → φ + π and (φ, z) → (−φ, −z).
 
     Args:
         system: the planar system; its δ may have any shape.
@@ -121,14 +127,14 @@ def _saddle(system: Planar) -> Saddle:
     exists = (d != 0) & (d > (-1.0 if system.corrected else -0.5))
     d = jnp.where(exists, d, 0.5)
     if system.corrected:
-        square = (1 + d) / (2 + d)
+        cos2 = (1 + d) / (2 + d)
         unstable, stable = 2 / (2 + d), -(1 + d) / (1 - d)
     else:
-        square = (1 - d) / (2 + d)
+        cos2 = (1 - d) / (2 + d)
         unstable, stable = 2 * (1 + 2 * d) / (2 + d), -jnp.ones_like(d)
-    cos, sin = jnp.sqrt(square), jnp.sqrt(1 - square)
-    cosine = 2 * square - 1  # cos 2φ*
-    found = (
+    cos, sin = jnp.sqrt(cos2), jnp.sqrt(1 - cos2)
+    cosine = 2 * cos2 - 1  # cos 2φ*
+    values = (
         jnp.arctan2(sin, cos),
         -sin * cos / d,
         unstable,
@@ -136,30 +142,31 @@ def _saddle(system: Planar) -> Saddle:
         -(unstable + cosine) / d,
         -(stable + cosine) / d,
     )
-    return Saddle(*(or_nan(x, exists) for x in found))
+    return Saddle(*(or_nan(x, exists) for x in values))
 
 
 def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
     """z_s(φ), the universal basin boundary: φ_σ z_s′ = z_σ along the saddle's stable manifold.
 
-    A slow top that starts at φ with ω₃ > z_s ω⊥² stops, rotating; from just below z_s it comes to
-    a residual rotation. Further below, only a narrow tongue between the fold (see below) and
-    φ = π/2 leads to a stop.
-    For ω₃ < 0 it is −z_s(−φ). In three dimensions the boundary lies O(ω⊥²) from it.
+    At small amplitude, starts at φ with ω₃ > z_s ω⊥² lead to a rotating stop, starts just below it
+    to residual rotation. Further below, only starts in a narrow tongue between the fold (see below)
+    and φ = π/2 lead to a stop. For ω₃ < 0 the boundary is −z_s(−φ). At finite amplitude it differs
+    by O(ω⊥²).
 
-    Each saddle's manifold comes to it from smaller φ, as a graph that begins at a fold, where its
-    slope is infinite. From there down to the saddle before, the highest curve is the other half
-    of that saddle's manifold; so z_s, their upper edge, jumps at the fold, and has period π.
-    May be jitted, vmapped, and differentiated forwards (`jax.jacfwd`).
+    The stable manifold of each saddle arrives from smaller φ as a graph, which begins at a fold,
+    where its slope is infinite. Between the fold and the next saddle at smaller φ, the highest
+    curve is the other half of the manifold of that saddle. So z_s, the upper envelope, jumps at the
+    fold; its period is π. May be jitted, vmapped, and differentiated forwards (`jax.jacfwd`).
 
     Args:
         system: the planar system, with a single δ.
         phi: φ, shape () or (n,), radians.
 
     Returns:
-        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and below
-        δ_c1 = −0.8598… (`critical_delta`) it parts the two senses of rotation only, residual
-        rotation keeps the inside of a cycle, and z_s is NaN between φ = π/2 and the fold.
+        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and for
+        δ < δ_c1 = −0.8598… (`critical_delta`) z_s separates the two senses of rotation only: the
+        basin of residual rotation is the inside of a cycle, and z_s is NaN between φ = π/2 and
+        the fold.
 
     Raises:
         ValueError: bad arguments.
@@ -186,36 +193,36 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
 def _branches(
     system: Planar, stable: Bool[Array, "b"], side: Float[Array, "b"], phi: Float[Array, "b n"]
 ) -> Float[Array, "b n"]:
-    """Several branches at once, each at several angles."""
+    """Several branches of the manifolds at once, each at several angles: z."""
     at_angles = jax.vmap(_branch, in_axes=(None, None, None, 0))
     return jax.vmap(at_angles, in_axes=(None, 0, 0, 0))(system, stable, side, phi)
 
 
-def _branch(system: Planar, stable: Any, side: Any, phi: Array) -> Array:
+def _branch(system: Planar, stable: Bool[Array, ""], side: Scalar, phi: Scalar) -> Scalar:
     """Where one half of a manifold of the saddle first reaches φ (modulo π): z.
 
-    Followed away from the saddle, along which what is off the manifold decays: backwards in σ if
-    it is stable, forwards if not. NaN if there is a fold before φ.
+    The curve is followed away from the saddle, backwards in σ if it is the stable manifold and
+    forwards if not: in this direction errors decay. NaN if there is a fold before φ.
     """
-    at = _saddle(system)
-    slope = jnp.where(stable, at.stable_slope, at.unstable_slope)
+    origin = _saddle(system)
+    slope = jnp.where(stable, origin.stable_slope, origin.unstable_slope)
     heading = jnp.where(stable, -side, side)  # the sign of φ_σ
     near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # so near, the curvature is below rounding
 
-    def rate(e: Array, z: Array, args: Any) -> Array:
-        change, lift = system(e, jnp.stack([at.phi + side * e, z]))
-        graph = heading * change > 0
-        return jnp.where(graph, side * lift / jnp.where(graph, change, 1.0), jnp.nan)
+    def rate(distance: Scalar, z: Scalar, args: Any) -> Scalar:
+        phi_rate, z_rate = system(distance, jnp.stack([origin.phi + side * distance, z]))
+        is_graph = heading * phi_rate > 0
+        return jnp.where(is_graph, side * z_rate / jnp.where(is_graph, phi_rate, 1.0), jnp.nan)
 
-    distance = jnp.mod(side * (phi - at.phi), jnp.pi)
-    start = at.z + side * slope * near
-    found = _solve(rate, (near, jnp.maximum(distance, near)), near, start)
-    z = jnp.where(distance > near, found.ys[-1], at.z + side * slope * distance)
-    return or_nan(z, diffrax.is_successful(found.result))
+    distance = jnp.mod(side * (phi - origin.phi), jnp.pi)
+    z0 = origin.z + side * slope * near
+    curve = _solve(rate, (near, jnp.maximum(distance, near)), near, z0)
+    z = jnp.where(distance > near, curve.ys[-1], origin.z + side * slope * distance)
+    return or_nan(z, diffrax.is_successful(curve.result))
 
 
 def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
-    """A curve as precise as its floating-point type allows, from a first step on."""
+    """A curve as precise as its floating-point type allows; `step` is the first one."""
     eps = float(jnp.finfo(y0.dtype).eps)
     controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
     return diffrax.diffeqsolve(
@@ -233,34 +240,34 @@ def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: b
 
 
 class Wobble(NamedTuple):
-    """The wobbling limit cycle round (π/2, 0); NaN where there is none."""
+    """The limit cycle round (π/2, 0) on which a top wobbles; NaN where there is none."""
 
     z: Real
     """|z| where it crosses φ = π/2."""
     swing: Real
     """The largest |φ − π/2|, radians."""
     period: Real
-    """In units of σ."""
+    """The period, in units of σ."""
     multiplier: Real
-    """Floquet multiplier of a whole period; below 1: stable."""
+    """Floquet multiplier of a whole period; the cycle is stable if it is below 1."""
     boundary: Real
-    """z_W: at φ = π/2 a top with smaller |z| is caught, one with larger |z| turns on."""
+    """z_W: from φ = π/2 a top wobbles to a stop if |z| < z_W, and keeps rotating if |z| > z_W."""
 
 
 def wobble(delta: Any) -> Wobble:
-    """The cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, in which a needle wobbles to its stop.
+    """The limit cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, on which a needle wobbles to its stop.
 
-    Half a turn maps (π/2, z) to (π/2, −P(z)); the cycle is P(z) = z, by Newton's method, with
-    P′ = (z/P) exp ∫div dσ. The basin's edge z_W is the crossing of the saddle's stable manifold.
-    May be jitted and vmapped.
+    Half a period maps (π/2, z) to (π/2, −P(z)). The cycle solves P(z) = z, by Newton's method with
+    P′ = (z/P) exp ∫div dσ. Its basin ends at z_W, where the stable manifold of the saddle crosses
+    φ = π/2. May be jitted and vmapped.
 
     Args:
         delta: shape δ, dimensionless, a number.
 
     Returns:
-        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`, and but for the boundary also
-        within 1e-6 above it, where the cycle is not found. As δ → 1, z → 4/√3, the
-        swing √(8(1−δ)/3), the period 2π√((1−δ)/2).
+        A `Wobble`; NaN for δ ≤ δ_c2 = 0.7532…, see `critical_delta`. Within 1e-6 above δ_c2
+        Newton's method may fail, and all fields except `boundary` are NaN. As δ → 1, z → 4/√3, the
+        swing → √(8(1−δ)/3) and the period → 2π√((1−δ)/2).
 
     Raises:
         ValueError: δ outside [−1, 1), or not a single number.
@@ -274,68 +281,72 @@ def wobble(delta: Any) -> Wobble:
     system = Planar(delta)
     if system.delta.ndim:
         refuse("delta", "be a single number", f"has shape {system.delta.shape}")
-    edge, _ = _crossings(system, True, True)  # twice, for the program of `critical_delta`
-    return _wobble(system.delta, edge)
+    z_boundary, _ = _crossings(system, True, True)  # twice, to share the program of critical_delta
+    return _wobble(system.delta, z_boundary)
 
 
 @eqx.filter_jit
-def _wobble(delta: Float[Array, ""], edge: Float[Array, ""]) -> Wobble:
+def _wobble(delta: Scalar, z_boundary: Scalar) -> Wobble:
     exists = delta > WOBBLING_FROM
     system = Planar(jnp.where(exists, delta, 0.9))  # any value at which there is a cycle
 
-    def newton(_: Any, found: tuple[Array, ...]) -> tuple[Array, ...]:
-        z = found[0]
-        after, time, spread, swing = _half_turn(system, z)
-        nearer = z + (after - z) / (1 - z / after * jnp.exp(spread))
-        return nearer, swing, 2 * time, jnp.exp(2 * spread), jnp.abs(nearer - z)
+    def newton(_: Any, cycle: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        z = cycle[0]
+        after, time, divergence, swing = _half_turn(system, z)
+        nearer = z + (after - z) / (1 - z / after * jnp.exp(divergence))
+        return nearer, swing, 2 * time, jnp.exp(2 * divergence), jnp.abs(nearer - z)
 
     unknown = jnp.full_like(delta, jnp.nan)
-    start = jnp.full_like(delta, 4 / 3**0.5), *([unknown] * 4)  # the limit δ → 1
-    z, swing, period, multiplier, step = jax.lax.fori_loop(0, ROUNDS, newton, start)
+    guess = jnp.full_like(delta, 4 / 3**0.5), *([unknown] * 4)  # the limit δ → 1
+    z, swing, period, multiplier, step = jax.lax.fori_loop(0, NEWTON_STEPS, newton, guess)
     # Close to δ_c2 orbits linger at the saddles, and Newton's method may leave the basin.
-    good = exists & (step <= SETTLED * z) & (z < edge)
-    z, swing, period, multiplier = (or_nan(x, good) for x in (z, swing, period, multiplier))
-    return Wobble(z, swing, period, multiplier, or_nan(edge, exists))
+    converged = exists & (step <= LAST_STEP * z) & (z < z_boundary)
+    z, swing, period, multiplier = (or_nan(x, converged) for x in (z, swing, period, multiplier))
+    return Wobble(z, swing, period, multiplier, or_nan(z_boundary, exists))
 
 
-def _half_turn(system: Planar, z: Array) -> tuple[Array, ...]:
-    """From (π/2, z) once to the other side: the |z| there, σ, ∫div dσ, and the largest swing.
+def _half_turn(system: Planar, z: Scalar) -> tuple[Scalar, ...]:
+    """From (π/2, z) to the other side (π/2, −|z|): this |z|, ∫dσ, ∫div dσ, the largest swing.
 
-    Over the angle θ in the plane where orbits near the focus are circles: there θ_σ > 0 up to the
-    saddles and their manifolds.
+    Integrated over the polar angle θ round (π/2, 0), with z stretched so that orbits near this
+    focus are circles: up to the saddles and their manifolds θ_σ > 0.
     """
     d = system.delta
-    scale = jnp.sqrt(d * (1 - d) / 2)
+    stretch = jnp.sqrt(d * (1 - d) / 2)
 
-    def place(theta: Array, y: Array) -> Point:
+    def point(theta: Scalar, y: Float[Array, "3"]) -> Point:
         r = jnp.exp(y[0])
-        return jnp.stack([jnp.pi / 2 + r * jnp.cos(theta), r * jnp.sin(theta) / scale])
+        return jnp.stack([jnp.pi / 2 + r * jnp.cos(theta), r * jnp.sin(theta) / stretch])
 
-    def rate(theta: Array, y: Array, args: Any) -> Array:
+    def rate(theta: Scalar, y: Float[Array, "3"], args: Any) -> Float[Array, "3"]:
         cos, sin = jnp.cos(theta), jnp.sin(theta)
-        across, along = system(theta, place(theta, y)) * jnp.exp(-y[0])
-        divergence = jnp.trace(jax.jacfwd(lambda x: system(theta, x))(place(theta, y)))
-        turning = cos * scale * along - sin * across  # θ_σ
-        forward = turning > 0
-        change = jnp.stack([cos * across + sin * scale * along, jnp.ones_like(d), divergence])
-        return jnp.where(forward, change / jnp.where(forward, turning, 1.0), jnp.nan)
+        phi_rate, z_rate = system(theta, point(theta, y)) * jnp.exp(-y[0])
+        divergence = jnp.trace(jax.jacfwd(lambda x: system(theta, x))(point(theta, y)))
+        theta_rate = cos * stretch * z_rate - sin * phi_rate
+        is_graph = theta_rate > 0
+        log_r_rate = cos * phi_rate + sin * stretch * z_rate
+        change = jnp.stack([log_r_rate, jnp.ones_like(d), divergence])
+        return jnp.where(is_graph, change / jnp.where(is_graph, theta_rate, 1.0), jnp.nan)
 
     ends = jnp.pi / 2, 3 * jnp.pi / 2
-    start = jnp.stack([jnp.log(z * scale), jnp.zeros_like(z), jnp.zeros_like(z)])
-    found = _solve(rate, ends, 0.01, start, dense=True)
-    r, time, spread = found.ys[-1]
+    y0 = jnp.stack([jnp.log(z * stretch), jnp.zeros_like(z), jnp.zeros_like(z)])
+    orbit = _solve(rate, ends, 0.01, y0, dense=True)
+    log_r, time, divergence = orbit.ys[-1]
 
-    def returns(theta: Array) -> Bool[Array, ""]:
-        return system(theta, place(theta, found.evaluate(theta)))[0] > 0  # φ_σ > 0
+    def returns(theta: Scalar) -> Bool[Array, ""]:
+        return system(theta, point(theta, orbit.evaluate(theta)))[0] > 0  # φ_σ > 0
 
     low, high = (jnp.asarray(end, z.dtype) for end in ends)
-    theta, _ = bisect(returns, low, high, HALVINGS)
-    swing = jnp.pi / 2 - place(theta, found.evaluate(theta))[0]
-    return jnp.exp(r) / scale, time, spread, swing
+    farthest, _ = bisect(returns, low, high, HALVINGS)
+    swing = jnp.pi / 2 - point(farthest, orbit.evaluate(farthest))[0]
+    return jnp.exp(log_r) / stretch, time, divergence, swing
 
 
 def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
-    """Z where stable or unstable manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0)."""
+    """Where manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0): z of each.
+
+    `stable` says of each whether it is the stable or the unstable manifold.
+    """
     prolate, each = system.delta > 0, jnp.ones(len(stable))
     sides = jnp.where(prolate, 1.0, -1.0) * each
     section = jnp.where(prolate, jnp.pi / 2, 0.0) * each
@@ -347,10 +358,10 @@ def critical_delta(*, prolate: bool = True) -> float:
 
     There the unstable manifold of the saddle meets the stable one of its mirror image. Above δ_c2
     a stable cycle round (π/2, 0) is the wobbling stop. Below δ_c1 an unstable cycle round (0, 0)
-    is the boundary of residual rotation. Both are of the corrected system only. A host function.
+    bounds the basin of residual rotation. Order 1 has neither. Driven from the host: not traceable.
 
     Args:
-        prolate: whether it is δ_c2, else δ_c1.
+        prolate: True for δ_c2, False for δ_c1.
 
     Returns:
         The critical δ, dimensionless.

@@ -1,11 +1,13 @@
-"""Which rotations last, and how the motions beside them decay: equilibria and their spectra.
+"""Equilibria and their spectra: which rotations last, and how perturbations of them decay.
 
-In the frame (n, a, b) of the dipole n = d/|d| the equations of every level, linear at ω = w n, are
+In the frame (n, a, b) of the dipole, n = d/|d| a principal axis, every level of the equation of
+motion, linearised at ω = w n, is
 
-    w′ = 0,    x′ = S x,    x = (a·ω, b·ω),
+    w′ = 0,    x′ = S x,    x = (a·ω, b·ω).
 
-if n is a principal axis. A full equation has c = x′ as a state of its own, c′ = Cx + Dc. There S is
-the solvent of S² = DS + C with the small eigenvalues, and D − S has those of the runaways.
+A full equation has c = x′ in its state, too, with c′ = Cx + Dc. Then λ² − λD − C factorises into
+(λ − (D − S))(λ − S) for every solution S of S² = DS + C. The S with the small eigenvalues belongs
+to physical motions, and D − S to the runaways.
 """
 
 from collections.abc import Callable
@@ -20,24 +22,30 @@ from jaxtyping import Array, Bool, Complex, Float
 from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
 from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
+from ._base.types import Equation
+from .bodies import Body
 from .equations._common import is_full
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.transverse import TransverseAveraged
 
-SWEEPS = 128  # of S = −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
+ITERATIONS = 128  # of S ← −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
 
-Two = Float[Array, "2 2"]
-Pair = Float[Array, "2"]
+Scalar = Float[Array, ""]
+Across = Float[Array, "2"]
+"""The two components across the dipole, along a and b."""
+AcrossMatrix = Float[Array, "2 2"]
+Axes = Float[Array, "3 3"]
+"""The unit vectors n, a and b, as rows."""
 
 
 class Equilibria(NamedTuple):
-    """Where an equation stays for ever: rest, and perhaps a line {w n} along the dipole."""
+    """The constant solutions: rest, and perhaps a line {w n} along the dipole."""
 
     direction: Float[Array, "*batch 3"]
-    """n, a unit vector; NaN where only rest is fixed."""
+    """n, a unit vector; NaN where rest is the only equilibrium."""
 
     def state(self, w: Any) -> Float[Array, "*batch 3"]:
-        """The angular velocity w n: rest at w = 0, else NaN where only rest is fixed."""
+        """The angular velocity w n; NaN for w ≠ 0 where rest is the only equilibrium."""
         w = finite("w", w, batch=False)
         return jnp.where(w == 0, 0.0, w * self.direction)
 
@@ -49,36 +57,36 @@ class Spectrum(NamedTuple):
     """
 
     slow: Complex[Array, "*batch 3"]
-    """Those of physical motions: 0 along the dipole, then two with falling real part."""
+    """Those of physical motions: 0 along the dipole, then two, the larger real part first."""
     fast: Complex[Array, "*batch runaways"]
-    """Those of the runaways: two for a full equation, else none."""
+    """Those of the runaways: two for a full equation, none otherwise."""
     across: Float[Array, "*batch 2 2"]
-    """S, the linear part of physical motions across the dipole, in principal axes."""
+    """S, the linear part of physical motions across the dipole, in the principal axes a, b."""
 
     @property
     def eigenvalues(self) -> Complex[Array, "*batch n"]:
-        """All of them, the slow ones first."""
+        """All eigenvalues, the slow ones first."""
         return jnp.concatenate([self.slow, self.fast], axis=-1)
 
     @property
     def growth(self) -> Float[Array, "*batch"]:
-        """Largest real part of the slow ones, without the 0 along the dipole."""
+        """Largest real part of the slow eigenvalues, without the 0 along the dipole."""
         return jnp.real(self.slow[..., 1])
 
     @property
     def stable(self) -> Bool[Array, "*batch"]:
-        """Whether what lies beside the equilibrium decays to first order: never at rest."""
+        """Whether perturbations across the dipole decay to first order; False at rest."""
         return self.growth < 0
 
     @property
     def return_time(self) -> Float[Array, "*batch"]:
-        """−1/growth, in units of τ₀; infinite where nothing returns."""
+        """−1/growth, in units of τ₀; infinite where perturbations do not decay."""
         returns = ~(self.growth >= 0)  # NaN stays NaN
         return jnp.where(returns, -1 / jnp.where(returns, self.growth, -1.0), jnp.inf)
 
     @property
     def reactivity(self) -> Float[Array, "*batch"]:
-        """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, above `growth` as a rule."""
+        """Largest d ln|x|/dτ: the larger eigenvalue of (S + Sᵀ)/2, never below `growth`."""
         s = self.across
         mean, half = (s[..., 0, 0] + s[..., 1, 1]) / 2, (s[..., 0, 0] - s[..., 1, 1]) / 2
         square = half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2
@@ -92,12 +100,12 @@ def equilibria(equation: Any) -> Equilibria:
         equation: any equation with a `body`.
 
     Returns:
-        The direction n, shape (3,). The same rounding as in `verdict` is allowed for:
+        The direction n, shape (3,). As in `verdict`, n counts as a principal axis if
         |n × In| ≤ 4096 eps tr I, which is 9e-13 tr I in float64.
 
     Raises:
-        ValueError: an equation without a body, or without rotation along the dipole: that of the
-            plane rotator, and the averaged one, whose motions all stop.
+        ValueError: an equation without a body, or one that cannot keep rotation along the dipole:
+            that of the plane rotator, and the averaged one, whose motions all stop.
 
     Source: section 4, for a transverse dipole; for any body N = n × In = 0 in (3.3).
 
@@ -116,20 +124,20 @@ def equilibria(equation: Any) -> Equilibria:
 def spectrum(equation: Any, state: Any) -> Spectrum:
     """Eigenvalues at an equilibrium: λ = 0 along the dipole, the two of S, runaways of D − S.
 
-    The linear part is that of the equation itself, by automatic differentiation. Slow and fast
-    are taken apart before eigenvalues are, so that each is right to rounding (below 1e-12, real
-    and imaginary parts by themselves) however small w is, if the principal axes are the body
-    axes. In other axes rounding moves the elements of S by about eps |w|: relative to Re λ ~ w²
-    this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis
-    (nothing is left of it below |w| = 1e-8).
+    The equation is linearised by automatic differentiation. The slow and the fast matrix are
+    separated before their eigenvalues are computed. If the principal axes are the body axes, the
+    error of each eigenvalue is that of rounding, below 1e-12 in the real and in the imaginary part,
+    however small w is. In other axes rounding moves the elements of S by about eps |w|: relative to
+    Re λ ~ w² this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis,
+    for which no digit is right below |w| = 1e-8.
 
     Args:
-        equation: any level, of any body whose dipole is along a principal axis (else, only rest).
+        equation: any level; off the principal axes of the body, rest is the only equilibrium.
         state: the angular velocity ω, shape (3,): 0 or along the dipole, dimensionless.
 
     Returns:
         The spectrum. NaN at rest in cylindrical variables, which are singular there, and where
-        slow and fast are too close to be told apart (ω far above 1).
+        slow and fast eigenvalues are too close to be separated (ω far above 1).
 
     Raises:
         ValueError: as `equilibria`, or a state that is not an equilibrium. A traced one gives NaN.
@@ -150,31 +158,33 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
     """
     check_single(equation)
     state = finite("state", state, (3,), batch=False)
-    found, fixed = _spectrum(equation, state)
-    where_valid("state", state, fixed, "be 0, or along a dipole that is on a principal axis")
+    found, is_equilibrium = _spectrum(equation, state)
+    where_valid(
+        "state", state, is_equilibrium, "be 0, or along a dipole that is on a principal axis"
+    )
     return found
 
 
 def threshold(family: Callable[[float], Any], w: float, lower: float, upper: float) -> float:
     """The δ between `lower` and `upper` at which growth(δ) = 0 on the line ω = w n, by Brent.
 
-    It is driven from the host and compiles once, if the equations differ only in their numbers.
+    Driven from the host. It compiles once if the equations differ only in their numbers.
 
     Args:
-        family: the equation of a parameter, δ or any other.
+        family: a function from the parameter, δ or any other, to the equation.
         w: the angular velocity along the dipole, dimensionless.
         lower: one end of the bracket.
         upper: the other end.
 
     Returns:
-        δ to 1e-15 or rounding; NaN if the line is stable at both ends or at none.
+        δ to 1e-15 or rounding; NaN if the line is stable at both ends of the bracket, or at none.
 
     Raises:
         ValueError: as `spectrum`.
 
     Example:
-        At order 1 this is δ = −1/2. At the consistent levels there is none (orders
-        from 2 on: while |w| is well below 1 − δ).
+        At order 1 the threshold is δ = −1/2. At the consistent levels there is none (for orders
+        from 2 on, as long as |w| is well below 1 − δ).
 
         >>> from dipoletop import TransverseReduced, TransverseSemi
         >>> from dipoletop.stability import threshold
@@ -200,7 +210,7 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
     return root_scalar(growth, bracket=(lower, upper), method="brentq", xtol=1e-15).root
 
 
-def _body(equation: Any) -> Any:
+def _body_on_line(equation: Any) -> Body:
     """The body of an equation that can stay on the line along its dipole."""
     check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
@@ -211,95 +221,96 @@ def _body(equation: Any) -> Any:
 
 
 @eqx.filter_jit
-def _direction(equation: Any) -> Float[Array, "3"]:
-    frame = seen_from_dipole(_body(equation), jnp.eye(3))
+def _direction(equation: Equation) -> Float[Array, "3"]:
+    frame = seen_from_dipole(_body_on_line(equation), jnp.eye(3))
     return or_nan(frame.w, frame.principal)
 
 
 @eqx.filter_jit
-def _spectrum(equation: Any, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
+def _spectrum(equation: Equation, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
     """The spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
     # The components of the unit vectors are those of n, a and b.
-    frame = seen_from_dipole(_body(equation), jnp.column_stack([jnp.eye(3), omega]))
-    table = jnp.stack([frame.w, frame.xa, frame.xb])
-    axes, w, off = table[:, :3], table[0, 3], table[1:, 3]
-    fixed = jnp.all(omega == 0) | (frame.principal & jnp.all(_negligible(off, w)))
-    w = or_nan(w, fixed)
+    frame = seen_from_dipole(_body_on_line(equation), jnp.column_stack([jnp.eye(3), omega]))
+    components = jnp.stack([frame.w, frame.xa, frame.xb])
+    axes, w, off_line = components[:, :3], components[0, 3], components[1:, 3]
+    at_rest = jnp.all(omega == 0)
+    is_equilibrium = at_rest | (frame.principal & jnp.all(_negligible(off_line, w)))
+    w = or_nan(w, is_equilibrium)
     zero = jax.lax.complex(w - w, w - w)
     if is_full(equation):
-        slow, runaway = _slow_and_fast(*_balance(equation, axes, w))
+        slow, runaway = _slow_and_fast(*_second_order(equation, axes, w))
         fast = _eigenvalues(runaway)
     else:
-        slow, fast = _slow(equation, axes, w), jnp.zeros((0,), zero.dtype)
-    return Spectrum(jnp.append(zero, _eigenvalues(slow)), fast, slow), fixed
+        slow, fast = _first_order(equation, axes, w), jnp.zeros((0,), zero.dtype)
+    return Spectrum(jnp.append(zero, _eigenvalues(slow)), fast, slow), is_equilibrium
 
 
-def _negligible(x: Float[Array, "*any"], size: Float[Array, ""]) -> Bool[Array, "*any"]:
+def _negligible(x: Float[Array, "*any"], size: Scalar) -> Bool[Array, "*any"]:
     """Whether x is no more than rounding of numbers of that size."""
     return jnp.abs(x) <= rounding(x) * jnp.abs(size)
 
 
-def _spread(axes: Float[Array, "3 3"], x: Pair) -> Float[Array, "3"]:
+def _vector_across(axes: Axes, x: Across) -> Float[Array, "3"]:
     """The vector across the dipole with components x."""
     return scale(x[0], axes[1]) + scale(x[1], axes[2])
 
 
-def _components(axes: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Pair:
-    """Its components across the dipole."""
+def _components_across(axes: Axes, vector: Float[Array, "3"]) -> Across:
+    """The components of a vector across the dipole."""
     return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
 
 
-def _slow(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> Two:
-    """S of an equation without runaways, whatever its variables."""
+def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
+    """S of an equation without runaways, x′ = Sx, whatever its variables."""
 
-    def rate(x: Pair) -> Pair:
-        y = equation.lift(scale(w, axes[0]) + _spread(axes, x))
-        return _components(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
+    def rate(x: Across) -> Across:
+        y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
+        return _components_across(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
 
     return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
 
 
-def _balance(equation: Any, axes: Float[Array, "3 3"], w: Float[Array, ""]) -> tuple[Two, Two]:
+def _second_order(equation: Any, axes: Axes, w: Scalar) -> tuple[AcrossMatrix, AcrossMatrix]:
     """C and D of a full equation, x″ = Cx + Dx′: its state is (ω, fast part of ω′)."""
-    one, two = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, as a and b are
+    a, b = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, too
 
-    def second(x: Pair, c: Pair) -> Pair:
-        omega = scale(w, axes[0]) + _spread(axes, x)
-        runaway = equation(0.0, jnp.concatenate([omega, c[0] * one + c[1] * two]))[3:]
-        return jnp.stack([jnp.sum(one * runaway), jnp.sum(two * runaway)])
+    def second_derivative(x: Across, c: Across) -> Across:
+        omega = scale(w, axes[0]) + _vector_across(axes, x)
+        runaway = equation(0.0, jnp.concatenate([omega, c[0] * a + c[1] * b]))[3:]
+        return jnp.stack([jnp.sum(a * runaway), jnp.sum(b * runaway)])
 
     zero = jnp.zeros(2, w.dtype)
-    return jax.jacfwd(second, argnums=(0, 1))(zero, zero)
+    return jax.jacfwd(second_derivative, argnums=(0, 1))(zero, zero)
 
 
-def _slow_and_fast(c: Two, d: Two) -> tuple[Two, Two]:
-    """S with S² = DS + C and small eigenvalues, and D − S; NaN where they are not told apart.
+def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, AcrossMatrix]:
+    """S with S² = DS + C and small eigenvalues, and D − S; NaN if the iteration does not converge.
 
-    λ² − λD − C = (λ − (D − S))(λ − S). Each sweep of S = −(D − S)⁻¹C damps the error by the ratio
-    of slow to fast. No element is a small difference of large ones, so that their different
-    powers of w are all right to rounding.
+    Each iteration S ← −(D − S)⁻¹C damps the error by the ratio of slow to fast eigenvalues. No
+    element is a small difference of large numbers, so all of them, of different powers of w, are
+    right to rounding.
     """
 
-    def sweep(_: Any, s: Two) -> Two:
+    def iterate(_: Any, s: AcrossMatrix) -> AcrossMatrix:
         (p, q), (r, t) = d - s
         adjugate = jnp.stack([jnp.stack([t, -q]), jnp.stack([-r, p])])
         return jnp.matmul(adjugate, c, precision="highest") / (q * r - p * t)
 
-    before = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros_like(c))
-    s = sweep(None, before)
-    settled = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
-    s = or_nan(s, settled)
+    before = jax.lax.fori_loop(0, ITERATIONS, iterate, jnp.zeros_like(c))
+    s = iterate(None, before)
+    converged = jnp.all(_negligible(s - before, jnp.max(jnp.abs(s))))
+    s = or_nan(s, converged)
     return s, d - s
 
 
-def _eigenvalues(m: Two) -> Complex[Array, "2"]:
-    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); of two real ones the smaller as det/larger."""
+def _eigenvalues(m: AcrossMatrix) -> Complex[Array, "2"]:
+    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); if both are real, the smaller is det/larger."""
     (a, b), (c, d) = m
     mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
-    size, turns = jnp.abs(square), square < 0
+    size, complex_pair = jnp.abs(square), square < 0
     root = safe_sqrt(size, otherwise=size)  # NaN stays NaN
     large = jnp.where(mean < 0, mean - root, mean + root)
     small = (a * d - b * c) / safe_divisor(large)
     falling = jnp.where(mean < 0, jnp.stack([small, large]), jnp.stack([large, small]))
-    real = jnp.where(turns, jnp.stack([mean, mean]), falling)
-    return jax.lax.complex(real, jnp.where(turns, jnp.stack([root, -root]), 0.0))
+    real = jnp.where(complex_pair, jnp.stack([mean, mean]), falling)
+    return jax.lax.complex(real, jnp.where(complex_pair, jnp.stack([root, -root]), 0.0))

@@ -1,13 +1,14 @@
 """Exact solutions and asymptotics of the rotator and of the axisymmetric top.
 
-Dimensionless, body axes; τ ≥ 0 since the start. A negative time is refused (NaN, if traced).
+Dimensionless, body axes; τ = 0 at the initial condition ω₀. A negative time is refused (NaN, if
+traced).
 """
 
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._base.checks import finite, real, refuse, where_valid
 from ..equations._common import shape_parameter
@@ -35,8 +36,8 @@ def rotator(w: Any, tau: Any) -> Times:
         >>> print(f"{dt.exact.rotator(1.0, 4.0):.6f}")
         0.333333
     """
-    start, time = finite("w", w, batch=False), _times(tau)
-    return start * _braked(start**2, jnp.zeros(()), time)
+    w0, time = finite("w", w, batch=False), _times(tau)
+    return w0 * _decay_factor(w0**2, jnp.zeros(()), time)
 
 
 def rotator_closed_time(w: Any) -> Times:
@@ -44,6 +45,12 @@ def rotator_closed_time(w: Any) -> Times:
 
     Args:
         w: ω > 0, any shape.
+
+    Returns:
+        G, of the shape of ω, in units of τ₀.
+
+    Raises:
+        ValueError: ω ≤ 0, or a value that is not real.
     """
     array = real("w", w, np.shape(w))
     array = where_valid("w", array, array > 0, "be positive")
@@ -51,12 +58,18 @@ def rotator_closed_time(w: Any) -> Times:
 
 
 def rotator_late(tau: Any) -> Times:
-    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, but for O(1/τ) (A.4).
+    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, up to terms of O(1/τ) (A.4).
 
-    The logarithm is missing in the paper. The O(1/τ) depends on the start.
+    The logarithm is missing in the paper. The terms of O(1/τ) depend on ω₀.
 
     Args:
         tau: τ > 0, shape () or (T,).
+
+    Returns:
+        ω, of the shape of τ.
+
+    Raises:
+        ValueError: τ < 0, or a value that is not finite.
     """
     time = _times(tau)
     return (1 + 3 * jnp.log(2 * time) / (4 * time)) / jnp.sqrt(2 * time)
@@ -65,7 +78,7 @@ def rotator_late(tau: Any) -> Times:
 def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     """ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), s = ζω₃, φ = φ₀ − δω₃τ, ω₃ constant (3.11)–(3.12).
 
-    Order 1. The limits s → 0 are in it: a rod, δ = 1, and ω₃ = 0 (3.13).
+    Order 1. The limits s → 0 are included: a rod, δ = 1, and ω₃ = 0 (3.13).
 
     Args:
         delta: shape δ = 1 − ζ in [−1, 1]; 1, a rod without inertia about its axis, is allowed.
@@ -87,11 +100,11 @@ def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     d = where_valid("delta", d, (d >= -1) & (d <= 1), "lie in [-1, 1]")
     w1, w2, w3 = finite("omega0", omega0, (3,), batch=False)
     time = _times(tau)
-    size = _braked(w1**2 + w2**2, (1 - d) * w3, time)
+    factor = _decay_factor(w1**2 + w2**2, (1 - d) * w3, time)
     angle = d * w3 * time
     cos, sin = jnp.cos(angle), jnp.sin(angle)
-    parts = (size * (w1 * cos + w2 * sin), size * (w2 * cos - w1 * sin), jnp.full_like(time, w3))
-    return jnp.stack(parts, axis=-1)
+    across = factor * (w1 * cos + w2 * sin), factor * (w2 * cos - w1 * sin)
+    return jnp.stack([*across, jnp.full_like(time, w3)], axis=-1)
 
 
 def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
@@ -102,16 +115,22 @@ def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
     Args:
         delta: shape δ in [−1, 1).
         w3: ω₃, any shape.
+
+    Returns:
+        α₋, α₊ and B, each of the shape of ω₃.
+
+    Raises:
+        ValueError: δ outside [−1, 1), or a value that is not real.
     """
     s = (1 - shape_parameter(delta)) * real("w3", w3, np.shape(w3))
-    root = jnp.sqrt(1 + 16 * s**2)
-    half = jnp.sqrt((1 + root) / 2)
-    below = -4 * s**2 / ((1 + root) * (1 + half))  # (1 − half)/2, without its cancellation
-    return below, 1 - below, s / half
+    inner = jnp.sqrt(1 + 16 * s**2)
+    outer = jnp.sqrt((1 + inner) / 2)
+    alpha = -4 * s**2 / ((1 + inner) * (1 + outer))  # α₋ = (1 − outer)/2, without cancellation
+    return alpha, 1 - alpha, s / outer
 
 
 def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
-    """Where order 1 of the transverse top has a closed solution: (4.5), (4.6), and the sphere.
+    """The closed solutions of order 1 of the transverse top: (4.5), (4.6), and the sphere.
 
         ω₃ = 0, or δ = 0:   ω₁ constant, x = |(ω₂, ω₃)|:  x′ = −(ω₁² + x²)x
         ω⊥ = 0:             ω₃ = ω₃₀/√(1 + 2ω₃₀²τ/(1−δ))
@@ -133,16 +152,17 @@ def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         [0.0, 0.0, 0.5]
     """
     d = shape_parameter(finite("delta", delta, batch=False))
-    start = finite("omega0", omega0, (3,), batch=False)
-    axial = (start[0] == 0) & (start[1] == 0)
-    known = (start[2] == 0) | axial | (d == 0)
+    w = finite("omega0", omega0, (3,), batch=False)
+    axial = (w[0] == 0) & (w[1] == 0)
+    solvable = (w[2] == 0) | axial | (d == 0)
     w1, w2, w3 = where_valid(
-        "omega0", start, known, "have ω₃ = 0 or ω₁ = ω₂ = 0 where δ is not 0, to be solved"
+        "omega0", w, solvable, "have ω₃ = 0 or ω₁ = ω₂ = 0 where δ is not 0, to be solved"
     )
     time = _times(tau)
-    plane = _braked(w2**2 + w3**2, w1, time)
-    falling = jnp.where(axial, _braked(w3**2, jnp.zeros(()), time / (1 - d)), plane)
-    return jnp.stack([jnp.full_like(time, w1), w2 * falling, w3 * falling], axis=-1)
+    in_plane = _decay_factor(w2**2 + w3**2, w1, time)
+    on_axis = _decay_factor(w3**2, jnp.zeros(()), time / (1 - d))
+    factor = jnp.where(axial, on_axis, in_plane)
+    return jnp.stack([jnp.full_like(time, w1), w2 * factor, w3 * factor], axis=-1)
 
 
 def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
@@ -151,8 +171,8 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         v = Cξ^{−q}|(1+2δ)ξ + 1+δ³|^p,   u = ξv,   τ = (1−δ) ∫ dξ/{ξv[(1+2δ)ξ + 1+δ³]}
 
     with u = ω⊥², v = ω₃², ξ = u/v, q = 2/(1+δ³) and the corrected exponent
-    p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]; the limits δ = −1, −1/2, 0 are in it. The time is inverted
-    by a bracketed root find.
+    p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]; the limits δ = −1, −1/2, 0 are included. The time integral
+    is inverted by bisection and a step of Newton's method.
 
     Args:
         delta: shape δ in [−1, 1).
@@ -172,32 +192,32 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         1.000e-08
     """
     d = shape_parameter(finite("delta", delta, batch=False))
-    start = finite("omega0", omega0, (3,), batch=False)
+    w = finite("omega0", omega0, (3,), batch=False)
     time = _times(tau)
-    u, v = start[0] ** 2 + start[1] ** 2, start[2] ** 2
-    whole = (u > 0) & (v > 0)
-    orbit = Orbit(d, jnp.where(whole, u, 1.0), jnp.where(whole, v, 1.0))
-    point, turn = solve(orbit, jnp.atleast_1d(time))
+    u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
+    off_axes = (u > 0) & (v > 0)
+    orbit = Orbit(d, jnp.where(off_axes, u, 1.0), jnp.where(off_axes, v, 1.0))
+    point, turned = solve(orbit, jnp.atleast_1d(time))
     # Where one of u, v is 0 the other has a closed solution.
-    across = _braked(u / 2, jnp.zeros(()), time)
-    along = _braked(v, jnp.zeros(()), time / (1 - d))
-    across = jnp.where(whole, jnp.exp(point.log_u / 2).reshape(time.shape), across)
-    along = jnp.where(whole, jnp.exp(point.log_v / 2).reshape(time.shape), along)
-    angle = jnp.arctan2(start[1], start[0]) - d * jnp.sign(start[2]) * jnp.where(
-        whole, turn.reshape(time.shape), 0.0
+    across = _decay_factor(u / 2, jnp.zeros(()), time)
+    along = _decay_factor(v, jnp.zeros(()), time / (1 - d))
+    across = jnp.where(off_axes, jnp.exp(point.log_u / 2).reshape(time.shape), across)
+    along = jnp.where(off_axes, jnp.exp(point.log_v / 2).reshape(time.shape), along)
+    angle = jnp.arctan2(w[1], w[0]) - d * jnp.sign(w[2]) * jnp.where(
+        off_axes, turned.reshape(time.shape), 0.0
     )
-    omega = from_cylindrical(jnp.sqrt(u) * across, start[2] * along, angle)
+    omega = from_cylindrical(jnp.sqrt(u) * across, w[2] * along, angle)
     return jnp.moveaxis(omega, 0, -1)
 
 
 def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
-    """When the averaged top comes by ω⊥²/ω₃² = ξ: the integral (4.17).
+    """Time at which ω⊥²/ω₃² of the averaged top reaches ξ: the integral (4.17).
 
     Args:
         delta: shape δ in [−1, 1).
         omega0: ω₀, shape (3,), with ω⊥ ≠ 0 and ω₃ ≠ 0.
-        xi: ξ, one number, between ξ₀ and the end of the way: ξ* = −(1+δ³)/(1+2δ) for δ < −1/2, ∞
-            otherwise.
+        xi: ξ, one number, between ξ₀ and its limit for τ → ∞: ξ* = −(1+δ³)/(1+2δ) for δ < −1/2,
+            ∞ otherwise.
 
     Returns:
         τ ≥ 0.
@@ -210,8 +230,7 @@ def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
     u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
     where_valid("omega0", w, (u > 0) & (v > 0), "have ω⊥ ≠ 0 and ω₃ ≠ 0")
     orbit = Orbit(d, u, v)
-    ratio = finite("xi", xi, batch=False)
-    x = orbit.parameter(ratio)
+    x = orbit.parameter(finite("xi", xi, batch=False))
     x = where_valid("xi", jnp.where(x >= 0, x, jnp.nan), x >= 0, "lie between ξ₀ and its limit")
     return mesh(orbit, x)[1][-1]
 
@@ -230,6 +249,12 @@ def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
         delta: shape δ in [−1, 1), one number.
         omega0: ω₀, shape (3,), with ω⊥ ≠ 0 and ω₃ ≠ 0.
         tau: τ > 1, shape () or (T,).
+
+    Returns:
+        ω⊥² and ω₃², each of the shape of τ.
+
+    Raises:
+        ValueError: δ outside [−1, 1), a value that is not finite, or τ < 0.
     """
     d = shape_parameter(finite("delta", delta, batch=False))
     w = finite("omega0", omega0, (3,), batch=False)
@@ -237,29 +262,29 @@ def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
     a, b = 1 + 2 * d, 1 + d**3
     xi = (w[0] ** 2 + w[1] ** 2) / w[2] ** 2
     # K from ln v = ln K − (2+δ)/a ln ξ, which (4.16) becomes for large ξ.
-    safe = jnp.where(a > 0, a, 1.0)
-    p = d * (1 - d) * (3 + 3 * d + d**2) / (safe * jnp.where(b > 0, b, 1.0))
-    k = w[2] ** 2 * xi ** ((2 + d) / safe) * (1 + b / (safe * xi)) ** -p
-    limit = -b / jnp.where(a < 0, a, -1.0)
-    both = (1 - d) / (((2 + d) * limit + 2) * time)
+    positive_a = jnp.where(a > 0, a, 1.0)
+    p = d * (1 - d) * (3 + 3 * d + d**2) / (positive_a * jnp.where(b > 0, b, 1.0))
+    k = w[2] ** 2 * xi ** ((2 + d) / positive_a) * (1 + b / (positive_a * xi)) ** -p
+    xi_limit = -b / jnp.where(a < 0, a, -1.0)
+    v_oblate = (1 - d) / (((2 + d) * xi_limit + 2) * time)
     log = jnp.log(time)
     cases = [d == -1, d < -0.5, d == -0.5]
-    u = jnp.select(cases, [2 / (time * log), limit * both, 1 / time], 1 / time)
-    power = k * (k * time) ** (-(2 + d) / (1 - d))
-    return u, jnp.select(cases, [1 / time, both, 12 / (7 * time * log)], power)
+    u = jnp.select(cases, [2 / (time * log), xi_limit * v_oblate, 1 / time], 1 / time)
+    v_power = k * (k * time) ** (-(2 + d) / (1 - d))
+    return u, jnp.select(cases, [1 / time, v_oblate, 12 / (7 * time * log)], v_power)
 
 
-def _braked(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
+def _decay_factor(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
     """√(u/u₀) of u′ = −2(s² + u)u: e^{−s²τ}/√(1 + 2u₀τ (1 − e^{−2s²τ})/(2s²τ))."""
     x = 2 * s**2 * time
-    safe = jnp.where(x > 0, x, 1.0)
-    mean = jnp.where(x > 0, -jnp.expm1(-safe) / safe, 1.0)
+    divisor = jnp.where(x > 0, x, 1.0)
+    mean = jnp.where(x > 0, -jnp.expm1(-divisor) / divisor, 1.0)
     return jnp.exp(-x / 2) / jnp.sqrt(1 + 2 * u * time * mean)
 
 
 def _times(tau: Any) -> Times:
+    """τ ≥ 0 as an array of at least one time."""
     time = finite("tau", tau)
     if time.size == 0:
         refuse("tau", "hold at least one time", "holds none")
-    since: Bool[Array, "*n"] = time >= 0
-    return where_valid("tau", time, since, "not be before the start, τ = 0")
+    return where_valid("tau", time, time >= 0, "not be before the start, τ = 0")

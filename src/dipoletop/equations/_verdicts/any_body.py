@@ -32,6 +32,7 @@ from ..._base.linalg import dot, inverse, scale
 from ..._base.types import Flag, Outcome, Real, Stop, Vector, Verdict
 from ...bodies import Body
 from ..levels import Level
+from . import residual_line as line
 from . import transverse
 from .dipole_frame import (
     DipoleFrame,
@@ -40,16 +41,6 @@ from .dipole_frame import (
     stays_in_plane,
     symmetry_axis,
     transverse_top,
-)
-from .residual_line import (
-    Matrix2,
-    Symmetric2,
-    balancing_scale,
-    extreme_eigenvalues,
-    linear_part,
-    quadratic_form,
-    rescaled,
-    solve_lyapunov,
 )
 from .slow_flow import behind_barrier, ends_on_axis
 
@@ -187,49 +178,35 @@ def _attraction(frame: DipoleFrame, level: Level, excess: Real) -> Attraction:
     """
     w = safe_divisor(jnp.abs(frame.w))
     a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength * w / frame.jd
-    matrix = linear_part(a, b, mu, level)
-    s = balancing_scale(matrix)
+    matrix = line.linear_part(a, b, mu, level)
+    s = line.balancing_scale(matrix)
     y = frame.xa / w, jnp.sign(frame.w) * frame.xb / (w * s)
-    linear = rescaled(matrix, s)
+    linear = line.rescaled(matrix, s)
     stable = (linear[0] + linear[3] < 0) & (linear[0] * linear[3] > linear[1] * linear[2])
     unit, zero = jnp.ones_like(s), jnp.zeros_like(s)
-    p = solve_lyapunov(linear, (unit, zero, unit))
-    least, most = extreme_eigenvalues(p)
-    v0 = quadratic_form(p, y)
+    p = line.solve_lyapunov(linear, (unit, zero, unit))
+    least, most = line.extreme_eigenvalues(p)
+    v0 = line.quadratic_form(p, y)
     g = a - b
     eta = jnp.abs(g) * s * v0
     square = jnp.maximum(1.0, s**2) * v0 / jnp.where(least > 0, least, 1.0)  # bounds |x|²/w²
-    bound = ODD_TERMS
-    if level not in WITHOUT_RUNAWAYS:
-        bound = ODD_TERMS * jnp.maximum(excess, 1.0) ** ODD_GROWTH
-    odd = bound * mu / jnp.minimum(a, b) * square
+    growth = 1.0 if level in WITHOUT_RUNAWAYS else jnp.maximum(excess, 1.0) ** ODD_GROWTH
+    odd = ODD_TERMS * growth * mu / jnp.minimum(a, b) * square
     shown = stable & (least > 0) & (eta <= DRIFT) & (ODD_SHARE * most * odd <= 1)
     for part in (1 - eta, 1 + eta):
-        drifted = rescaled(linear_part(a, b, mu * part, level), s)
-        shown = shown & (_least_decay(drifted, p) * part >= DECAY)
-    form = solve_lyapunov(linear, (zero, s / 2, zero))  # gS
-    size = jnp.maximum(*map(jnp.abs, extreme_eigenvalues(form)))
+        drifted = line.rescaled(line.linear_part(a, b, mu * part, level), s)
+        shown = shown & (line.least_decay(drifted, p) * part >= DECAY)
+    form = line.solve_lyapunov(linear, (zero, s / 2, zero))  # gS
+    size = jnp.maximum(*map(jnp.abs, line.extreme_eigenvalues(form)))
     # The terms of fourth power in y that ω∞ = w(1 + yᵀSy) leaves out, and their derivatives with
     # respect to y and to g.
     quartic = v0 * (eta * s / 2 + size * odd)
     slope = (4 * jnp.abs(g) / jnp.sqrt(safe_divisor(square)) + 1) * quartic
     # With J_ab ≠ 0, w′/w = g y_a y_b − (y_a² − y_b²) J_ab/J_d, where J_ab is taken times sgn w.
     tilt = jnp.sign(frame.w) * frame.jab / frame.jd
-    tilted = solve_lyapunov(linear, (-tilt, zero, tilt * s**2))
-    omega_inf = frame.w * (1 + g * quadratic_form(form, y) + quadratic_form(tilted, y))
+    tilted = line.solve_lyapunov(linear, (-tilt, zero, tilt * s**2))
+    omega_inf = frame.w * (1 + g * line.quadratic_form(form, y) + line.quadratic_form(tilted, y))
     return Attraction(shown & (frame.w != 0), omega_inf, jnp.abs(g) * quartic, slope)
-
-
-def _least_decay(m: Matrix2, p: Symmetric2) -> Real:
-    """The smallest eigenvalue of −(MᵀP + PM)."""
-    m11, m12, m21, m22 = m
-    return extreme_eigenvalues(
-        (
-            -2 * (p[0] * m11 + p[1] * m21),
-            -(p[0] * m12 + p[1] * (m11 + m22) + p[2] * m21),
-            -2 * (p[1] * m12 + p[2] * m22),
-        )
-    )[0]
 
 
 def _line_out_of_reach(frame: DipoleFrame, level: Level) -> Flag:
@@ -242,5 +219,5 @@ def _line_out_of_reach(frame: DipoleFrame, level: Level) -> Flag:
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     energy = frame.w**2 + a * frame.xa**2 + b * frame.xb**2
     mu = frame.strength * safe_sqrt(energy) / frame.jd
-    m11, m12, m21, m22 = linear_part(a, b, mu, level)
+    m11, m12, m21, m22 = line.linear_part(a, b, mu, level)
     return (4 * mu**2 <= (a - 1) * (1 - b)) & (m11 * m22 < m12 * m21)

@@ -64,11 +64,9 @@ def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
     f = cross(n, e)
     ie, jf = matvec(inertia, e), matvec(inertia, f)
     half, mixed = (dot(e, ie) - dot(f, jf)) / 2, dot(e, jf)
-    round_across = (half == 0) & (mixed == 0)  # any two directions across n will do
-    double = jnp.arctan2(
-        jnp.where(half < 0, -mixed, mixed), jnp.where(round_across, 1.0, jnp.abs(half))
-    )
-    angle = double / 2
+    equal = (half == 0) & (mixed == 0)  # then any two directions across n will do
+    opposite = jnp.where(half < 0, -mixed, mixed)
+    angle = jnp.arctan2(opposite, jnp.where(equal, 1.0, jnp.abs(half))) / 2
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     a = scale(cos, e) + scale(sin, f)
     b = scale(cos, f) - scale(sin, e)
@@ -85,7 +83,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
         jd,
         dot(e, ie) + gain,
         dot(f, jf) - gain,
-        jnp.where(round_across, mixed, 0.0),
+        jnp.where(equal, mixed, 0.0),
         dot(off, off) <= negligible**2,
     )
 

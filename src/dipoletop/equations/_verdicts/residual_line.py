@@ -105,6 +105,18 @@ def solve_lyapunov(m: Matrix2, q: Symmetric2) -> Symmetric2:
     )
 
 
+def least_decay(m: Matrix2, p: Symmetric2) -> Real:
+    """The smallest eigenvalue of −(MᵀP + PM)."""
+    m11, m12, m21, m22 = m
+    return extreme_eigenvalues(
+        (
+            -2 * (p[0] * m11 + p[1] * m21),
+            -(p[0] * m12 + p[1] * (m11 + m22) + p[2] * m21),
+            -2 * (p[1] * m12 + p[2] * m22),
+        )
+    )[0]
+
+
 def extreme_eigenvalues(p: Symmetric2) -> tuple[Real, Real]:
     """Smallest and largest eigenvalue of a symmetric matrix."""
     mean, spread = (p[0] + p[2]) / 2, safe_sqrt((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
