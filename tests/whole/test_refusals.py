@@ -38,6 +38,8 @@ CASES = {
     "dt.simulate(dt.TransverseSemi, start, times)": f"`equation` {EQUATION} the class Transverse",
     "dt.simulate(planar.Planar(0.1), start, times)": f"`equation` {EQUATION} of type Planar",
     "dt.simulate(None, start, times)": f"`equation` {EQUATION} None",
+    "dt.simulate(equation, 0.1, times)": r"`omega0` must have shape \(n,\), but has shape \(\)",
+    "dt.simulate(equation, None, times)": r"`omega0` must be a real array of shape \(n,\), but is",
     "dt.classify(field, start)": f"`equation` {EQUATION} of type function",
     "dt.classify_many(field, start[None])": f"`equations` {EQUATION} of type function",
     "dt.classify(equation, start, value='no')": "`value` must be True, False or 'unchecked', but",

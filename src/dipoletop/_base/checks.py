@@ -1,7 +1,7 @@
 """Bad input: one sentence where the value is known, NaN where it is traced."""
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 import equinox as eqx
@@ -10,11 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
+from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
 
 LONGEST = 2000  # characters of what a refusal shows of a value
 FLAG = (bool, np.bool_)
+NumberLike = (
+    float
+    | int
+    | np.floating
+    | np.integer
+    | RealOrInteger[np.ndarray, ""]
+    | RealOrInteger[Array, ""]
+)
+"""A real number as a user may give it."""
+ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray, "..."] | RealOrInteger[Array, "..."]
+"""Real numbers as a user may give them: an array of JAX or of NumPy, or nested sequences."""
 
 
 def concrete(*values: Any) -> bool:

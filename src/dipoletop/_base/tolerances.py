@@ -1,7 +1,7 @@
 """Tolerances and budgets: what they must be, and what `None` means."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,26 @@ from .linalg import length
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # what engines count in 32 bits
 SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
+
+
+class Tolerances(NamedTuple):
+    """What the error of a step may be in each component: atol + rtol·size, in units of 1/τ₀.
+
+    The size of a component is measured by `sizes_of` the equation.
+    """
+
+    rtol: Float[Array, ""]
+    """Relative tolerance, the same for all lanes."""
+    atol: Float[Array, "*lanes"]
+    """Absolute tolerance, one for each lane."""
+
+
+def step_tolerances(
+    rtol: Any, atol: Any, omega0: Float[Array, "3"], *, label_only: bool = False
+) -> Tolerances:
+    """The tolerances of a run from ω₀; see `absolute` for what atol = None means."""
+    rtol = tolerance("rtol", rtol)
+    return Tolerances(rtol, absolute(atol, rtol, omega0, label_only=label_only))
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:
