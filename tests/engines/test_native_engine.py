@@ -15,7 +15,7 @@ from dipoletop._engines import jax_engine as lanes
 from dipoletop._engines import jaxpr_to_llvm as _llvm
 from dipoletop._engines import native_engine as native
 from dipoletop._engines import select as _engine
-from dipoletop._runs import classify_many as outcomes
+from dipoletop._runs.classification import classification_of
 
 RNG = np.random.default_rng(11)
 WIDTH = 4
@@ -275,7 +275,7 @@ def test_threads_share_the_queue():
 
     def found(threads):
         options = {"until": "value", "threads": threads}
-        return native.judged(outcomes.assemble, equation, starts, limits, **options)
+        return native.judged(classification_of, equation, starts, limits, **options)
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
 

@@ -41,6 +41,7 @@ CASES = {
     "dt.simulate(equation, 0.1, times)": r"`omega0` must have shape \(n,\), but has shape \(\)",
     "dt.simulate(equation, None, times)": r"`omega0` must be a real array of shape \(n,\), but is",
     "dt.classify(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.classify(equation, start, max_steps=2.5)": "`max_steps` must be a positive whole number, b",
     "dt.classify_many(field, start[None])": f"`equations` {EQUATION} of type function",
     "dt.classify(equation, start, value='no')": "`value` must be True, False or 'unchecked', but",
     "dt.residual_rotation(field, start)": f"`equation` {EQUATION} of type function",

@@ -1,7 +1,7 @@
 """Bad input: one sentence where the value is known, NaN where it is traced."""
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import equinox as eqx
@@ -177,14 +177,14 @@ def check_body(equation: Any) -> None:
 
 
 def is_single(equation: Any) -> bool:
-    """Whether the equation maps one state to one rate of the same shape."""
+    """Whether the equation maps one state to one rate of the same shape; a batch does not."""
     leaves, structure = jax.tree.flatten(equation)
-    kinds = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) if _many(x) else x for x in leaves)
+    is_array = [isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves]
+    kinds = tuple(
+        jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if array else leaf
+        for leaf, array in zip(leaves, is_array, strict=True)
+    )
     return _maps_one_state(structure, kinds)
-
-
-def _many(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 @functools.lru_cache(maxsize=256)
@@ -196,19 +196,20 @@ def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
     equation = jax.tree.unflatten(structure, kinds)
     try:
         y, change = eqx.filter_eval_shape(rate, equation)
-    except Exception:
-        # One with a batch in front does not fit a single state, but each of the batch does; else
-        # the fault is the equation's own.
-        if not _fits_lane_by_lane(rate, equation):
+    except (TypeError, ValueError):  # as JAX raises where shapes do not fit
+        # All arrays of a batch have its axis in front, and each equation of it fits one state.
+        # Otherwise the fault is the equation's own, and its author is to see it.
+        lengths = {kind.shape[:1] for kind in kinds if isinstance(kind, jax.ShapeDtypeStruct)}
+        if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
             raise
         return False
     return y.shape == change.shape
 
 
-def _fits_lane_by_lane(rate: Any, equation: Any) -> bool:
+def _fits(function: Callable[[Any], Any], equation: Any) -> bool:
     try:
-        eqx.filter_eval_shape(eqx.filter_vmap(rate), equation)
-    except Exception:  # that of the single state is what the user is to see
+        eqx.filter_eval_shape(function, equation)
+    except (TypeError, ValueError):
         return False
     return True
 

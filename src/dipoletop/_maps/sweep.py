@@ -16,7 +16,8 @@ from .._base.parallel import in_parallel, workers
 from .._base.stopping import Until
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._engines import jax_engine as lanes
-from .._runs.classify_many import TILE, Value, classify_block, engines_for, goal, power_of_two
+from .._runs.classification import Value, stopping_rule
+from .._runs.classify_many import TILE, classify_block, engines_for, power_of_two
 from . import store as disk
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
@@ -94,7 +95,7 @@ def sweep(
     steps, crew = budget("max_steps", max_steps), workers(devices)
     equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
-    until = goal(equation, value)
+    until = stopping_rule(equation, value)
     engines = engines_for(engine, equation, crew, until)
 
     def run(job: int, device: Any) -> tuple[dict[str, np.ndarray], Any]:
