@@ -1,6 +1,5 @@
 """The mixed basin: from starts to certain outcomes, everybody on all cores."""
 
-import inspect
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,8 +13,9 @@ import dipoletop as dt
 import measure
 import peers
 import problem
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._engines.interface import Limits
+from dipoletop._engines.jax_engine import NARROW, JaxEngine
+from dipoletop._engines.native_engine import WIDTH, NativeEngine
 
 RTOL = 1e-8
 OURS, IN_JAX = "dipoletop, native engine", "dipoletop, JAX engine"
@@ -70,10 +70,9 @@ def run(
 
 def block_widths(engine: Any, starts: int) -> list[int]:
     """Lanes of an engine's wide and narrow blocks; 0 where there is none."""
-    if engine is native:
-        return [native.WIDTH, 0]
-    width = inspect.signature(lanes.integrate).parameters["width"].default
-    return [min(width, starts), max(width // lanes.NARROW, 1)]
+    if isinstance(engine, NativeEngine):
+        return [WIDTH, 0]
+    return [min(engine.width, starts), max(engine.width // NARROW, 1)]
 
 
 def lane_efficiency(
@@ -85,7 +84,7 @@ def lane_efficiency(
     made, swept = 0, np.zeros(2, int)
     for part in parts:
         y0 = jnp.asarray(omegas[part].T)
-        limits = lanes.Limits(
+        limits = Limits(
             jnp.asarray(rtol),
             rtol * jnp.linalg.norm(y0, axis=0),
             jnp.full(len(part), jnp.inf),
@@ -93,11 +92,11 @@ def lane_efficiency(
         )
         equation = dt.TransverseReduced(jnp.asarray(deltas[part]))
         with jax.default_device(jax.devices()[0]):  # as `classify_many` has it: compiled already
-            ends = engine.integrate(equation, y0, limits, until="outcome")
+            ends = engine.end_states(equation, y0, limits, until="outcome")
         made += int(ends.steps.sum())
-        swept += np.asarray(ends.sweeps)
+        swept += np.asarray(ends.block_steps)
     return {
-        "engine": engine.NAME,
+        "engine": engine.name,
         "widths": widths,
         "block_steps": swept.tolist(),
         "lane_steps": made,
@@ -123,7 +122,7 @@ def compare(sizes: Sizes) -> dict[str, Any]:
             "rows": [_row(name, found, ours, truth["labels"]) for name, found in records.items()],
             "lanes": [
                 lane_efficiency(*problem.mixed_basin(size), RTOL, engine)
-                for engine in (native, lanes)
+                for engine in (NativeEngine(), JaxEngine())
             ],
         }
         jax.clear_caches()  # the next size compiles as if it were the first

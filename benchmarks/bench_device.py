@@ -18,16 +18,17 @@ import dipoletop as dt
 import measure
 import peer_diffrax
 import problem
-from dipoletop._engines import jax_engine as lanes
+from dipoletop._engines.interface import Limits
+from dipoletop._engines.jax_engine import JaxEngine
 
 RTOL = 1e-8
 
 
 def engine(n: int, width: int, repeats: int) -> dict[str, Any]:
-    """Labels by `lanes`, all starts in one queue."""
+    """Labels by the JAX engine, all starts in one queue."""
     deltas, omegas = problem.mixed_basin(n)
     equation, y0 = dt.TransverseReduced(jnp.asarray(deltas)), jnp.asarray(omegas.T)
-    limits = lanes.Limits(
+    limits = Limits(
         jnp.asarray(RTOL),
         RTOL * jnp.linalg.norm(y0, axis=0),
         jnp.full(n, jnp.inf),
@@ -36,7 +37,7 @@ def engine(n: int, width: int, repeats: int) -> dict[str, Any]:
     judge = jax.jit(lambda equation, y: equation.verdict(y).outcome)
 
     def run() -> tuple[Any, Any]:
-        ends = lanes.integrate(equation, y0, limits, until="outcome", width=width)
+        ends = JaxEngine(width=width).end_states(equation, y0, limits, until="outcome")
         return ends, jax.block_until_ready(judge(equation, ends.y))
 
     _, first = measure.timed(run)
@@ -47,7 +48,7 @@ def engine(n: int, width: int, repeats: int) -> dict[str, Any]:
         "labels": np.asarray(labels),
         "compile_seconds": first["seconds"],
         "steps": int(ends.steps.sum()),
-        "block_steps": np.asarray(ends.sweeps).tolist(),
+        "block_steps": np.asarray(ends.block_steps).tolist(),
     }
 
 

@@ -29,8 +29,9 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 import measure
 import problem
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._engines.interface import Engine, Limits
+from dipoletop._engines.jax_engine import JaxEngine
+from dipoletop._engines.native_engine import NativeEngine
 
 try:
     import heyoka
@@ -54,16 +55,17 @@ def starts(n: int) -> Starts:
     return problem.isotropic(n, AMPLITUDE)
 
 
-def by_lanes(omegas: Starts, rtol: float, engine: Any = native) -> Task:
+def by_lanes(omegas: Starts, rtol: float, engine: Engine | None = None) -> Task:
     """dipoletop, all starts in the queue of an engine."""
     size = len(omegas)
     atol, ends = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
-    limits = lanes.Limits(jnp.asarray(rtol), atol, ends, jnp.asarray(MAX_STEPS))
+    limits = Limits(jnp.asarray(rtol), atol, ends, jnp.asarray(MAX_STEPS))
     equation = dt.TransverseReduced(jnp.full(size, DELTA))
+    engine = engine or NativeEngine()
 
     def advance() -> Starts:
-        begun = omegas.T if engine is native else jnp.asarray(omegas.T)
-        return np.asarray(engine.integrate(equation, begun, limits, until="time").y).T
+        begun = omegas.T if isinstance(engine, NativeEngine) else jnp.asarray(omegas.T)
+        return np.asarray(engine.end_states(equation, begun, limits, until="time").y).T
 
     return advance
 
@@ -208,7 +210,7 @@ def methods() -> tuple[dict[str, Method], list[str]]:
     """Everybody who can take part here by name, and a line for each who cannot."""
     found: dict[str, Method] = {
         "dipoletop, native engine": by_lanes,
-        "dipoletop, JAX engine": partial(by_lanes, engine=lanes),
+        "dipoletop, JAX engine": partial(by_lanes, engine=JaxEngine()),
         "diffrax vmap, tuple": partial(by_diffrax, as_tuple=True),
         "diffrax vmap, (3,)": partial(by_diffrax, as_tuple=False),
     }

@@ -19,9 +19,10 @@ import dipoletop as dt
 import measure
 import problem
 from dipoletop import adaptive
-from dipoletop._base.stopping import Until
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._base.stopping import FINISHED, Until
+from dipoletop._engines.interface import EndStates, Engine, Limits
+from dipoletop._engines.jax_engine import JaxEngine
+from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.symmetry import unfold
 
 RTOL = 1e-8
@@ -47,7 +48,7 @@ class Sizes(NamedTuple):
     """Starts of the comparison of methods."""
     tolerances: tuple[float, ...] = TOLERANCES
     solvers: tuple[Any, ...] = SOLVERS
-    engines: tuple[Any, ...] = (native, lanes)
+    engines: tuple[Engine, ...] = (NativeEngine(), JaxEngine())
     dense: bool = True
 
 
@@ -58,7 +59,7 @@ FEW = Sizes(
     precise=16,
     tolerances=(1e-3, 1e-6),
     solvers=(diffrax.Tsit5(), diffrax.Dopri8()),
-    engines=(native,),
+    engines=(NativeEngine(),),
     dense=False,
 )
 
@@ -70,19 +71,19 @@ def follow(
     *,
     rtol: float = RTOL,
     t1: float = np.inf,
-    engine: Any = native,
-    **settings: Any,
-) -> lanes.Ends:
+    engine: Engine | None = None,
+    max_steps: int = problem.MAX_STEPS,
+) -> EndStates:
     """The runs in one queue of an engine."""
     y0 = jnp.asarray(omegas.T)
-    limits = lanes.Limits(
+    limits = Limits(
         jnp.asarray(rtol),
         rtol * jnp.linalg.norm(y0, axis=0),
         jnp.full(len(omegas), t1),
-        jnp.asarray(settings.pop("max_steps", problem.MAX_STEPS)),
+        jnp.asarray(max_steps),
     )
     equation = dt.TransverseReduced(jnp.asarray(deltas))
-    return engine.integrate(equation, y0, limits, until=until, **settings)
+    return (engine or NativeEngine()).end_states(equation, y0, limits, until=until)
 
 
 def _row(name: str, saved: Any, plain: Any, starts: tuple[int, int], note: str) -> dict[str, Any]:
@@ -124,7 +125,7 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
     """Runs that end when something is certain, or at one late time for all."""
     n = len(omegas)
     soon, later = (follow(deltas, omegas, until) for until in ("outcome", "value"))
-    finished = np.asarray(later.status) == lanes.FINISHED
+    finished = np.asarray(later.status) == FINISHED
     steps, valued = np.asarray(soon.steps), np.asarray(later.steps)
     at_once = steps == 0
     many = int(np.sum(at_once)), int(np.sum(at_once))
@@ -147,7 +148,7 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
     return [*rows, _row("outcomes only, no ω∞", steps, valued, (n, n), note)]
 
 
-def _undecided(deltas: Deltas, ends: lanes.Ends) -> int:
+def _undecided(deltas: Deltas, ends: EndStates) -> int:
     """How many end states decide nothing."""
     verdict = dt.TransverseReduced(jnp.asarray(deltas)).verdict(ends.y)
     return int(np.sum(np.asarray(verdict.outcome) == dt.Outcome.UNDECIDED))
@@ -169,14 +170,14 @@ def by_refill(deltas: Deltas, omegas: Omegas, engine: Any) -> list[dict[str, Any
     n = len(omegas)
     ends = follow(deltas, omegas, "outcome", engine=engine)
     steps, widths = np.asarray(ends.steps), bench_basin.block_widths(engine, n)
-    paid = int(np.asarray(ends.sweeps) @ widths)
+    paid = int(np.asarray(ends.block_steps) @ widths)
     sorted_ = steps[np.argsort(np.linalg.norm(omegas, axis=1))]
     ways = {
         f"blocks of {widths[0]} in lockstep": lockstep(steps, widths[0]),
         f"blocks of {widths[0]} in lockstep, sorted by amplitude": lockstep(sorted_, widths[0]),
         "one lockstep block of all": lockstep(steps, n),
     }
-    name, made = f"lanes refilled, {engine.NAME} engine", f"{int(steps.sum())} lane steps needed; "
+    name, made = f"lanes refilled, {engine.name} engine", f"{int(steps.sum())} lane steps needed; "
     return [_row(name, paid, plain, (n, n), made + way) for way, plain in ways.items()]
 
 
@@ -225,7 +226,9 @@ def by_method(n: int, tolerances: tuple[float, ...], solvers: tuple[Any, ...]) -
     settings: Any = {"t1": bench_precision.TIME, "max_steps": BUDGET}
     for solver in solvers:
         for rtol in tolerances:
-            ends = follow(deltas, omegas, "time", rtol=rtol, solver=solver, **settings)
+            ends = follow(
+                deltas, omegas, "time", rtol=rtol, engine=NativeEngine(solver), **settings
+            )
             made = float(np.mean(np.asarray(ends.steps)))
             cost = {"steps": made, "evaluations": measure.evaluations(made, 1, solver)}
             error = bench_precision.errors(np.asarray(ends.y.T)[:both], truth[:both])

@@ -24,8 +24,8 @@ import labels
 import measure
 import report
 from dipoletop._base.types import Outcome
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._engines.interface import Limits
+from dipoletop._engines.native_engine import NativeEngine
 
 PIECE = 5000  # starts followed together
 BLOCKS = ("mixed", "slow", "tiny")
@@ -219,8 +219,8 @@ def tolerances(small: bool) -> list[Row]:
         name, equation, starts, times, exact = problem
         size, errors = jnp.linalg.norm(starts, axis=0), []
         for rtol in RTOLS:
-            limits = lanes.Limits(jnp.asarray(rtol), rtol * size, times, jnp.asarray(1_000_000))
-            ends = native.integrate(equation, starts, limits, solver=method, until="time")
+            limits = Limits(jnp.asarray(rtol), rtol * size, times, jnp.asarray(1_000_000))
+            ends = NativeEngine(method).end_states(equation, starts, limits, until="time")
             errors.append(float(jnp.max(jnp.abs(ends.y - exact) / size[None])))
         slope = np.polyfit(np.log(RTOLS), np.log(errors), 1)[0]
         over = [error / rtol for error, rtol in zip(errors, RTOLS, strict=True)]

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dipoletop._base.types import Outcome, Verdict
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._engines.interface import EndStates, Limits, Unsupported
+from dipoletop._engines.jax_engine import JaxEngine
+from dipoletop._engines.native_engine import NativeEngine
 from dipoletop.bodies import Body
 from dipoletop.equations._common import scales_of
 from dipoletop.equations.rigid import Reduced, SemiReduced
@@ -292,17 +293,17 @@ def compare(
     )
 
 
-def _run(equation, y, bounds: lanes.Limits) -> lanes.Ends:
+def _run(equation, y, bounds: Limits) -> EndStates:
     """By machine code, if the equation is not too long for it."""
     try:
-        return native.integrate(equation, y, bounds, until="outcome")
-    except native.Unsupported:
-        return lanes.integrate(equation, y, bounds, until="outcome")
+        return NativeEngine().end_states(equation, y, bounds, until="outcome")
+    except Unsupported:
+        return JaxEngine().end_states(equation, y, bounds, until="outcome")
 
 
-def limits(atol, max_steps: int) -> lanes.Limits:
+def limits(atol, max_steps: int) -> Limits:
     endless = jnp.full(atol.shape, jnp.inf)
-    return lanes.Limits(jnp.asarray(RTOL), atol, endless, jnp.asarray(max_steps))
+    return Limits(jnp.asarray(RTOL), atol, endless, jnp.asarray(max_steps))
 
 
 # --- rows, in pieces that add up ------------------------------------------------------------

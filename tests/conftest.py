@@ -33,10 +33,10 @@ hypothesis.settings.load_profile("repeatable")
 
 def compile_lanes_as_users_do():
     """With the older emitters the last bits of a lane depend on its place."""
-    from dipoletop._engines import jax_engine as lanes
+    from dipoletop._engines.jax_engine import CPU_OPTIONS
 
     if OLDER_EMITTERS:
-        lanes.CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
+        CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
 
 
 @pytest.fixture(autouse=True, scope="session")

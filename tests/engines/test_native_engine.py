@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dipoletop as dt
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import jaxpr_to_llvm as _llvm
-from dipoletop._engines import native_engine as native
-from dipoletop._engines import select as _engine
+from dipoletop._engines import jaxpr_to_llvm, native_engine, select
+from dipoletop._engines.interface import Limits, Unsupported
+from dipoletop._engines.jax_engine import JaxEngine
+from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._runs.classification import classification_of
 
 RNG = np.random.default_rng(11)
@@ -24,7 +24,9 @@ WIDTH = 4
 def machine(function, table):
     """A function of one row, (n,), by machine code on a table (n, B); what it gives comes first."""
     rows = jnp.zeros((table.shape[0], 1))
-    address, _alive = _llvm.compiled(lambda row, shared: function(row), rows, jnp.zeros(()), WIDTH)
+    address, _alive = jaxpr_to_llvm.compiled(
+        lambda row, shared: function(row), rows, jnp.zeros(()), WIDTH
+    )
     out = np.array(table, order="C")
     size = out.shape[1]
     assert size % WIDTH == 0
@@ -120,13 +122,14 @@ def problem(make, size=0.3, n=128):
     starts = jnp.asarray(RNG.normal(size=(3, n)) * size)
     scale = jnp.sqrt(jnp.sum(starts**2, axis=0))
     rtol = jnp.array(1e-9)
-    limits = lanes.Limits(rtol, rtol * scale, jnp.full(n, jnp.inf), jnp.asarray(3000))
+    limits = Limits(rtol, rtol * scale, jnp.full(n, jnp.inf), jnp.asarray(3000))
     made = jax.vmap(make, out_axes=-1)(deltas), starts, limits
     return jax.device_put(made, jax.devices()[0])  # or what follows from these compiles again
 
 
-def by_both(equation, y0, limits, **options):
-    return [e.integrate(equation, y0, limits, **options) for e in (native, lanes)]
+def by_both(equation, y0, limits, solver, **until):
+    engines = NativeEngine(solver), JaxEngine(solver)
+    return [engine.end_states(equation, y0, limits, **until) for engine in engines]
 
 
 def at_a_given_time(equation, y0, limits, **options):
@@ -226,7 +229,7 @@ def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
 
 def test_a_code_that_grows_too_long_is_refused(monkeypatch):
     monkeypatch.setattr("dipoletop._engines.vector_code.LONGEST", 100)
-    with pytest.raises(native.Unsupported, match="more than 100 instructions"):
+    with pytest.raises(Unsupported, match="more than 100 instructions"):
         machine(lambda x: jax.lax.fori_loop(0, 99, lambda i, y: y * x, x), np.ones((4, WIDTH)))
 
 
@@ -245,7 +248,7 @@ def test_without_numba_jax_runs(monkeypatch):
         return dt.sweep(lambda w3: (Fading(1 + w3), w3 * jnp.ones(3)), grid)
 
     assert swept().attrs["engine"] == "native"
-    monkeypatch.setattr(_engine, "_native", lambda: (None, "numba cannot be imported (gone)"))
+    monkeypatch.setattr(select, "_native_engine", lambda: (None, "numba cannot be imported (gone)"))
     assert swept().attrs["engine"] == "jax"
     assert dt.classify_many(equation, start).outcome == [dt.Outcome.STOP]
     with pytest.raises(ValueError, match=r"'native', but numba cannot be imported \(gone\)"):
@@ -261,21 +264,19 @@ def test_an_unknown_engine_is_refused():
 def test_a_second_call_with_other_values_compiles_nothing():
     for shift in (0.0, 0.1):
         starts = jnp.ones((3, 5)) * (0.1 + shift)
-        limits = lanes.Limits(
-            jnp.asarray(1e-8 + shift * 1e-8), starts[0], starts[0], jnp.asarray(99)
-        )
-        native.integrate(dt.TransverseSemi(starts[0]), starts, limits)
+        limits = Limits(jnp.asarray(1e-8 + shift * 1e-8), starts[0], starts[0], jnp.asarray(99))
+        NativeEngine().end_states(dt.TransverseSemi(starts[0]), starts, limits)
         if shift == 0:
-            count = len(native._programs)
-    assert len(native._programs) == count
+            count = len(native_engine._programs)
+    assert len(native_engine._programs) == count
 
 
 def test_threads_share_the_queue():
     equation, starts, limits = problem(dt.TransverseReduced, n=1003)
 
     def found(threads):
-        options = {"until": "value", "threads": threads}
-        return native.judged(classification_of, equation, starts, limits, **options)
+        options = {"until": "value", "device": jax.devices()[0], "threads": threads}
+        return NativeEngine().classify(classification_of, equation, starts, limits, **options)
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
 
@@ -287,5 +288,5 @@ def test_after_an_interruption_no_thread_takes_another_start():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        native._in_threads(interrupted, 2, queue, 100)
+        native_engine._in_threads(interrupted, 2, queue, 100)
     assert queue[0] == 100

@@ -10,7 +10,9 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 from dipoletop import Outcome, Stop, radiation
 from dipoletop._base.linalg import solve
-from dipoletop._engines import jax_engine as lanes
+from dipoletop._base.stopping import FINISHED
+from dipoletop._base.tolerances import Tolerances
+from dipoletop._engines.interface import EndStates
 from dipoletop._runs.classification import classification_of
 from dipoletop.equations.tangent import Tangent, Together
 
@@ -285,18 +287,19 @@ class Proven(Braked):
 def test_no_equation_borrows_the_proof_of_another():
     omegas = np.array([[0.2, 0.02, 0.01], [0.0, 0.0, 0.2]])
     time, steps = jnp.zeros(2), jnp.ones(2, int)
-    ends = jnp.asarray(omegas.T), time, steps, jnp.full(2, lanes.FINISHED)
+    ends = EndStates(jnp.asarray(omegas.T), time, steps, jnp.full(2, FINISHED))
+    tolerances = Tolerances(jnp.asarray(1e-8), jnp.full(2, 1e-9))
     cases = [(ORDER_ONE_2A, True), (Faster(-0.2), False)]
     cases += [(Braked(ORDER_ONE_2A), False), (Proven(ORDER_ONE_2A), True)]
     for equation, certified in cases:
-        found = classification_of(equation, ends, (1e-8, 1e-9))
+        found = classification_of(equation, ends, tolerances)
         assert found.outcome.tolist() == [RESIDUAL, STOP]
         assert found.certified.tolist() == [certified] * 2
     for equation, certified in cases[:1] + cases[2:3]:  # in machine code, too
         assert dt.classify_many(equation, omegas).certified.tolist() == [certified] * 2
     body = Settling(dt.axisymmetric(-0.2))  # whose verdict is a plain tuple
-    small = 1e-3 * ends[0], *ends[1:]
-    assert not classification_of(body, small, (1e-8, 1e-9)).certified.any()
+    small = eqx.tree_at(lambda ends: ends.y, ends, 1e-3 * ends.y)
+    assert not classification_of(body, small, tolerances).certified.any()
 
 
 def test_variations_keep_the_certificate_of_their_equation():

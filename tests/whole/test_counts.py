@@ -17,9 +17,11 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.monitoring import COMPILING
-from dipoletop._engines import jax_engine as lanes
 from dipoletop._engines import jaxpr_to_llvm as _llvm
-from dipoletop._engines import native_engine as native
+from dipoletop._engines import native_engine, step
+from dipoletop._engines.interface import Limits
+from dipoletop._engines.jax_engine import NARROW, JaxEngine
+from dipoletop._engines.native_engine import WIDTH, NativeEngine
 
 # Steps of a run of the mixed basin at rtol 1e-8, by level and `value`: (least mean, mean, longest).
 STEPS = {
@@ -105,21 +107,21 @@ def test_steps_of_a_run(level, value):
 
 def limits(size):
     tolerance, budget = jnp.asarray(1e-8), jnp.asarray(4096)
-    return lanes.Limits(tolerance, jnp.full(size, 1e-9), jnp.full(size, jnp.inf), budget)
+    return Limits(tolerance, jnp.full(size, 1e-9), jnp.full(size, jnp.inf), budget)
 
 
-@pytest.mark.parametrize("engine", [lanes, native], ids=lambda engine: engine.NAME)
+@pytest.mark.parametrize("engine", [JaxEngine(), NativeEngine()], ids=lambda engine: engine.name)
 def test_lanes_do_not_wait(engine):
     deltas, starts = mixed_basin()
 
     def run(scale):
-        return engine.integrate(dt.TransverseReduced(scale * deltas), starts.T, limits(MANY))
+        return engine.end_states(dt.TransverseReduced(scale * deltas), starts.T, limits(MANY))
 
     ends = run(1.0)
     assert programs(lambda: run(0.9)) == 0
-    wide, narrow = map(int, ends.sweeps)
-    made = native.WIDTH * wide if engine is native else 128 * (wide + narrow / lanes.NARROW)
-    assert EFFICIENCY[engine.NAME] < int(ends.steps.sum()) / made <= 1
+    wide, narrow = map(int, ends.block_steps)
+    made = WIDTH * wide if engine.name == "native" else 128 * (wide + narrow / NARROW)
+    assert EFFICIENCY[engine.name] < int(ends.steps.sum()) / made <= 1
 
 
 def operations(jaxpr, name=None):
@@ -133,10 +135,10 @@ def operations(jaxpr, name=None):
     return total
 
 
-def step(equation, n, solver):
+def one_step(equation, n, solver):
     """The operations of a step of 8 lanes."""
-    at = eqx.filter_eval_shape(lanes.begin, equation, jnp.ones((n, 8)), limits(8), 8, "value")
-    advance = lambda at: lanes.advance(at, *numbers, solver, "value")  # noqa: E731
+    at = eqx.filter_eval_shape(step.begin, equation, jnp.ones((n, 8)), limits(8), 8, "value")
+    advance = lambda at: step.advance(at, *numbers, solver, "value")  # noqa: E731
     numbers = limits(8).rtol, limits(8).max_steps
     return eqx.filter_make_jaxpr(advance)(at)[0].jaxpr
 
@@ -160,9 +162,9 @@ class Turning(eqx.Module):
         return jnp.zeros(y.shape[1:], int), y[0], y[0] > 0
 
 
-@pytest.mark.parametrize("padding", [0, lanes.LARGE], ids=["written out", "in a loop"])
+@pytest.mark.parametrize("padding", [0, step.LARGE], ids=["written out", "in a loop"])
 def test_evaluations_of_the_rate_in_a_step(padding):
-    assert operations(step(Turning(padding), 3, diffrax.Dopri8()), "sin") == EVALUATIONS
+    assert operations(one_step(Turning(padding), 3, diffrax.Dopri8()), "sin") == EVALUATIONS
 
 
 class Braked(eqx.Module):
@@ -209,7 +211,7 @@ def compiled():
     jax.clear_caches()
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "_programs", {})
+        patch.setattr(native_engine, "_programs", {})
         for name in PROGRAMS:
             first, second = (functools.partial(call, name, *x) for x in ((1.0, 1e-8), (0.9, 1e-7)))
             found[name] = programs(first), programs(second)
@@ -245,7 +247,7 @@ def test_length_of_the_right_hand_sides(name):
     in_room(operations(jaxpr), OPERATIONS[name])
     if f"step, {name}" in OPERATIONS:
         block = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, 8)), equation)
-        in_room(operations(step(block, n, diffrax.Dopri8())), OPERATIONS[f"step, {name}"])
+        in_room(operations(one_step(block, n, diffrax.Dopri8())), OPERATIONS[f"step, {name}"])
 
 
 def test_length_of_the_native_code(monkeypatch):
@@ -258,6 +260,6 @@ def test_length_of_the_native_code(monkeypatch):
     Writer = _llvm.Writer
     monkeypatch.setattr(_llvm, "Writer", writer)
     monkeypatch.setattr(_llvm, "machine_code", lambda text: (0, None))
-    native._Program(dt.TransverseReduced(jnp.zeros(8)), 3, diffrax.Dopri8(), "value", None)
+    native_engine._Program(dt.TransverseReduced(jnp.zeros(8)), 3, diffrax.Dopri8(), "value", None)
     for part, name in zip(written, INSTRUCTIONS, strict=True):
         in_room(part.count, INSTRUCTIONS[name])

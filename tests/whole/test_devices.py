@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._engines import native_engine as native
-from dipoletop._engines import select as _engine
+from dipoletop._engines import on_device
+from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.basin import FIELDS
 from dipoletop._runs import classify_many as outcomes
 
@@ -85,25 +85,24 @@ def watched(run, together):
 
     So many tiles at a time wait for each other, so no device can do the work of another.
     """
-    judged, judged_in_jax = outcomes.judged, _engine._judged
+    in_machine_code, finished = NativeEngine.classify, on_device._finished
     meeting, used = threading.Barrier(together), []
 
     def met(devices):
         used.extend(device.id for device in devices)
         meeting.wait(300)
 
-    def by_engine(engine, *args, device, **options):
-        if engine is native:
-            met([device])
-        return judged(engine, *args, device=device, **options)
+    def native(engine, *args, device, **options):
+        met([device])
+        return in_machine_code(engine, *args, device=device, **options)
 
-    def in_jax(judge, equation, ends, scale):
+    def in_jax(finish, equation, ends, tolerances):
         met(ends.y.devices())
-        return judged_in_jax(judge, equation, ends, scale)
+        return finished(finish, equation, ends, tolerances)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(outcomes, "judged", by_engine)
-        patch.setattr(_engine, "_judged", in_jax)
+        patch.setattr(NativeEngine, "classify", native)
+        patch.setattr(on_device, "_finished", in_jax)
         return digest(run()), sorted(used)
 
 
@@ -126,6 +125,7 @@ def runs():
         "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {COUNT}={DEVICES}",
         "JAX_ENABLE_X64": "1",
         "JAX_PLATFORMS": "cpu",
+        "PYTHONPATH": os.pathsep.join(sys.path),  # with that of `conftest`
     }
     command = [sys.executable, __file__]
     run = subprocess.run(command, env=os.environ | settings, capture_output=True, check=False)

@@ -12,12 +12,18 @@ import pytest
 
 import dipoletop as dt
 from dipoletop import Outcome
-from dipoletop._engines import jax_engine as lanes
-from dipoletop._engines import native_engine as native
+from dipoletop._base.stopping import FINISHED
+from dipoletop._engines.interface import Limits
+from dipoletop._engines.jax_engine import JaxEngine
+from dipoletop._engines.native_engine import NativeEngine
+from dipoletop._engines.step import begin, runge_kutta_step
 
 RNG = np.random.default_rng(19)
 N = 256  # lanes of every block that is integrated to given times
-both = pytest.mark.parametrize("engine", [lanes, native])
+# One program for each engine, in JAX of a shorter method.
+NATIVE = NativeEngine()
+ENGINES = JaxEngine(diffrax.Tsit5()), NATIVE
+both = pytest.mark.parametrize("engine", ENGINES, ids=lambda e: e.name)
 
 METHODS = [
     diffrax.Heun(),
@@ -66,13 +72,13 @@ def at_fixed_steps(method, delta, start, end, counts):
     number = jnp.asarray(counts)
     h = end / number.astype(float)
     zero = jnp.zeros_like(h)
-    limits = lanes.Limits(jnp.asarray(1.0), 1 + zero, zero + end, jnp.asarray(1))
+    limits = Limits(jnp.asarray(1.0), 1 + zero, zero + end, jnp.asarray(1))
     y = jnp.repeat(start[:, None], len(counts), axis=1)
     equation = Pulsed(dt.LongitudinalReduced(delta + zero))
-    begun = lanes.begin(equation, y, limits, 1, "time")  # but for its step size
+    begun = begin(equation, y, limits, 1, "time")  # but for its step size
 
     def step(k, at):
-        y, f, _ = lanes._runge_kutta(method, at.equation, at, h)
+        y, f, _ = runge_kutta_step(method, at.equation, at, h)
         new = eqx.tree_at(lambda at: (at.y, at.f, at.t), at, (y, f, at.t + h))
         return jax.tree.map(lambda new, old: jnp.where(k < number, new, old), new, at)
 
@@ -80,11 +86,10 @@ def at_fixed_steps(method, delta, start, end, counts):
 
 
 def run(engine, equation, starts, times, rtol=1e-9):
-    """End states at given times; one program for each engine, in JAX of a shorter method."""
+    """End states at given times."""
     size = jnp.sqrt(jnp.sum(starts**2, axis=0))
-    limits = lanes.Limits(jnp.asarray(rtol, float), rtol * size, times, jnp.asarray(100_000))
-    solver = diffrax.Dopri8() if engine is native else diffrax.Tsit5()
-    return engine.integrate(equation, starts, limits, solver=solver, until="time")
+    limits = Limits(jnp.asarray(rtol, float), rtol * size, times, jnp.asarray(100_000))
+    return engine.end_states(equation, starts, limits, until="time")
 
 
 def solved():
@@ -123,7 +128,7 @@ def rotators():
 
 @pytest.mark.parametrize(
     ("make", "engine"),
-    [(lambda: TOP, lanes), (lambda: TOP, native), (spinning, native), (rotators, native)],
+    [*((lambda: TOP, engine) for engine in ENGINES), (spinning, NATIVE), (rotators, NATIVE)],
 )
 def test_the_error_follows_the_tolerance(make, engine):
     """At most 5 × rtol|ω₀|, and in proportion, over eight decades."""
@@ -133,7 +138,7 @@ def test_the_error_follows_the_tolerance(make, engine):
     errors = []
     for rtol in rtols:
         ends = run(engine, equation, starts, times, rtol)
-        assert bool(jnp.all(ends.status == lanes.FINISHED))
+        assert bool(jnp.all(ends.status == FINISHED))
         errors.append(float(jnp.max(jnp.abs(ends.y - exact) / size[None])))
     assert np.all(errors < 5 * rtols), errors
     slope = np.polyfit(np.log(rtols), np.log(errors), 1)[0]
@@ -163,7 +168,7 @@ def test_tight_tolerances_and_long_times(engine):
     starts = starts.at[0].set(0.0)  # all of it decays; a constant ω₁ would limit the steps
     times = jnp.asarray(10 ** np.linspace(0, 30, N)) / jnp.sum(starts**2, axis=0)
     ends = run(engine, equation, starts, times, rtol=5e-15)
-    assert bool(jnp.all(ends.status == lanes.FINISHED))
+    assert bool(jnp.all(ends.status == FINISHED))
     assert bool(jnp.all(ends.t == times))
     exact = jax.vmap(dt.exact.transverse, (0, -1, 0), -1)(equation.delta, starts, times)
     error = jnp.max(jnp.abs(ends.y - exact), axis=0) / jnp.linalg.norm(starts, axis=0)
@@ -220,7 +225,7 @@ def labels(engine, deltas, starts, rtol=1e-8):
         rtol=rtol,
         value=False,
         max_steps=250,
-        engine=engine.NAME,
+        engine=engine.name,
     )
 
 

@@ -6,11 +6,16 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 
 from .checks import refuse
+
+if TYPE_CHECKING:  # for a type checker `jax.Device` is a variable, no type
+    from jaxlib._jax import Device
+else:
+    Device = jax.Device
 
 T = TypeVar("T")
 _here = threading.local()

@@ -1,4 +1,4 @@
-"""When a run ends: rules that every engine follows."""
+"""When a run ends: status codes and rules that every engine follows."""
 
 from typing import Any, Literal
 
@@ -6,7 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from .linalg import largest
+from .tolerances import Tolerances
 from .types import Outcome, Real, State, Verdict
+
+RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1
+"""Status of a run: still at work; finished by `Until`; out of steps; not finite, a runaway, or a
+step size below rounding."""
 
 Until = Literal["outcome", "value", "slope", "time"]
 """When a run is finished: its outcome is certain; also ω∞ to the tolerance; also the derivatives
@@ -14,26 +19,23 @@ of ω∞; or at time t1."""
 VALUE_MARGIN = 0.1  # ω∞ is settled when its estimated error is this part of the tolerance
 
 
-def decided(equation: Any, y: State, scale: Any, until: Until) -> Bool[Array, "*lanes"]:
-    """Whether a state ends a run; ω∞ need not be better than the integration is.
-
-    `scale` are the tolerances, (rtol, atol).
-    """
+def decided(equation: Any, y: State, tolerances: Tolerances, until: Until) -> Bool[Array, "*lanes"]:
+    """Whether a state ends a run; ω∞ need not be better than the integration is."""
     if until == "time":
         return jnp.zeros(y.shape[1:], bool)
     verdict = Verdict(*equation.verdict(y))
     certain = verdict.outcome != Outcome.UNDECIDED
     if until == "outcome":
         return certain
-    certain = certain & settled(verdict, scale, VALUE_MARGIN)
+    certain = certain & settled(verdict, tolerances, VALUE_MARGIN)
     if until == "value":
         return certain
-    return certain & (smooth(verdict, scale[0]) | (verdict.outcome == Outcome.STOP))
+    return certain & (smooth(verdict, tolerances.rtol) | (verdict.outcome == Outcome.STOP))
 
 
-def settled(verdict: Verdict, scale: Any, margin: float) -> Bool[Array, "*lanes"]:
+def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Array, "*lanes"]:
     """Whether the estimated error of ω∞ is within that part of the tolerance."""
-    rtol, atol = scale
+    rtol, atol = tolerances
     size = jnp.abs(verdict.omega_inf)
     within = verdict.error * size <= margin * (rtol * size + atol)
     return within | (verdict.outcome != Outcome.RESIDUAL)

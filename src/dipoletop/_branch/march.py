@@ -5,7 +5,6 @@ them. So they are found window by window (`_windows`), each a boundary-value pro
 lies some runaway times ahead of what is kept of it.
 """
 
-import threading
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,16 +14,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import radiation
-from .._base import stopping as _endings
 from .._base.checks import check_single, finite, or_nan, refuse
 from .._base.forward_mode import differentiable
 from .._base.tolerances import tolerance
-from .._engines import jax_engine as lanes
-from ..equations.tangent import Tangent
 from . import window as _windows
 from .window import Window
 
-NAME = "branch"  # of the engine
 EFOLDS = 36.0  # runaway times that a first window looks ahead
 LONGER, SHORTER = 1.6, (0.5, 0.8, 1.0, 1.3, 1.7)  # of windows, by the number of good elements
 REACHES = 30.0  # an element may be this much worse than rtol, if only the one before it is kept
@@ -226,86 +221,6 @@ def follow(equation: Any, omega0: Array, times: Array, rtol: Array, max_windows:
     return Motion(found[:, :n], found[:, n], at.windows, at.time)
 
 
-def integrate(
-    equation: Any,
-    y0: Float[Array, "n N"],
-    limits: lanes.Limits,
-    *,
-    until: _endings.Until = "value",
-) -> lanes.Ends:
-    """The ends of many physical motions: `lanes.integrate` for full equations.
-
-    Args:
-        equation: a full equation whose array fields carry a trailing axis of N lanes.
-        y0: starts, shape (n, N); of each only ω counts, the rest is found.
-        limits: tolerances and budget (of windows); a lane with t1 = 0 is not run.
-        until: "outcome" or "value".
-
-    Returns:
-        The end states, in the order of the starts. Outcomes are looked for where elements of a
-        window end, so that times are those of the next such place.
-    """
-    with _alone:
-        return jax.block_until_ready(_integrate(equation, y0, limits, until))
-
-
-_alone = threading.Lock()  # two such programs at once have been seen to wait for each other
-
-
-@eqx.filter_jit
-def _integrate(equation: Any, y0: Array, limits: lanes.Limits, until: _endings.Until) -> lanes.Ends:
-    arrays, static = eqx.partition(equation, eqx.is_array)
-
-    def one(lane: Any) -> Any:
-        parameters, start, atol, t1 = lane
-        alone = eqx.combine(parameters, static)
-        bounds = limits.rtol, atol, t1, limits.max_steps
-        return until_decided(alone, start, bounds, until)
-
-    lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
-    # One after another: side by side all would wait for the slowest, and nothing is gained.
-    y, time, windows, status = jax.lax.map(one, lane)
-    return lanes.Ends(y.T, time, windows, status, jnp.stack([jnp.sum(windows), 0]))
-
-
-def until_decided(equation: Any, start: Array, limits: Any, until: _endings.Until) -> Any:
-    """One motion, to the first state that decides: that, its time, windows, status.
-
-    `limits` are rtol, atol, t1 (0: not to be run) and the budget of windows.
-    """
-    if isinstance(equation, Tangent):
-        return _varied(equation, start, limits, until)
-    rtol, atol, t1, max_windows = limits
-
-    def ends(y: Array) -> Bool[Array, ""]:
-        # Where a motion ends has no derivative, and those of a verdict are long.
-        fixed, state = jax.lax.stop_gradient((eqx.filter(equation, eqx.is_array), y))
-        return _endings.decided(eqx.combine(fixed, equation), state, (rtol, atol), until)
-
-    def going(carry: Any) -> Bool[Array, ""]:
-        return carry[3] == lanes.RUNNING
-
-    def on(carry: Any) -> Any:
-        at, y, _, _ = carry
-        new, window, good = march(equation, at, rtol)
-        # The start is looked at with the first window: XLA compiles a long verdict only once.
-        states = jnp.concatenate([y[None], window.states[:, -1]])
-        times = at.time + jnp.append(0.0, window.times[:, -1])
-        done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= good)
-        which = jnp.where(jnp.any(done), jnp.argmax(done), good)
-        status = jnp.where(new.windows < max_windows, lanes.RUNNING, lanes.EXHAUSTED)
-        status = jnp.where(new.lost, lanes.BROKEN, status)
-        status = jnp.where(jnp.any(done), lanes.FINISHED, status).astype("int32")
-        return new, states[which], times[which], status
-
-    at = set_out(equation, equation.omega(start), 0.0)
-    idle = jnp.where(t1 > 0, lanes.RUNNING, lanes.FINISHED)
-    status = jnp.where(at.lost, lanes.BROKEN, idle)
-    begun = at, start, at.time, status.astype("int32")
-    at, y, time, status = jax.lax.while_loop(going, on, begun)
-    return y, time, at.windows, status
-
-
 def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windows: Any) -> Array:
     """When a function of the state falls to 0 on the physical motion from ω₀ on, first of all.
 
@@ -345,23 +260,3 @@ def crossing(equation: Any, omega0: Array, function: Any, rtol: Array, max_windo
         value, slope = jax.jvp(function, (y,), (equation(0.0, y),))
         time = time - value / slope
     return jnp.where(jnp.any(below), before + time, jnp.nan * omega0[0])  # no derivative, either
-
-
-def _varied(equation: Tangent, start: Array, limits: Any, until: _endings.Until) -> Any:
-    """`until_decided` for one motion and its variations."""
-    base, n = equation.equation, start.shape[0] // (1 + equation.m)
-    arrays, rest = eqx.partition(base, eqx.is_inexact_array)
-
-    def end(arrays: Any, omega: Array) -> Any:
-        alone = eqx.combine(arrays, rest)
-        y, *others = until_decided(alone, alone.lift(omega), limits, until)
-        return y, others
-
-    def along(parameters: Any, variation: Array) -> Any:
-        return jax.jvp(end, (arrays, omega), (parameters, variation), has_aux=True)
-
-    omega = base.omega(start[:n])
-    y, variations, others = jax.vmap(along, out_axes=(None, 0, None))(
-        equation.parameters, equation.starts
-    )
-    return jnp.concatenate([y, variations.ravel()]), *others

@@ -16,7 +16,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 from llvmlite import ir
 
-from .vector_code import COMPARE, FLOAT, Unsupported, Writer, is_float, machine_code
+from .interface import Unsupported
+from .vector_code import COMPARE, FLOAT, Writer, is_float, machine_code
 
 Value = np.ndarray  # of numbers, known now, or of LLVM values (dtype object), known at run time
 

@@ -1,15 +1,16 @@
-"""The lane engine in machine code: the same steps as `lanes`, for float64 on processors.
+"""The native engine: the steps of the JAX engine in machine code, for float64 on processors.
 
-`lanes.begin` and `lanes.advance`, traced for one lane, are compiled to vector instructions
-(`_llvm`, `_simd`); a loop around them refills a lane as soon as it is finished. So are the
-equation's `lift` and the last verdict, since a call of JAX costs as much as a thousand starts.
-It needs numba.
+`step.begin` and `step.advance`, traced for one lane, are compiled to vector instructions
+(`jaxpr_to_llvm`, `vector_code`); a loop around them refills a lane as soon as it is finished. The
+equation's `lift` and the function that finishes the runs are compiled, too, since a call of JAX
+costs as much as a thousand runs. It needs numba.
 """
 
 import functools
 import threading
 from concurrent.futures import wait
-from typing import Any, NamedTuple, no_type_check
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple, final, no_type_check
 
 import diffrax
 import equinox as eqx
@@ -23,20 +24,79 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from .._base.monitoring import compiling
-from .._base.parallel import pool
-from .._base.stopping import Until
-from .._base.types import Equation
-from . import jax_engine as lanes
+from .._base.parallel import Device, pool
+from .._base.stopping import RUNNING, Until
+from .._base.tolerances import Tolerances
+from . import step
+from .interface import EndStates, Finish, Limits, T, Unsupported
 from .jaxpr_to_llvm import compiled
-from .vector_code import Unsupported
 
-NAME = "native"  # of the engine
 WIDTH = 8  # lanes stepped together
 SHARE = 256  # starts from which a thread of its own pays
 KINDS = {"float64": ir.DoubleType(), "int64": ir.IntType(64), "int32": ir.IntType(32)}
 KINDS |= {"bool": ir.IntType(8)}  # numbers in arrays
 
-__all__ = ["NAME", "WIDTH", "Unsupported", "integrate", "judged", "prepare"]
+
+@final
+@dataclass(frozen=True)
+class NativeEngine:
+    """Lanes of machine code on processors, for float64.
+
+    Attributes:
+        solver: any explicit Runge–Kutta solver of diffrax.
+    """
+
+    name: ClassVar[str] = "native"
+    has_own_threads: ClassVar[bool] = True
+    solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
+
+    def prepare(self, equation: Any, until: Until, finish: Finish[Any] | None = None) -> None:
+        """Compile what runs of such equations need.
+
+        Raises:
+            Unsupported: the equation, or its verdict, has no straight-line code.
+        """
+        prepare(equation, until, finish=finish, solver=self.solver)
+
+    def end_states(
+        self,
+        equation: Any,
+        y0: Float[Array, "n N"] | Float[np.ndarray, "n N"],
+        limits: Limits,
+        *,
+        until: Until = "value",
+    ) -> EndStates:
+        """See `Engine`; in NumPy, on one core, equal to those of `JaxEngine` but for rounding.
+
+        Raises:
+            Unsupported: the equation, or its verdict, has no straight-line code.
+        """
+        program = prepare(equation, until, n=y0.shape[0], solver=self.solver)
+        at, size = program.rows.at, y0.shape[1]
+        y, t = np.empty(y0.shape), np.empty(size)
+        steps, status = np.empty(size, "int32"), np.empty(size, "int32")
+        ends = [(at.y, y), (at.t, t), (at.steps, steps), (at.status, status)]
+        block_steps = program.run(equation, limits, (at.y, y0), ends, 1)
+        return EndStates(y, t, steps, status, np.array([block_steps, 0]))
+
+    def classify(
+        self,
+        finish: Finish[T],
+        equation: Any,
+        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
+        limits: Limits,
+        *,
+        until: Until,
+        device: Device | None = None,
+        threads: int = 1,
+    ) -> T:
+        """See `Engine`; in NumPy. The device is any processor."""
+        program = prepare(equation, until, finish=finish, solver=self.solver)
+        rows, size = program.rows, limits.t1.shape[0]
+        found = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.found)
+        ends = list(zip(*map(jax.tree.leaves, (rows.found, found)), strict=True))
+        program.run(equation, limits, (rows.omegas, omegas), ends, threads)
+        return found
 
 
 def _call(typing: Any, address: Any, first: Any, stride: Any, shared: Any) -> Any:
@@ -108,9 +168,9 @@ def _write_out(end, ended, places, count, shared, kept):
     """What is wanted of some ends, to where it belongs."""
     if end != 0:
         _treat(end, ended.ctypes.data, WIDTH, shared.ctypes.data)
-    for row, address, step, kind in kept:
+    for row, address, stride, kind in kept:
         for lane in range(count):
-            _put(address + places[lane] * step, ended[row, lane], kind)
+            _put(address + places[lane] * stride, ended[row, lane], kind)
 
 
 @numba.njit([numba.intp(_CODES, _SIZES, numba.intp[::1], _ROWS, _ROWS, _LIST)], nogil=True)
@@ -138,7 +198,7 @@ def _work(codes, sizes, queue, given, kept, shared):
     while True:
         running = 0
         for lane in range(WIDTH):
-            while block[status, lane] != lanes.RUNNING:
+            while block[status, lane] != RUNNING:
                 if slot[lane] >= 0:
                     for row in range(alive):
                         ended[row, count] = block[row, lane]
@@ -162,7 +222,7 @@ def _work(codes, sizes, queue, given, kept, shared):
                     block[row, lane] = fresh[row, at - first]
                 slot[lane] = at
                 at += 1
-            running += block[status, lane] == lanes.RUNNING
+            running += block[status, lane] == RUNNING
         if running == 0:
             _write_out(end, ended, places, count, shared, kept)
             return sweeps
@@ -173,36 +233,38 @@ def _work(codes, sizes, queue, given, kept, shared):
 class _Table(NamedTuple):
     """What the rows of a table of lanes hold, each a number of every lane."""
 
-    at: lanes.Lanes
+    at: step.LaneState
     omegas: Any
     found: Any
-    """What a judge says."""
+    """What `finish` gives."""
 
 
 class _Program:
-    """Machine code: `lanes.begin` and `lanes.advance`; if there is a judge, it and the lift."""
+    """Machine code: `step.begin` and `step.advance`; with a `finish` also that and the lift."""
 
-    def __init__(self, equation: Any, n: int, solver: Any, until: Until, judge: lanes.Judge | None):
+    def __init__(
+        self, equation: Any, n: int, solver: Any, until: Until, finish: Finish[Any] | None
+    ):
         arrays, static = eqx.partition(equation, _is_array)
 
-        def whole(at: lanes.Lanes) -> Any:
+        def whole(at: step.LaneState) -> Any:
             return eqx.combine(at.equation, static)
 
         def begin(table: _Table, shared: Any) -> _Table:
             at, omegas, _ = table
             y = at.y if omegas is None else whole(at).lift(omegas)
-            limits = lanes.Limits(shared[0], at.atol, at.t1, shared[1])
-            begun = lanes.begin(whole(at), y, limits, int(solver.order(None)), until)
+            limits = Limits(shared[0], at.atol, at.t1, shared[1])
+            begun = step.begin(whole(at), y, limits, int(solver.order(None)), until)
             return table._replace(at=eqx.filter(begun, eqx.is_array))
 
-        def advance(at: lanes.Lanes, shared: Any) -> Any:
+        def advance(at: step.LaneState, shared: Any) -> Any:
             rtol, max_steps = shared
             complete = eqx.tree_at(lambda at: at.equation, at, whole(at))
-            return eqx.filter(lanes.advance(complete, rtol, max_steps, solver, until), eqx.is_array)
+            return eqx.filter(step.advance(complete, rtol, max_steps, solver, until), eqx.is_array)
 
-        def found(at: lanes.Lanes, shared: Any) -> Any:
-            ends = at.y, at.t, at.steps, at.status
-            return judge and judge(whole(at), ends, (shared[0], at.atol))
+        def found(at: step.LaneState, shared: Any) -> Any:
+            ends = EndStates(at.y, at.t, at.steps, at.status)
+            return finish and finish(whole(at), ends, Tolerances(shared[0], at.atol))
 
         def end(table: _Table, shared: Any) -> _Table:
             return table._replace(found=found(table.at, shared))
@@ -212,11 +274,11 @@ class _Program:
 
         y, size, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
         fields = jax.tree.map(one, arrays)
-        at = lanes.Lanes(y, y, size, size, size, count, count, fields, size, size)
+        at = step.LaneState(y, y, size, size, size, count, count, fields, size, size)
         shared = jnp.zeros(()), jnp.zeros((), int)
         self.found = jax.eval_shape(found, at, shared)
-        table = _Table(at, judge and jnp.zeros((3, 1)), jax.tree.map(one, self.found))
-        parts = (begin, table), (advance, at), *([(end, table)] if judge else [])
+        table = _Table(at, finish and jnp.zeros((3, 1)), jax.tree.map(one, self.found))
+        parts = (begin, table), (advance, at), *([(end, table)] if finish else [])
         codes = [compiled(function, given, shared, WIDTH) for function, given in parts]
         self._alive = [engine for _, engine in codes]
         self._codes = tuple(address for address, _ in [*codes, (0, None)][:3])
@@ -225,7 +287,7 @@ class _Program:
         self.rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
         self._sizes = ends[-1], self.rows.at.t1.stop, self.rows.at.status.start
 
-    def run(self, equation: Any, limits: lanes.Limits, begun: Any, ends: Any, threads: int) -> int:
+    def run(self, equation: Any, limits: Limits, begun: Any, ends: Any, threads: int) -> int:
         """How many steps all lanes together made.
 
         Args:
@@ -284,7 +346,7 @@ def prepare(
     until: Until,
     *,
     n: int | None = None,
-    judge: lanes.Judge | None = None,
+    finish: Finish[Any] | None = None,
     solver: Any = None,
 ) -> _Program:
     """The program for all equations of this structure, compiled once.
@@ -293,7 +355,7 @@ def prepare(
         equation: with a trailing axis of lanes on its arrays.
         until: when a lane is finished.
         n: numbers of a state; None: those that the equation lifts to.
-        judge: what is to be said of the ends.
+        finish: what will be applied to the end states, if anything.
         solver: `diffrax.Dopri8()` by default.
 
     Raises:
@@ -303,12 +365,12 @@ def prepare(
     leaves, structure = jax.tree.flatten((equation, solver))
     kinds = tuple(((x.shape[:-1], x.dtype) if _is_array(x) else x) for x in leaves)
     n = _lifted_size(structure, kinds) if n is None else n
-    key = (structure, kinds, n, judge, until)
+    key = (structure, kinds, n, finish, until)
     with _compiling:
         if key not in _programs:
             try:
                 with compiling():
-                    _programs[key] = _Program(equation, n, solver, until, judge)
+                    _programs[key] = _Program(equation, n, solver, until, finish)
             except Unsupported as reason:
                 _programs[key] = reason
     found = _programs[key]
@@ -323,54 +385,3 @@ def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
     lane = (jax.ShapeDtypeStruct((*x[0], 1), x[1]) if isinstance(x, tuple) else x for x in kinds)
     equation, _ = jax.tree.unflatten(structure, lane)
     return eqx.filter_eval_shape(lambda e, w: e.lift(w), equation, jnp.zeros((3, 1))).shape[0]
-
-
-def integrate(
-    equation: Equation,
-    y0: Float[Array, "n N"] | Float[np.ndarray, "n N"],
-    limits: lanes.Limits,
-    *,
-    solver: diffrax.AbstractERK | None = None,
-    until: Until = "value",
-) -> lanes.Ends:
-    """Work off a queue of starts on one core: `lanes.integrate` in machine code.
-
-    Args:
-        equation: a first-order equation whose array fields carry a trailing axis of N lanes.
-        y0: starts, shape (n, N), float64.
-        limits: tolerances, end times and budget.
-        solver: any explicit Runge–Kutta solver of diffrax; `diffrax.Dopri8()` by default.
-        until: when a lane is finished.
-
-    Returns:
-        The end states, in NumPy, in the order of the starts. Steps and outcomes are those of
-        `lanes.integrate` but for rounding.
-
-    Raises:
-        Unsupported: the equation, or its verdict, has no straight-line code.
-    """
-    program = prepare(equation, until, n=y0.shape[0], solver=solver)
-    at, size = program.rows.at, y0.shape[1]
-    y, t = np.empty(y0.shape), np.empty(size)
-    steps, status = np.empty(size, "int32"), np.empty(size, "int32")
-    ends = [(at.y, y), (at.t, t), (at.steps, steps), (at.status, status)]
-    sweeps = program.run(equation, limits, (at.y, y0), ends, 1)
-    return lanes.Ends(y, t, steps, status, np.array([sweeps, 0]))
-
-
-def judged(
-    judge: lanes.Judge,
-    equation: Any,
-    omegas: Any,
-    limits: lanes.Limits,
-    *,
-    until: Until,
-    threads: int = 1,
-) -> Any:
-    """What a judge says of the ends of runs, in NumPy; the arrays that go in may be, too."""
-    program = prepare(equation, until, judge=judge)
-    rows, size = program.rows, limits.t1.shape[0]
-    found = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.found)
-    ends = list(zip(*map(jax.tree.leaves, (rows.found, found)), strict=True))
-    program.run(equation, limits, (rows.omegas, omegas), ends, threads)
-    return found

@@ -1,114 +1,92 @@
-"""Which engine works off a queue: machine code where it can, else JAX."""
+"""Which engine takes an equation: machine code where it can, else JAX."""
 
 import functools
-import importlib
 import warnings
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .._base.checks import refuse
 from .._base.monitoring import compiling
+from .._base.parallel import Device
 from .._base.stopping import Until
-from .._branch import march as manifold
-from . import jax_engine as lanes
+from .._branch.march import is_full, physical
+from .branch_engine import BranchEngine
+from .interface import Engine, Finish, Unsupported
+from .jax_engine import JaxEngine
+
+if TYPE_CHECKING:
+    from .native_engine import NativeEngine
+
+
+def select_engines(
+    name: str,
+    equation: Any,
+    devices: Sequence[Device],
+    until: Until,
+    finish: Finish[Any],
+) -> dict[Device, Engine]:
+    """The engine of each device for runs of the physical motions of an equation."""
+    equation = physical(equation)
+    return {device: select_engine(name, equation, device, until, finish) for device in set(devices)}
+
+
+def select_engine(
+    name: str,
+    equation: Any,
+    device: Device,
+    until: Until,
+    finish: Finish[Any] | None = None,
+) -> Engine:
+    """The engine for such runs.
+
+    Args:
+        name: "jax"; "native"; or "auto", the native one where it can run, with a warning if numba
+            is installed but this equation cannot be compiled.
+        equation: with a trailing axis of lanes on its arrays.
+        device: where it shall run.
+        until: when a run is finished.
+        finish: what `Engine.classify` will be called with, if it will be.
+
+    A full equation has an engine of its own, which follows its physical branch.
+    """
+    if name not in ("auto", "jax", "native"):
+        refuse("engine", "be 'auto', 'jax' or 'native'", f"is {name!r}")
+    if is_full(equation):  # no integration forwards in time can follow it
+        if name == "native":
+            refuse("engine", "be 'auto' or 'jax' here", "is 'native', but the equation is full")
+        return BranchEngine()
+    if name == "jax":
+        return JaxEngine()
+    native, reason = _native_engine()
+    reason = reason or _missing_for_native(device)
+    if native is not None and not reason:
+        try:
+            native.prepare(equation, until, finish)
+            return native
+        except Unsupported as error:
+            reason = f"it cannot take {type(equation).__name__} ({error})"
+            if name == "auto":
+                warnings.warn(f"The JAX engine runs, not the native one: {reason}.", stacklevel=2)
+    if name == "native":
+        refuse("engine", "be 'auto' or 'jax' here", f"is 'native', but {reason}")
+    return JaxEngine()
 
 
 @functools.cache
-def _native() -> tuple[Any, str]:
-    """The native engine, or why it cannot be had."""
+def _native_engine() -> "tuple[NativeEngine | None, str]":
+    """The native engine; or None, and why it is missing."""
     try:
         with compiling():
-            return importlib.import_module("dipoletop._engines.native_engine"), ""
+            from .native_engine import NativeEngine
     except ImportError as error:
         return None, f"numba cannot be imported ({error})"
+    return NativeEngine(), ""
 
 
-def engine_for(
-    engine: str, equation: Any, device: Any, until: Until, judge: lanes.Judge | None = None
-) -> Any:
-    """The engine for such runs: a module with `integrate`; see also `judged`.
-
-    Args:
-        engine: "jax"; "native"; or "auto", the native one where it can run, with a warning if
-            it is there but cannot take this equation, which it compiles.
-        equation: with a trailing axis of lanes on its arrays.
-        device: which shall run.
-        until: when a run is finished.
-        judge: what `judged` will be asked for, if anything.
-
-    A full equation has an engine of its own, in JAX: `manifold`.
-    """
-    if engine not in ("auto", "jax", "native"):
-        refuse("engine", "be 'auto', 'jax' or 'native'", f"is {engine!r}")
-    if manifold.is_full(equation):  # which no integration forwards can follow
-        if engine == "native":
-            refuse("engine", "be 'auto' or 'jax' here", "is 'native', but the equation is full")
-        return manifold
-    if engine == "jax":
-        return lanes
-    native: Any
-    native, reason = _native()
-    if not reason:
-        if jnp.result_type(float) != jnp.float64:
-            reason = "float64 is off"
-        elif device.platform != "cpu":
-            reason = "it runs on processors only"
-    if not reason:
-        try:
-            native.prepare(equation, until, judge=judge)
-            return native
-        except native.Unsupported as error:
-            reason = f"it cannot take {type(equation).__name__} ({error})"
-            if engine == "auto":
-                warnings.warn(f"The JAX engine runs, not the native one: {reason}.", stacklevel=2)
-    if engine == "native":
-        refuse("engine", "be 'auto' or 'jax' here", f"is 'native', but {reason}")
-    return lanes
-
-
-def judged(
-    engine: Any,
-    judge: lanes.Judge,
-    equation: Any,
-    omegas: Any,
-    limits: lanes.Limits,
-    *,
-    until: Until,
-    device: Any,
-    threads: int = 1,
-) -> Any:
-    """What a judge says of the ends of runs.
-
-    Args:
-        engine: from `engine_for`. One that has a function `judged` itself needs no JAX for it.
-        judge: a pure function.
-        equation: an equation whose array fields carry a trailing axis of N lanes.
-        omegas: starts ω₀, shape (3, N).
-        limits: tolerances, end times and budget.
-        until: when a run is finished.
-        device: which shall run; arrays that lie elsewhere, or in NumPy, are moved.
-        threads: for an engine that has its own `judged`, how many work off the queue.
-    """
-    if hasattr(engine, "judged"):
-        return engine.judged(judge, equation, omegas, limits, until=until, threads=threads)
-    arrays, rest = eqx.partition(
-        (equation, omegas, limits), lambda x: eqx.is_array(x) or isinstance(x, np.ndarray)
-    )
-    equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
-    ends = engine.integrate(equation, lifted(equation, omegas), limits, until=until)
-    return _judged(judge, equation, ends, (limits.rtol, limits.atol))
-
-
-@eqx.filter_jit
-def lifted(equation: Any, omegas: Any) -> Any:
-    """The states that start at these angular velocities."""
-    return equation.lift(omegas)
-
-
-@eqx.filter_jit
-def _judged(judge: lanes.Judge, equation: Any, ends: lanes.Ends, scale: Any) -> Any:
-    return judge(equation, (ends.y, ends.t, ends.steps, ends.status), scale)
+def _missing_for_native(device: Device) -> str:
+    """What the native engine lacks here, if anything."""
+    if jnp.result_type(float) != jnp.float64:
+        return "float64 is off"
+    return "" if device.platform == "cpu" else "it runs on processors only"

@@ -15,26 +15,33 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.linalg import largest
+from .._base.tolerances import Tolerances
 from .._base.types import Real, State
 from ..equations._common import Sizes
 
 FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
 
 
-def error_ratio(sizes: Sizes, error: State, ends: Any, scale: Any) -> Float[Array, "*lanes"]:
+def error_ratio(
+    sizes: Sizes, error: State, ends: Any, tolerances: Tolerances
+) -> Float[Array, "*lanes"]:
     """The largest component of the error of a step over what (rtol, atol) allow."""
-    rtol, atol = scale
+    rtol, atol = tolerances
     allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
     return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
 
 
-def first_step(equation: Any, sizes: Sizes, y: State, f: State, scale: Any, order: int) -> Real:
+def first_step(
+    equation: Any, sizes: Sizes, y: State, f: State, tolerances: Tolerances, order: int
+) -> Real:
     """Step size to begin with: that of a step whose error is about the tolerance.
 
     With y, ẏ, ÿ measured by the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order): in
     proportion to the time scale, whatever the unit of time is.
     """
-    ratio = functools.partial(error_ratio, sizes, ends=(y, jnp.zeros_like(y)), scale=scale)
+    ratio = functools.partial(
+        error_ratio, sizes, ends=(y, jnp.zeros_like(y)), tolerances=tolerances
+    )
     d0, d1 = ratio(y), ratio(f)
     moves = (d0 > 0) & (d1 > 0)
     h0 = jnp.where(moves, 0.01 * d0 / jnp.where(moves, d1, 1.0), 1e-6)
@@ -90,7 +97,7 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
 
             f0 = field(0.0, y0, None)
             order = int(error_order)
-            dt0 = first_step(field, self.sizes, y0, f0, (self.rtol, self.atol), order)
+            dt0 = first_step(field, self.sizes, y0, f0, Tolerances(self.rtol, self.atol), order)
             dt0 = jax.lax.stop_gradient(dt0)
         return self.pid.init(terms, t0, t1, y0, dt0, args, func, error_order)
 

@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 from llvmlite import binding, ir
 
+from .interface import Unsupported
+
 LONGEST = 300_000  # instructions; beyond, the compiler takes longer than the runs
-
-
-class Unsupported(Exception):
-    """A function cannot be written as straight-line code."""
 
 
 FLOAT = {

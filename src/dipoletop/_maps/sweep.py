@@ -15,9 +15,10 @@ from .._base.checks import check_verdict, names_of, refuse
 from .._base.parallel import in_parallel, workers
 from .._base.stopping import Until
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
-from .._engines import jax_engine as lanes
-from .._runs.classification import Value, stopping_rule
-from .._runs.classify_many import TILE, classify_block, engines_for, power_of_two
+from .._engines.interface import Limits
+from .._engines.select import select_engines
+from .._runs.classification import Value, classification_of, stopping_rule
+from .._runs.classify_many import TILE, classify_block, power_of_two
 from . import store as disk
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
@@ -96,7 +97,7 @@ def sweep(
     equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
     until = stopping_rule(equation, value)
-    engines = engines_for(engine, equation, crew, until)
+    engines = select_engines(engine, equation, crew, until, classification_of)
 
     def run(job: int, device: Any) -> tuple[dict[str, np.ndarray], Any]:
         block = build(tiling.points(job))
@@ -113,7 +114,7 @@ def sweep(
         "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
         "max_steps": steps,
         "value": value,
-        "engine": engines[crew[0]].NAME,
+        "engine": engines[crew[0]].name,
         **({"derivatives": list(along)} if along else {}),
         **({} if confirm is None else {"confirm": float(confirm)}),
         **_versions(),
@@ -226,11 +227,11 @@ def _work(run, jobs, keep, *, crew, tiling: Tiling, progress) -> None:
             bar.update(len(found["outcome"]))
 
 
-def _limits(block, real, atol, max_steps: int, until: Until, rtol) -> lanes.Limits:
+def _limits(block, real, atol, max_steps: int, until: Until, rtol) -> Limits:
     """What fills up a tile takes no step."""
     stops = np.where(real, np.inf, 0.0)
     least = absolute(atol, rtol, block[1], label_only=until == "outcome")
-    return lanes.Limits(rtol, least, stops, jnp.asarray(max_steps))
+    return Limits(rtol, least, stops, jnp.asarray(max_steps))
 
 
 def _compared(each: list[dict[str, np.ndarray]], real: np.ndarray) -> dict[str, np.ndarray]:

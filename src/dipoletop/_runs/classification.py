@@ -1,7 +1,7 @@
 """Classification: from the state that ended a run to its outcome, ω∞ and the error of ω∞."""
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, refuse
-from .._base.stopping import Until, settled, smooth
+from .._base.stopping import BROKEN, Until, settled, smooth
 from .._base.text import with_error
+from .._base.tolerances import Tolerances
 from .._base.types import Equation, Outcome, Real, Stop, Verdict
-from .._engines import jax_engine as lanes
+from .._engines.interface import EndStates
 from ..equations.tangent import Tangent
 
 UNCHECKED = "unchecked"
@@ -103,34 +104,35 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
 
 
 def classification_of(
-    equation: Equation, ends: tuple[Any, ...], tolerances: tuple[Any, Any]
+    equation: Equation, ends: EndStates, tolerances: Tolerances
 ) -> Classification:
     """The classification of runs by the states that ended them.
 
     A state that is not a number decides nothing.
 
     Args:
-        equation: an equation with a `verdict`, its lanes behind.
-        ends: state, time, number of steps and status of each run.
-        tolerances: rtol and atol of its steps.
+        equation: an equation with a `verdict`; of many runs, its arrays have a trailing axis of
+            lanes.
+        ends: where the runs ended.
+        tolerances: those of the steps.
     """
-    y, t, steps, status = ends
+    y = jnp.asarray(ends.y)
     verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
-    broken = status == lanes.BROKEN
+    broken = ends.status == BROKEN
     decided = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     without_outcome = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
     known = decided & settled(verdict, tolerances, 1.0)
     slopes = None
     if isinstance(equation, Tangent):
-        certain = known & smooth(verdict, tolerances[0])
-        certain &= ~((verdict.outcome == Outcome.STOP) & equation.astray(y, tolerances[0]))
+        certain = known & smooth(verdict, tolerances.rtol)
+        certain &= ~((verdict.outcome == Outcome.STOP) & equation.astray(y, tolerances.rtol))
         slopes = jnp.where(certain[None], equation.slopes(y), jnp.nan)
     return Classification(
         jnp.where(decided, verdict.outcome, without_outcome).astype(int),
         jnp.where(known, verdict.omega_inf, jnp.nan),
         jnp.where(known, _error_of_formula(equation, verdict), jnp.nan),
-        t,
-        jnp.asarray(steps, int),
+        ends.t,
+        jnp.asarray(ends.steps, int),
         decided & verdict.certified_for(equation),
         jnp.where(decided, verdict.stop, Stop.NONE).astype(int),
         slopes,

@@ -1,6 +1,5 @@
 """The outcome of one run, through diffrax or along the physical branch of a full equation."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
@@ -19,11 +18,12 @@ from .._base.checks import (
     is_whole_state,
     real,
 )
-from .._base.stopping import Until, decided, sound
+from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State
 from .._branch import march as manifold
-from .._engines import jax_engine as lanes
+from .._engines.branch_engine import end_on_branch
+from .._engines.interface import EndStates, Limits
 from .._engines.step_sizes import Controller
 from ..equations._common import scales_of, sizes_of
 from .classification import Classification, Value, classification_of, stopping_rule
@@ -82,7 +82,7 @@ def classify(
 
 
 @jax.custom_jvp
-def _zero_without_derivative(_: Any) -> float:
+def _zero_without_derivative(_: list[Array]) -> float:
     """0, whose derivatives are NaN."""
     return 0.0
 
@@ -93,12 +93,12 @@ def _(primals: Any, tangents: Any) -> tuple[float, Any]:
 
 
 class _Plan(NamedTuple):
-    """All that is static in a run."""
+    """What is static in a run."""
 
     from_omega: bool
     """Whether the start is ω₀; else it is a whole state."""
-    end_of_run: Callable[..., tuple[Any, ...]]
-    """From (equation, y0, tolerances, t1, max_steps, until) to state, time, steps and status."""
+    along_branch: bool
+    """Whether the run follows the physical branch of a full equation."""
     max_steps: int
     until: Until
     value: Value
@@ -125,13 +125,10 @@ def classify_with_tangents(
     tolerances = step_tolerances(rtol, atol, equation.omega(y0), label_only=label_only)
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
-    end_of_run = _by_steps
-    if manifold.is_full(equation):
-        if from_omega:
-            end_of_run = _along_branch
-        else:  # off the branch no region decides, and the top runs away
-            until = "time"
-    plan = _Plan(from_omega, end_of_run, steps, until, value)
+    along_branch = from_omega and manifold.is_full(equation)
+    if manifold.is_full(equation) and not from_omega:
+        until = "time"  # off the branch no region decides, and the top runs away
+    plan = _Plan(from_omega, along_branch, steps, until, value)
     return _classify(equation, start, tolerances, plan)
 
 
@@ -140,7 +137,11 @@ def _classify(equation: Any, start: Array, tolerances: Tolerances, plan: _Plan) 
     def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
         y0 = equation.lift(start) if plan.from_omega else start
         t1 = jnp.where(wanted, jnp.inf, 0.0)
-        ends = plan.end_of_run(equation, y0, tolerances, t1, plan.max_steps, plan.until)
+        limits = Limits(*tolerances, t1, jnp.asarray(plan.max_steps))
+        if plan.along_branch:
+            ends = end_on_branch(equation, y0, limits, plan.until)
+        else:
+            ends = _end_by_steps(equation, y0, limits, plan)
         return classification_of(equation, ends, tolerances)
 
     if plan.value is True and plan.until != "time":
@@ -149,41 +150,32 @@ def _classify(equation: Any, start: Array, tolerances: Tolerances, plan: _Plan) 
     return without_error_estimates(run(start, tolerances, jnp.asarray(True)), plan.value, jnp)
 
 
-def _along_branch(
-    equation: Any, y0: State, tolerances: Tolerances, t1: Array, max_steps: int, until: Until
-) -> tuple[Any, ...]:
-    """The end of a motion along the physical branch: state, time, windows and status."""
-    return manifold.until_decided(equation, y0, (*tolerances, t1, max_steps), until)
-
-
-def _by_steps(
-    equation: Any, y0: State, tolerances: Tolerances, t1: Array, max_steps: int, until: Until
-) -> tuple[Any, ...]:
-    """The end of a motion by diffrax: state, time, steps and status."""
+def _end_by_steps(equation: Any, y0: State, limits: Limits, plan: _Plan) -> EndStates:
+    """The end state of a run by diffrax."""
 
     def ended(t: Any, y: State, args: Any, **_: Any) -> Bool[Array, ""]:
         broken = ~sound(t, y, equation(t, y, None))
-        return broken | decided(equation, y, tolerances, until)
+        return broken | decided(equation, y, limits.tolerances, plan.until)
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(equation),
         diffrax.Dopri8(),
         0.0,
         # A start that is decided or broken needs no integration.
-        jnp.where(ended(jnp.zeros(()), y0, None), 0.0, t1),
+        jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1),
         None,
         y0,
-        stepsize_controller=Controller(*tolerances, sizes_of(equation)),
+        stepsize_controller=Controller(*limits.tolerances, sizes_of(equation)),
         saveat=diffrax.SaveAt(t1=True),
         event=diffrax.Event(ended),
-        max_steps=max_steps,
+        max_steps=plan.max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,
     )
     y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
     time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
     finished = sound(time, y, equation(time, y, None))
-    if until == "time":
+    if plan.until == "time":
         y = y * jnp.nan  # no state off the branch decides
-    status = jnp.where(finished, lanes.FINISHED, lanes.BROKEN)
-    return y, time, solution.stats["num_steps"], status
+    status = jnp.where(finished, FINISHED, BROKEN)
+    return EndStates(y, time, solution.stats["num_steps"], status)

@@ -1,6 +1,5 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._base import stopping as _endings
 from .._base.checks import (
     ArrayLike,
     NumberLike,
@@ -20,42 +18,17 @@ from .._base.checks import (
     refuse,
     subnormal,
 )
-from .._base.parallel import in_parallel, workers
+from .._base.parallel import Device, in_parallel, workers
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
-from .._branch import march as manifold
-from .._engines import jax_engine as lanes
-from .._engines.select import engine_for, judged
+from .._branch.march import physical
+from .._engines.interface import Engine, Limits
+from .._engines.select import select_engines
 from ..equations._common import scales_of
 from .classification import Classification, Value, classification_of, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
 
-TILE = 16384  # starts handed to the engine at once, at most
-
-
-def classify_block(
-    equation: Equation,
-    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-    limits: lanes.Limits,
-    value: Value,
-    engine: Any,
-    device: Any,
-    threads: int = 1,
-) -> Classification:
-    """Classify a block: fields of `equation` carry a trailing axis N; runs on one device."""
-    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
-        omegas = np.where(lost, np.nan, omegas)
-    how = {"until": stopping_rule(equation, value), "device": device, "threads": threads}
-    equation = manifold.physical(equation)
-
-    def run(omegas: Any, limits: lanes.Limits) -> Classification:
-        found = judged(engine, classification_of, equation, omegas, limits, **how)
-        return jax.tree.map(np.asarray, found)
-
-    found = run(omegas, limits)
-    if value is True:
-        return with_error_estimates(found, run, omegas, limits, scales_of(equation))
-    return without_error_estimates(found, value, np)
+TILE = 16384  # starts handed to an engine at once, at most
 
 
 def classify_many(
@@ -105,67 +78,59 @@ def classify_many(
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
-    scale = absolute(atol, rtol, starts, axis=-1, label_only=value is False)
+    atol = absolute(atol, rtol, starts, axis=-1, label_only=value is False)
     steps = jnp.asarray(budget("max_steps", max_steps))
-    whole = _Runs(equations, np.asarray(starts), np.asarray(scale), rtol, steps)
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
-    until = stopping_rule(equations, value)
-    crew = workers()
-    block = _cut(whole, 0, size, single)
-    engines = engines_for(engine, block[0], crew, until)
-    if hasattr(engines[crew[0]], "judged"):  # threads of its own, which share one queue
-        return classify_block(*block, value, engines[crew[0]], crew[0], threads=len(crew))
-    tile = min(TILE, power_of_two(-(-size // len(crew))))
+    runs = _Runs(equations, single, np.asarray(starts), np.asarray(atol), rtol, steps)
+    until, devices = stopping_rule(equations, value), workers()
+    every_run = runs.tile(0, size)
+    engines = select_engines(engine, every_run[0], devices, until, classification_of)
+    first = devices[0]
+    if engines[first].has_own_threads:  # they share one queue
+        return classify_block(*every_run, value, engines[first], first, threads=len(devices))
+    length = min(TILE, power_of_two(-(-size // len(devices))))
 
-    def work(job: int, device: Any) -> Classification:
-        part = _cut(whole, job * tile, tile, single)
-        return classify_block(*part, value, engines[device], device)
+    def work(job: int, device: Device) -> Classification:
+        return classify_block(*runs.tile(job * length, length), value, engines[device], device)
 
-    parts = dict(in_parallel(work, range(-(-size // tile)), crew))
-    found = [parts[job] for job in sorted(parts)]
-    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :size], *found)
-
-
-def engines_for(
-    engine: str, equation: Any, devices: Sequence[Any], until: _endings.Until
-) -> dict[Any, Any]:
-    """The engine of each device for `classify_block` with such equations."""
-    equation = manifold.physical(equation)
-    return {d: engine_for(engine, equation, d, until, classification_of) for d in set(devices)}
+    parts = dict(in_parallel(work, range(-(-size // length)), devices))
+    tiles = [parts[job] for job in sorted(parts)]
+    return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1)[..., :size], *tiles)
 
 
-class _Runs(NamedTuple):
-    """All that is asked of `classify_many`."""
+def classify_block(
+    equation: Equation,
+    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
+    limits: Limits,
+    value: Value,
+    engine: Engine,
+    device: Device,
+    threads: int = 1,
+) -> Classification:
+    """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes."""
+    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
+        omegas = np.where(lost, np.nan, omegas)
+    until = stopping_rule(equation, value)
+    equation = physical(equation)
 
-    equations: Any
-    starts: Float[np.ndarray, "N 3"]
-    atol: Float[np.ndarray, "N"]
-    rtol: Float[Array, ""]
-    max_steps: Int[Array, ""]
+    def run(omegas: Any, limits: Limits) -> Classification:
+        runs = engine.classify(
+            classification_of,
+            equation,
+            omegas,
+            limits,
+            until=until,
+            device=device,
+            threads=threads,
+        )
+        return jax.tree.map(np.asarray, runs)
 
-
-def _cut(runs: _Runs, first: int, tile: int, single: bool) -> tuple[Any, Any, lanes.Limits]:
-    """One tile: equation with its lanes behind, starts and limits. Padding takes no step.
-
-    In NumPy, by views if the tile is full: JAX would take as long as the machine code to come.
-    """
-    size, end = len(runs.starts), first + tile
-    t1 = np.full(tile, np.inf, runs.starts.dtype)
-    t1[max(size - first, 0) :] = 0.0
-    at: Any = slice(first, end) if end <= size else np.minimum(np.arange(first, end), size - 1)
-
-    def lanewise(x: Array) -> np.ndarray:
-        numbers = np.asarray(x)
-        if single:
-            return np.broadcast_to(numbers[..., None], (*numbers.shape, tile))
-        return np.moveaxis(numbers[at], 0, -1)
-
-    arrays, rest = eqx.partition(runs.equations, eqx.is_array)
-    equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)
-    limits = lanes.Limits(runs.rtol, runs.atol[at], t1, runs.max_steps)
-    return equation, runs.starts[at].T, limits
+    runs = run(omegas, limits)
+    if value is True:
+        return with_error_estimates(runs, run, omegas, limits, scales_of(equation))
+    return without_error_estimates(runs, value, np)
 
 
 def power_of_two(least: int) -> int:
@@ -173,7 +138,42 @@ def power_of_two(least: int) -> int:
     return max(128, 1 << (least - 1).bit_length())
 
 
-def _check_batch(equations: Any, size: int) -> None:
+class _Runs(NamedTuple):
+    """The runs that `classify_many` is asked for."""
+
+    equations: Any
+    single: bool
+    """Whether it is one equation for all runs, rather than a batch."""
+    starts: Float[np.ndarray, "N 3"]
+    atol: Float[np.ndarray, "N"]
+    rtol: Float[Array, ""]
+    max_steps: Int[Array, ""]
+
+    def tile(self, first: int, length: int) -> tuple[Any, Float[np.ndarray, "3 tile"], Limits]:
+        """Some runs: the equation with its lanes behind, starts, limits.
+
+        The last tile is filled up with runs that take no step. In NumPy, by views if the tile is
+        full, since JAX would take as long as the machine code that works on it.
+        """
+        size, end = len(self.starts), first + length
+        t1 = np.full(length, np.inf, self.starts.dtype)
+        t1[max(size - first, 0) :] = 0.0
+        full = end <= size
+        runs: Any = slice(first, end) if full else np.minimum(np.arange(first, end), size - 1)
+
+        def lanewise(leaf: Array) -> np.ndarray:
+            numbers = np.asarray(leaf)
+            if self.single:
+                return np.broadcast_to(numbers[..., None], (*numbers.shape, length))
+            return np.moveaxis(numbers[runs], 0, -1)
+
+        arrays, rest = eqx.partition(self.equations, eqx.is_array)
+        equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)
+        limits = Limits(self.rtol, self.atol[runs], t1, self.max_steps)
+        return equation, self.starts[runs].T, limits
+
+
+def _check_batch(equations: Equation, size: int) -> None:
     for leaf in jax.tree.leaves(eqx.filter(equations, eqx.is_array)):
         if leaf.ndim == 0 or leaf.shape[0] != size:
             refuse(

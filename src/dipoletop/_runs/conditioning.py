@@ -41,15 +41,12 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.tolerances import Tolerances
 from .._base.types import Outcome
-from .._engines.jax_engine import Limits
+from .._engines.interface import Limits
 from ..equations._common import Scales
 from .classification import Classification, Value
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
-NEIGHBOUR_RTOLS = (
-    1e3,
-    3.0,
-)  # of the neighbours over rtol, at the first and the second try
+NEIGHBOUR_RTOLS = 1e3, 3.0  # of the neighbours over rtol, at the first and the second try
 LARGEST_RTOL = 1e-4  # of the neighbours
 LONG_RUN = 400  # steps from which the distance grows, as do the errors of the neighbours
 LARGEST_PHASE = 0.01  # of distance · steps: beyond, neighbours may be off by a whole rotation

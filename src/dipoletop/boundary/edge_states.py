@@ -13,8 +13,9 @@ from .._base.checks import check_single, check_verdict, finite
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
 from .._branch import march as manifold
-from .._engines import jax_engine as lanes
-from .._engines.select import engine_for, lifted
+from .._engines.interface import Limits
+from .._engines.on_device import lifted
+from .._engines.select import select_engine
 from .crossings import Crossings, bisect, cut, fates_at, segments
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
@@ -177,8 +178,8 @@ def _after(
     y0 = lifted(block, omegas)
     rtol = tolerance("rtol", settings["rtol"])
     steps = jnp.asarray(budget("max_steps", settings.get("max_steps", MAX_STEPS)))
-    limits = lanes.Limits(rtol, absolute(None, rtol, omegas), jnp.asarray(np.repeat(ts, 2)), steps)
+    limits = Limits(rtol, absolute(None, rtol, omegas), jnp.asarray(np.repeat(ts, 2)), steps)
     device = next(iter(y0.devices()))
-    engine = engine_for(settings.get("engine", "auto"), block, device, "time")
-    ends = engine.integrate(block, y0, limits, until="time")
+    engine = select_engine(settings.get("engine", "auto"), block, device, "time")
+    ends = engine.end_states(block, y0, limits, until="time")
     return np.asarray(block.omega(jnp.asarray(ends.y))).T.reshape(len(ts), 2, 3)

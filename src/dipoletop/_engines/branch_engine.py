@@ -1,0 +1,128 @@
+"""The branch engine: full equations along their physical branch, one run after another."""
+
+import threading
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.parallel import Device
+from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided
+from .._branch.march import march, set_out
+from ..equations.tangent import Tangent
+from .interface import EndStates, Finish, Limits, T
+from .on_device import classify_on_device
+
+
+@final
+@dataclass(frozen=True)
+class BranchEngine:
+    """Full equations along their physical branch, in JAX; a step is a window of the march."""
+
+    name: ClassVar[str] = "branch"
+    has_own_threads: ClassVar[bool] = False
+
+    def end_states(
+        self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
+    ) -> EndStates:
+        """See `Engine`; of `y0` only ω is used, since the branch determines the rest.
+
+        Outcomes are looked for only where elements of a window end.
+        """
+        with _alone:
+            return jax.block_until_ready(_integrate(equation, y0, limits, until))
+
+    def classify(
+        self,
+        finish: Finish[T],
+        equation: Any,
+        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
+        limits: Limits,
+        *,
+        until: Until,
+        device: Device,
+        threads: int = 1,
+    ) -> T:
+        """See `Engine`."""
+        return classify_on_device(
+            self.end_states, finish, equation, omegas, limits, until=until, device=device
+        )
+
+
+_alone = threading.Lock()  # two such programs at once have been seen to wait for each other
+
+
+@eqx.filter_jit
+def _integrate(equation: Any, y0: Array, limits: Limits, until: Until) -> EndStates:
+    arrays, static = eqx.partition(equation, eqx.is_array)
+
+    def one(lane: Any) -> EndStates:
+        parameters, start, atol, t1 = lane
+        own = Limits(limits.rtol, atol, t1, limits.max_steps)
+        return end_on_branch(eqx.combine(parameters, static), start, own, until)
+
+    lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
+    # One after another: side by side all would wait for the slowest, and nothing is gained.
+    ends = jax.lax.map(one, lane)
+    block_steps = jnp.stack([jnp.sum(ends.steps), 0])
+    return EndStates(ends.y.T, ends.t, ends.steps, ends.status, block_steps)
+
+
+def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: Until) -> EndStates:
+    """The end state of one run along the branch; a run with t1 ≤ 0 is not made."""
+    if isinstance(equation, Tangent):
+        return _with_variations(equation, y0, limits, until)
+
+    def ends(y: Array) -> Bool[Array, ""]:
+        # Where a motion ends has no derivative, and those of a verdict are long.
+        fixed, state = jax.lax.stop_gradient((eqx.filter(equation, eqx.is_array), y))
+        return decided(eqx.combine(fixed, equation), state, limits.tolerances, until)
+
+    def going(carry: Any) -> Bool[Array, ""]:
+        return carry[3] == RUNNING
+
+    def on(carry: Any) -> Any:
+        at, y, _, _ = carry
+        new, window, good = march(equation, at, limits.rtol)
+        # The start is looked at with the first window: XLA compiles a long verdict only once.
+        states = jnp.concatenate([y[None], window.states[:, -1]])
+        times = at.time + jnp.append(0.0, window.times[:, -1])
+        done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= good)
+        which = jnp.where(jnp.any(done), jnp.argmax(done), good)
+        status = jnp.where(new.windows < limits.max_steps, RUNNING, EXHAUSTED)
+        status = jnp.where(new.lost, BROKEN, status)
+        status = jnp.where(jnp.any(done), FINISHED, status).astype("int32")
+        return new, states[which], times[which], status
+
+    at = set_out(equation, equation.omega(y0), 0.0)
+    idle = jnp.where(limits.t1 > 0, RUNNING, FINISHED)
+    status = jnp.where(at.lost, BROKEN, idle)
+    begun = at, y0, at.time, status.astype("int32")
+    at, y, time, status = jax.lax.while_loop(going, on, begun)
+    return EndStates(y, time, at.windows, status)
+
+
+def _with_variations(
+    equation: Tangent, y0: Float[Array, "n"], limits: Limits, until: Until
+) -> EndStates:
+    """`end_on_branch` for one motion and its variations."""
+    base, n = equation.equation, y0.shape[0] // (1 + equation.m)
+    arrays, rest = eqx.partition(base, eqx.is_inexact_array)
+
+    def end(arrays: Any, omega: Array) -> Any:
+        varied = eqx.combine(arrays, rest)
+        ends = end_on_branch(varied, varied.lift(omega), limits, until)
+        return ends.y, (ends.t, ends.steps, ends.status)
+
+    def along(parameters: Any, variation: Array) -> Any:
+        return jax.jvp(end, (arrays, omega), (parameters, variation), has_aux=True)
+
+    omega = base.omega(y0[:n])
+    y, variations, others = jax.vmap(along, out_axes=(None, 0, None))(
+        equation.parameters, equation.starts
+    )
+    return EndStates(jnp.concatenate([y, variations.ravel()]), *others)

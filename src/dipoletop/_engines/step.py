@@ -1,0 +1,147 @@
+"""One adaptive step of an explicit Runge–Kutta method, for a block of lanes.
+
+`begin` and `advance` are pure functions of the state of a block. The JAX engine calls them in a
+loop; the native engine traces them for one lane and compiles them to machine code. The equation
+is any first-order equation whose components lie on axis 0; the method is the Butcher tableau of
+any explicit diffrax solver.
+"""
+
+import functools
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided, sound
+from .._base.tolerances import Tolerances
+from .._base.types import Equation, Real, State
+from ..equations._common import sizes_of
+from .interface import Limits
+from .step_sizes import error_ratio, first_step, root
+
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
+LARGE, WIDE = 500, 10  # operations and components of a rate beyond which the stages become a loop
+
+
+class LaneState(eqx.Module):
+    """The state of runs, lanes on the trailing axis of everything."""
+
+    y: Float[Array, "n B"]
+    f: Float[Array, "n B"]
+    """The rate at (t, y)."""
+    t: Float[Array, "B"]
+    compensation: Float[Array, "B"]
+    """Kahan compensation of t: what rounding has cut off its sum, so that long runs keep time."""
+    h: Float[Array, "B"]
+    """Size of the next step."""
+    steps: Int[Array, "B"]
+    status: Int[Array, "B"]
+    """RUNNING, FINISHED, EXHAUSTED or BROKEN, see `stopping`."""
+    equation: Any
+    atol: Float[Array, "B"]
+    t1: Float[Array, "B"]
+
+
+def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> LaneState:
+    """Runs at τ = 0: first rates and step sizes; some are finished or broken at once."""
+    tolerances = limits.tolerances
+    f = equation(jnp.zeros_like(limits.t1), y0, None)
+    h = first_step(equation, sizes_of(equation), y0, f, tolerances, order)
+    able = sound(0 * h, y0, f) & jnp.isfinite(h)
+    done = decided(equation, y0, tolerances, until) | (limits.t1 <= 0)
+    status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
+    status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
+    zero = jnp.zeros_like(h)
+    none = zero.astype("int32")
+    atol, t1 = jnp.asarray(limits.atol), jnp.asarray(limits.t1)
+    return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1)
+
+
+def advance(
+    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
+) -> LaneState:
+    """Try one step in every lane that is running."""
+    tolerances = Tolerances(rtol, state.atol)
+    running = state.status == RUNNING
+    left = state.t1 - state.t - state.compensation
+    last = state.h >= left
+    h = jnp.where(last, left, state.h)
+    new, rate, error = runge_kutta_step(solver, state.equation, state, h)
+    ratio = error_ratio(sizes_of(state.equation), error, (state.y, new), tolerances)
+    factor = SAFETY / root(jnp.maximum(ratio, 1e-30), int(solver.order(None) or 0))
+    regular = jnp.isfinite(ratio)  # a stage that overflows asks for a smaller step
+    accept = running & regular & (ratio <= 1)
+    factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)
+
+    y = jnp.where(accept[None], new, state.y)
+    f = jnp.where(accept[None], rate, state.f)
+    steps = state.steps + running.astype(state.steps.dtype)
+    # Step-size underflow: the rejected step is already below the rounding error of y.
+    rounding = 4 * jnp.finfo(h.dtype).eps * jnp.abs(state.y)
+    stuck = jnp.all(jnp.abs(h[None] * state.f) <= rounding, axis=0)
+    gain = h + state.compensation
+    later = jnp.where(last, state.t1, state.t + gain)
+    t = jnp.where(accept, later, state.t)
+    compensation = jnp.where(accept, gain - (later - state.t), state.compensation)
+    # Evaluated at the proposed state unconditionally: that shortens the chain of dependent
+    # operations in machine code.
+    broken = jnp.where(accept, ~sound(later, new, rate), stuck)
+    done = accept & (last | decided(state.equation, new, tolerances, until))
+    status = jnp.where(steps < max_steps.astype(steps.dtype), RUNNING, EXHAUSTED)
+    status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
+    status = jnp.where(running, status, state.status).astype(state.status.dtype)
+    h = jnp.where(running, h * factor, state.h)
+    return LaneState(y, f, t, compensation, h, steps, status, state.equation, state.atol, state.t1)
+
+
+def runge_kutta_step(
+    solver: diffrax.AbstractERK, equation: Equation, state: LaneState, h: Real
+) -> tuple[State, State, State]:
+    """One step of the tableau: the new state, its rate, and the error."""
+    tableau: Any = solver.tableau
+    if len(state.y) > WIDE or _operations(equation, state.y) > LARGE:
+        rates = _rates_by_loop(tableau, equation, state, h)
+    else:
+        rates = [state.f]
+        for c, row in zip(tableau.c, tableau.a_lower, strict=True):
+            stage = state.y + h[None] * _weighted_sum(row, rates)
+            rates.append(equation(state.t + float(c) * h, stage, None))
+    error = h[None] * _weighted_sum(tableau.b_error, rates)
+    new = state.y + h[None] * _weighted_sum(tableau.b_sol, rates)
+    if tableau.fsal:  # the last stage is the new state
+        return new, rates[-1], error
+    return new, equation(state.t + h, new, None), error
+
+
+def _weighted_sum(weights: np.ndarray, rates: list[State]) -> State:
+    """Σ wᵢ kᵢ without the terms of zero weight."""
+    terms = [float(w) * k for w, k in zip(weights, rates, strict=True) if w != 0]
+    return functools.reduce(jnp.add, terms)
+
+
+def _operations(equation: Equation, y: State) -> int:
+    """The number of operations of the right-hand side."""
+    like = jax.ShapeDtypeStruct(y.shape, y.dtype), jax.ShapeDtypeStruct(y.shape[1:], y.dtype)
+    return len(jax.make_jaxpr(lambda y, t: equation(t, y, None))(*like).eqns)
+
+
+def _rates_by_loop(tableau: Any, equation: Equation, state: LaneState, h: Real) -> list[State]:
+    """The rates of all stages by a loop, which compiles a long right-hand side only once."""
+    size = len(tableau.c) + 1
+    rows = np.zeros((size, size))
+    for i, row in enumerate(tableau.a_lower, 1):
+        rows[i, :i] = row
+    weights = jnp.asarray(rows, state.y.dtype)
+    times = jnp.asarray(np.append(0.0, tableau.c), state.y.dtype)
+
+    def stage(i: Any, rates: Array) -> Array:
+        shift = jnp.einsum("s,snb->nb", weights[i], rates, precision="highest")
+        rate = equation(state.t + times[i] * h, state.y + h[None] * shift, None)
+        return rates.at[i].set(rate)
+
+    rates = jnp.zeros((size, *state.y.shape), state.y.dtype).at[0].set(state.f)
+    return list(jax.lax.fori_loop(1, size, stage, rates))
