@@ -1,4 +1,4 @@
-"""Bad input: one sentence where the value is known, NaN where it is traced."""
+"""Checks of arguments: a bad value that is known raises; one that is traced becomes NaN."""
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
@@ -14,7 +14,7 @@ from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
 
-LONGEST = 2000  # characters of what a refusal shows of a value
+LONGEST = 2000  # characters of a value that a message shows
 FLAG = (bool, np.bool_)
 NumberLike = (
     float
@@ -35,15 +35,15 @@ def concrete(*values: Any) -> bool:
 
 
 def refuse(name: str, must: str, was: Any) -> NoReturn:
-    """Raise the one sentence that every refusal has."""
-    shown = " ".join(str(was).split())  # some values print over many lines
+    """Raise a ValueError in the one grammar: Argument `name` must …, but …."""
+    shown = " ".join(str(was).split())  # in one line
     if len(shown) > LONGEST:
         shown = shown[:LONGEST] + " …"
     raise ValueError(f"Argument `{name}` must {must}, but {shown}.")
 
 
 def described(value: Any) -> str:
-    """What a value of a wrong kind is, in few words."""
+    """A few words on a value of a wrong kind."""
     if isinstance(value, type):
         return f"is the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
@@ -52,14 +52,14 @@ def described(value: Any) -> str:
 
 
 def instance(name: str, value: Any, kind: Any, must: str = "") -> Any:
-    """`value` if it is of that class."""
+    """`value`, if it is an instance of `kind`; else a refusal."""
     if not isinstance(value, kind):
         refuse(name, must or f"be a {kind.__name__}", described(value))
     return value
 
 
 def flag(name: str, value: Any) -> bool:
-    """True or False, and nothing that merely counts as such."""
+    """True or False; a value that merely counts as one is refused."""
     return bool(instance(name, value, FLAG, "be True or False"))
 
 
@@ -68,10 +68,7 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
     if isinstance(value, str):
         return (value,)
     must = "be a name or a sequence of names"
-    found = tuple(instance(name, value, Iterable, must))
-    for each in found:
-        instance(name, each, str, must)
-    return found
+    return tuple(instance(name, each, str, must) for each in instance(name, value, Iterable, must))
 
 
 def real(
@@ -81,7 +78,7 @@ def real(
 
     A length of -1 in `shape` stands for any length.
     """
-    refuse_orphan()  # here, since whatever computes looks at its numbers first
+    refuse_orphan()  # here, since every computation checks its numbers first
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
@@ -104,9 +101,9 @@ def real(
 
 
 def or_nan(value: Any, valid: Any) -> Any:
-    """`value` where `valid`, else NaN, as are its derivatives.
+    """`value` where `valid`, else NaN, and so are its derivatives.
 
-    (Of `jnp.where(valid, value, nan)` those backwards are 0.)
+    `jnp.where(valid, value, nan)` would have derivatives of 0 in reverse mode.
     """
     return value * jnp.where(valid, 1.0, jnp.nan)
 
@@ -117,7 +114,10 @@ def where_valid(
     valid: Bool[Array, "..."] | Bool[np.ndarray, "..."] | np.bool_,
     must: str,
 ) -> Float[Array, "*s"]:
-    """`value` where `valid` (which broadcasts from the left); else refuse it, or NaN if traced."""
+    """`value`, if all of it is `valid`; else a refusal, or NaN where it is traced.
+
+    `valid` broadcasts from the left.
+    """
     valid = valid.reshape(valid.shape + (1,) * (value.ndim - valid.ndim))
     if concrete(value, valid):
         if not np.all(valid):
@@ -141,16 +141,17 @@ def finite(
 
 
 def subnormal(array: Any) -> np.ndarray:
-    """Which numbers are too small for processors, where JAX takes them for 0; looked at in NumPy.
+    """Which numbers are subnormal; in NumPy.
 
-    A verdict about a start that is *exactly* on an axis would be wrong for them.
+    On processors JAX takes them for 0, so that a start near an axis would get the verdict on a
+    start *exactly* on it.
     """
     values = np.asarray(array)
     return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
 
 
 def check_equation(equation: Any, name: str = "equation") -> None:
-    """Refuse what cannot be an equation of motion, such as a plain function."""
+    """Refuse a value that cannot be an equation of motion, such as a plain function."""
     must = "be an equation of motion, callable and with methods `lift(omega0)` and `omega(y)`"
     if isinstance(equation, type) or not callable(equation):
         refuse(name, must, described(equation))
@@ -160,7 +161,7 @@ def check_equation(equation: Any, name: str = "equation") -> None:
 
 
 def check_verdict(equation: Any, name: str = "equation") -> None:
-    """Refuse what is no equation, or cannot say how its runs end."""
+    """Refuse a value that is no equation, or an equation without a `verdict`."""
     check_equation(equation, name)
     if not callable(getattr(equation, "verdict", None)):
         refuse(
@@ -171,7 +172,7 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
 
 
 def check_body(equation: Any) -> None:
-    """Refuse an equation of which no body is known."""
+    """Refuse an equation without a `body`."""
     if not hasattr(equation, "body"):
         refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
 
@@ -215,7 +216,7 @@ def _fits(function: Callable[[Any], Any], equation: Any) -> bool:
 
 
 def check_single(equation: Any) -> None:
-    """Refuse what is no equation, or a batch of them, where one is wanted."""
+    """Refuse a value that is no equation, and a batch of equations."""
     check_equation(equation)
     if not is_single(equation):
         batch = "is a batch of them (`jax.vmap`, `classify_many` and `sweep` take one)"
@@ -223,21 +224,22 @@ def check_single(equation: Any) -> None:
 
 
 def is_whole_state(omega0: Any) -> bool:
-    """Whether it is not a start ω₀ of shape (3,), but a state as an equation has it."""
+    """Whether an argument is a state of an equation, rather than a start ω₀ of shape (3,)."""
     return real("omega0", omega0, (-1,), batch=False).shape != (3,)
 
 
 def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
-    """The start: lifted from ω₀, or a whole state as it is."""
-    whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
-    start = finite("omega0", omega0, (-1,), batch=False)
-    if concrete(start) and np.any(lost := subnormal(start)):
-        least = np.finfo(start.dtype).tiny
+    """The initial state: lifted from ω₀, or a whole state as it is."""
+    like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
+    shape = jax.eval_shape(equation.lift, like).shape
+    initial = finite("omega0", omega0, (-1,), batch=False)
+    if concrete(initial) and np.any(lost := subnormal(initial)):
+        least = np.finfo(initial.dtype).tiny
         must = f"have components that are 0 or at least {least:.1e} in size"
-        refuse("omega0", must, f"has {_some(np.asarray(start)[lost])}")
-    if start.shape == (3,):
-        return equation.lift(start)
-    if start.shape != whole:
-        also = "" if whole == (3,) else f", or {whole} for a whole state"
-        refuse("omega0", f"have shape (3,){also}", f"has shape {start.shape}")
-    return start
+        refuse("omega0", must, f"has {_some(np.asarray(initial)[lost])}")
+    if initial.shape == (3,):
+        return equation.lift(initial)
+    if initial.shape != shape:
+        also = "" if shape == (3,) else f", or {shape} for a whole state"
+        refuse("omega0", f"have shape (3,){also}", f"has shape {initial.shape}")
+    return initial

@@ -41,22 +41,24 @@ def classify_many(
     value: Value = True,
     engine: str = "auto",
 ) -> Classification:
-    """How N runs end, by the lane engine, on all cores or devices.
+    """How dω/dτ = equation(ω) ends from each of N starts, on all cores or devices.
+
+    An engine integrates many runs at once. Each ends when the equation's own `verdict` is certain,
+    as in `classify`, whose table tells what `value` means.
 
     Args:
         equations: an equation with a `verdict`: one for all starts, or with a leading batch axis
             of N on every array field, as `TransverseReduced(delta=deltas)` has.
         omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite, or
-            has a subnormal component (which processors take for 0), is FAILED, and harms no other.
+            has a subnormal component (which processors take for 0), is FAILED, and affects no
+            other.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
-        atol: absolute tolerance, a number or shape (N,); None means none, since errors are measured
-            by the present |ω|; or rtol·|ω₀| for each start with `value=False`.
-        max_steps: budget of each run; one that exhausts it is UNDECIDED.
-        value: whether to go on until ω∞ is known, not only its outcome: True, with an estimate of
-            its error from three neighbouring starts; "unchecked", without, for about a third of
-            the cost; or False.
-        engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
-            "auto", the fastest that can run here.
+        atol: absolute tolerance of every step, a number or shape (N,); None means 0, since errors
+            are measured by the present |ω|, or rtol·|ω₀| for each start with `value=False`.
+        max_steps: largest number of steps of a run; a run that needs more is UNDECIDED.
+        value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
+        engine: "jax"; "native" (machine code, for float64 on processors; it needs numba); or
+            "auto", the fastest one that can run here.
 
     Returns:
         A `Classification` whose fields are NumPy arrays of shape (N,).
