@@ -21,7 +21,7 @@ from .._base.checks import (
     refuse,
     subnormal,
 )
-from .._base.parallel import Device, in_parallel, workers
+from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, Tolerances, absolute, budget, tolerance
 from .._base.types import Equation, Outcome, Stop, Verdict
 from .._branch import march as manifold
@@ -315,7 +315,7 @@ def classify_many(
     if not single:
         _check_batch(equations, size)
     until = goal(equations, value)
-    crew = workers()
+    crew = worker_devices()
     block = _cut(whole, 0, size, single)
     engines = select_engines(engine, block[0], crew, until, assemble)
     if engines[crew[0]].has_own_threads:  # which share one queue

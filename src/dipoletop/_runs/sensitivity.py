@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from .. import radiation
 from .._base.checks import check_body, check_single, check_verdict, or_nan, real, where_valid
-from .._base.forward_mode import differentiable
+from .._base.forward_mode import forward_differentiable
 from .._base.linalg import dot, length, scale
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
@@ -133,7 +133,7 @@ def _with_gradient(value: Callable[..., Array], with_slopes: Callable[..., Array
         back = _Back(
             tuple(moving), unravel, [None if k in moving else leaf for k, leaf in enumerate(leaves)]
         )
-        found, *slopes = differentiable(with_slopes)(x, (back, settings))
+        found, *slopes = forward_differentiable(with_slopes)(x, (back, settings))
         return found, jnp.stack(slopes) @ change
 
     wrapped.defjvp(rule, symbolic_zeros=True)
@@ -209,7 +209,7 @@ def decay_time(
         arrays, start, inf, part = back(x)
         return _time_of_energy(eqx.combine(arrays, rest), start, (inf, part), (*limits, steps))
 
-    return differentiable(time)(x, limits)
+    return forward_differentiable(time)(x, limits)
 
 
 @eqx.filter_jit

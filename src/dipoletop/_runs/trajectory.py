@@ -28,7 +28,7 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
-from .._base.forward_mode import differentiable
+from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation, State, Vector
 from .._branch import march as manifold
@@ -306,7 +306,7 @@ def _motion(equation, omega, times, rtol, max_windows: int) -> manifold.Motion:
     settings = times, rtol
     kinds = jax.eval_shape(follow, x, settings)
     _, apart = ravel_pytree(jax.tree.map(lambda kind: jnp.zeros(kind.shape, kind.dtype), kinds))
-    motion = apart(differentiable(lambda x, s: ravel_pytree(follow(x, s))[0])(x, settings))
+    motion = apart(forward_differentiable(lambda x, s: ravel_pytree(follow(x, s))[0])(x, settings))
     return motion._replace(windows=motion.windows.astype(int))
 
 
