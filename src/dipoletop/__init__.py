@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import exact, planar, radiation
 from ._base.types import Outcome, Stop, Verdict
-from ._branch.march import slow_manifold
+from ._branch.slow_manifold import slow_manifold
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
 from ._maps.store import StoreDamaged

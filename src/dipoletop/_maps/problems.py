@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from .._base.checks import check_equation, real, refuse
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
-from .._base.parallel import inside
+from .._base.parallel import as_worker
 from .._base.types import Equation, Verdict
 from .._branch.march import physical
 from ..equations._common import sizes_of
@@ -37,7 +37,7 @@ class Builder:
 
     def __call__(self, index: np.ndarray) -> tuple[Any, Float[Array, "3 N"]]:
         """The equations and starts of these points."""
-        with inside():
+        with as_worker():
             points = self.over.points(index)
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
@@ -71,7 +71,7 @@ class Builder:
 
             return program_digest(leaves, arrays, argument)
 
-        with inside():
+        with as_worker():
             state = jax.eval_shape(equation.lift, omegas)
             found = {
                 "problem": program_digest(self._mapped, self.over.points(one)),

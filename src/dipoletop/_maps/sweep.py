@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from .._base.checks import check_verdict, names_of, refuse
-from .._base.parallel import in_parallel, workers
+from .._base.parallel import in_parallel, worker_devices
 from .._base.stopping import Until
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._engines.interface import Limits
@@ -93,7 +93,7 @@ def sweep(
     rtols = [tolerance("rtol", rtol)]
     if confirm is not None:
         rtols.append(tolerance("confirm", confirm))
-    steps, crew = budget("max_steps", max_steps), workers(devices)
+    steps, crew = budget("max_steps", max_steps), worker_devices(devices)
     equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
     until = stopping_rule(equation, value)

@@ -21,7 +21,7 @@ from .._base.checks import (
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State
-from .._branch import march as manifold
+from .._branch.march import is_full, physical
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
 from .._engines.step_sizes import Controller
@@ -118,15 +118,15 @@ def classify_with_tangents(
     check_single(equation)
     from_omega = not is_whole_state(omega0)
     if from_omega:
-        equation = manifold.physical(equation)
+        equation = physical(equation)
     y0 = initial_state(equation, omega0)
     until = stopping_rule(equation, value)
     label_only = until == "outcome"
     tolerances = step_tolerances(rtol, atol, equation.omega(y0), label_only=label_only)
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
-    along_branch = from_omega and manifold.is_full(equation)
-    if manifold.is_full(equation) and not from_omega:
+    along_branch = from_omega and is_full(equation)
+    if is_full(equation) and not from_omega:
         until = "time"  # off the branch no region decides, and the top runs away
     plan = _Plan(from_omega, along_branch, steps, until, value)
     return _classify(equation, start, tolerances, plan)

@@ -18,7 +18,7 @@ from .._base.checks import (
     refuse,
     subnormal,
 )
-from .._base.parallel import Device, in_parallel, workers
+from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
 from .._branch.march import physical
@@ -86,7 +86,7 @@ def classify_many(
     if not single:
         _check_batch(equations, size)
     runs = _Runs(equations, single, np.asarray(starts), np.asarray(atol), rtol, steps)
-    until, devices = stopping_rule(equations, value), workers()
+    until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, classification_of)
     first = devices[0]

@@ -25,11 +25,11 @@ from .._base.checks import (
     real,
     where_valid,
 )
-from .._base.forward_mode import differentiable
+from .._base.forward_mode import forward_differentiable
 from .._base.linalg import dot, length, scale
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State
-from .._branch import march as manifold
+from .._branch.march import crossing, is_full, physical
 from .._engines.step_sizes import Controller
 from ..equations._common import Sizes, scales_of, sizes_of
 from ..equations._verdicts.nonsmooth import infinity
@@ -99,7 +99,7 @@ def residual_rotation(
     """
     check_verdict(equation)
     check_single(equation)
-    equation = manifold.physical(equation)
+    equation = physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
     tolerances = step_tolerances(rtol, atol, start)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
@@ -178,7 +178,7 @@ def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., 
         change, _ = ravel_pytree(along)
         others = [None if k in varying else leaf for k, leaf in enumerate(leaves)]
         leaves_of = _Leaves(tuple(varying), unravel, others)
-        omega_inf, *slopes = differentiable(value_and_slopes)(x, (leaves_of, constants))
+        omega_inf, *slopes = forward_differentiable(value_and_slopes)(x, (leaves_of, constants))
         return omega_inf, jnp.stack(slopes) @ change
 
     wrapped.defjvp(rule, symbolic_zeros=True)
@@ -240,7 +240,7 @@ def decay_time(
     check_verdict(equation)
     check_single(equation)
     check_body(equation)
-    equation = manifold.physical(equation)
+    equation = physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
     part = real("share", share, batch=False)
     part = where_valid("share", part, (part > 0) & (part < 1), "lie between 0 and 1")
@@ -256,7 +256,7 @@ def decay_time(
         varied = eqx.combine(arrays, rest)
         return _time_of_energy(varied, start, (omega_inf, part), tolerances, steps)
 
-    return differentiable(time)(variables, tolerances)
+    return forward_differentiable(time)(variables, tolerances)
 
 
 @eqx.filter_jit
@@ -279,11 +279,9 @@ def _time_of_energy(
     first, last = energy(y0), radiation.kinetic_energy(equation.body, residual_omega)
     level = first - share * (first - last)
     falls = (first > last) & jnp.isfinite(omega_inf)
-    if manifold.is_full(equation):
+    if is_full(equation):
         windows = jnp.where(falls, max_steps, 0)
-        return manifold.crossing(
-            equation, start, lambda y: energy(y) - level, tolerances.rtol, windows
-        )
+        return crossing(equation, start, lambda y: energy(y) - level, tolerances.rtol, windows)
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     t1 = jnp.where(falls, jnp.inf, 0.0)
     sizes = sizes_of(equation)

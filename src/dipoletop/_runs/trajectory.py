@@ -31,10 +31,10 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
-from .._base.forward_mode import differentiable
+from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
-from .._branch import march as manifold
+from .._branch import march
 from .._engines.step_sizes import Controller
 from ..equations._common import sizes_of
 
@@ -284,12 +284,12 @@ def simulate(
     _check_options(options)
     whole_state = is_whole_state(omega0)
     if not whole_state:
-        equation = manifold.physical(equation)
+        equation = march.physical(equation)
     times = _times(ts)
     y0 = initial_state(equation, omega0)
     tolerances = step_tolerances(rtol, atol, equation.omega(y0))
     steps = budget("max_steps", max_steps)
-    if manifold.is_full(equation) and not whole_state:
+    if march.is_full(equation) and not whole_state:
         run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options)
         failures = {BRANCH_LOST: ~(reached >= times[-1])}
     else:
@@ -345,7 +345,7 @@ def _follow(
                 f"one is `{name}`",
             )
     motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows)
-    # `manifold.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
+    # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
     # which is 0, gives the states their derivatives with respect to the times.
     elapsed = times - times[0]
     elapsed = elapsed - jax.lax.stop_gradient(elapsed)
@@ -361,16 +361,16 @@ def _differentiable_motion(
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
     max_windows: int,
-) -> manifold.Motion:
-    """`manifold.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
+) -> march.Motion:
+    """`march.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
     variables, unravel = ravel_pytree((arrays, omega0))
 
-    def follow(variables: Float[Array, "n"], constants: Any) -> manifold.Motion:
+    def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
         arrays, omega0 = unravel(variables)
         times, rtol = constants
         varied = eqx.combine(arrays, rest)
-        motion = manifold.follow(varied, omega0, times, rtol, max_windows)
+        motion = march.follow(varied, omega0, times, rtol, max_windows)
         return motion._replace(windows=motion.windows.astype(variables.dtype))
 
     # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
@@ -378,7 +378,7 @@ def _differentiable_motion(
     shapes = jax.eval_shape(follow, variables, constants)
     zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
     _, to_motion = ravel_pytree(zeros)
-    raveled = differentiable(
+    raveled = forward_differentiable(
         lambda variables, constants: ravel_pytree(follow(variables, constants))[0]
     )
     motion = to_motion(raveled(variables, constants))
