@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 from . import exact, planar, radiation
 from ._base.types import Outcome, Stop, Verdict
-from ._branch.march import slow_manifold
+from ._branch.slow_manifold import slow_manifold
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
 from ._maps.store.errors import StoreDamaged, StoreMismatch
 from ._maps.sweep import sweep
-from ._runs.classify_many import Classification, classify, classify_many
+from ._runs.classification import Classification
+from ._runs.classify import classify
+from ._runs.classify_many import classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
 from ._runs.trajectory import Trajectory, simulate
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dipoletop._base.dense import solve
+from dipoletop._base.dense import solve_dense
 
 RNG = np.random.default_rng(8)
 MATRICES = np.eye(6) + 0.3 * RNG.normal(size=(2, 3, 6, 6))
@@ -16,10 +16,10 @@ SIDES = RNG.normal(size=(2, 3, 6, 4))
 
 BESIDE = """
 import jax, jax.numpy as jnp
-from dipoletop._base.dense import solve
+from dipoletop._base.dense import solve_dense
 matrices = jnp.eye(96, dtype="float32") + 0.01 * jnp.arange(8.0)[:, None, None, None]
 matrices = jnp.broadcast_to(matrices, (8, 4, 96, 96))
-every = jax.jit(lambda matrices: [jax.vmap(solve)(m, m[..., :7]) for m in matrices])
+every = jax.jit(lambda matrices: [jax.vmap(solve_dense)(m, m[..., :7]) for m in matrices])
 for _ in range(20):
     jax.block_until_ready(every(matrices))
 """
@@ -31,7 +31,7 @@ def test_agrees_with_numpy_in_every_batch(batched, twice):
     single = [x if b == 0 else x[:, 0] for x, b in zip((MATRICES, SIDES), batched, strict=True)]
     if not twice:
         single = [x[0] for x in single]
-    many = jax.vmap(solve, in_axes=batched)
+    many = jax.vmap(solve_dense, in_axes=batched)
     result = (jax.vmap(many) if twice else many)(*map(jnp.asarray, single))
     whole = [x if b == 0 else x[..., None, :, :] for x, b in zip(single, batched, strict=True)]
     np.testing.assert_allclose(result, np.linalg.solve(*whole), rtol=1e-12, atol=1e-13)
@@ -39,7 +39,7 @@ def test_agrees_with_numpy_in_every_batch(batched, twice):
 
 def test_differentiates_twice_in_a_batch():
     def moved(t, matrix, side):
-        return solve(matrix + t * jnp.eye(6), side)
+        return solve_dense(matrix + t * jnp.eye(6), side)
 
     def both(matrix, side):
         first = jax.jacfwd(moved)

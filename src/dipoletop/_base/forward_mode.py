@@ -1,4 +1,8 @@
-"""Derivatives of what only runs forwards: a loop whose length is not known beforehand."""
+"""Forward-mode derivatives of functions with while-loops, usable under reverse mode.
+
+JAX cannot transpose a loop whose length is not known beforehand. But of a function of few variables
+the whole Jacobian is cheap in forward mode, and a product with a known matrix can be transposed.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,11 +13,11 @@ from jaxtyping import Array, Float
 Function = Callable[[Float[Array, "n"], Any], Float[Array, "..."]]
 
 
-def differentiable(function: Function) -> Function:
-    """The same function of (vector, settings), differentiable forwards, backwards and again.
+def forward_differentiable(function: Function) -> Function:
+    """The same function of (vector, settings), differentiable in both modes, to any order.
 
-    Its derivatives come from `jax.jacfwd`, whatever is asked for, so that memory does not grow
-    with the length of the loops inside. It is for few variables; the settings are constant.
+    All derivatives come from `jax.jacfwd`, so memory does not grow with the length of the loops
+    inside. The settings are constant.
     """
 
     @jax.custom_jvp
@@ -23,7 +27,7 @@ def differentiable(function: Function) -> Function:
     @wrapped.defjvp
     def rule(primals: Any, tangents: Any) -> Any:
         (x, settings), (change, _) = primals, tangents
-        jacobian = differentiable(jax.jacfwd(function))
+        jacobian = forward_differentiable(jax.jacfwd(function))
         return wrapped(x, settings), jacobian(x, settings) @ change
 
     return wrapped

@@ -1,4 +1,4 @@
-"""What JAX's monitoring is told of compilations that are not JAX's own."""
+"""Report compilations that are not JAX's own to `jax.monitoring`."""
 
 import contextlib
 import time
@@ -10,8 +10,8 @@ COMPILING = "/dipoletop/compile"
 
 
 @contextlib.contextmanager
-def compiling() -> Iterator[None]:
-    """Report how long something takes to be compiled."""
-    began = time.perf_counter()
+def report_compile_time() -> Iterator[None]:
+    """Report the duration of the block as an event `COMPILING`."""
+    started = time.perf_counter()
     yield
-    jax.monitoring.record_event_duration_secs(COMPILING, time.perf_counter() - began)
+    jax.monitoring.record_event_duration_secs(COMPILING, time.perf_counter() - started)

@@ -1,4 +1,4 @@
-"""All cores and all devices: one thread for each, with its own dispatch."""
+"""Threads for all cores and all devices, each with its own dispatch."""
 
 import contextlib
 import functools
@@ -18,22 +18,22 @@ else:
     Device = jax.Device
 
 T = TypeVar("T")
-_here = threading.local()
+_thread = threading.local()
 
 
-def workers(devices: Sequence[Any] | None = None) -> list[Any]:
-    """The devices to use, each as often as threads shall feed it.
+def worker_devices(devices: Sequence[Device] | None = None) -> list[Device]:
+    """One entry for each worker thread: the device that it feeds.
 
-    An accelerator is fed by one thread. A processor runs a small program on one core, so its
-    devices get as many threads as the process may use cores.
+    An accelerator is fed by one thread. A processor runs a small program on one core, so there are
+    as many threads for its devices as the process may use cores.
     """
-    if getattr(_here, "inside", False):  # of a worker, who would wait for himself
+    if getattr(_thread, "is_worker", False):  # it would wait for itself
         refuse(
             "problem",
             "not itself call `sweep` or `classify_many`, whose workers would wait for each other",
             "does (find what it needs beforehand, and let it use the numbers)",
         )
-    devices = jax.devices() if devices is None else _listed(devices)
+    devices = jax.devices() if devices is None else _device_list(devices)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hosts = [device for device in devices if device.platform == "cpu"]
     others = [device for device in devices if device.platform != "cpu"]
@@ -41,9 +41,10 @@ def workers(devices: Sequence[Any] | None = None) -> list[Any]:
     return others + [hosts[i % len(hosts)] for i in range(threads)]
 
 
-def _listed(devices: Any) -> list[Any]:
-    listed = [] if isinstance(devices, str) or not isinstance(devices, Iterable) else list(devices)
-    if not listed or not all(isinstance(device, jax.Device) for device in listed):
+def _device_list(devices: Any) -> list[Device]:
+    several = isinstance(devices, Iterable) and not isinstance(devices, str)
+    listed = list(devices) if several else []
+    if not listed or not all(isinstance(device, Device) for device in listed):
         refuse(
             "devices",
             "list at least one of JAX's devices, as `jax.devices('cpu')` does, or be None",
@@ -53,39 +54,42 @@ def _listed(devices: Any) -> list[Any]:
 
 
 @contextlib.contextmanager
-def inside() -> Iterator[None]:
-    """Marks this thread as one that others wait for: it must not ask for workers."""
-    before = getattr(_here, "inside", False)
-    _here.inside = True
+def as_worker() -> Iterator[None]:
+    """Mark this thread as one that other threads wait for: `worker_devices` then refuses."""
+    before = getattr(_thread, "is_worker", False)
+    _thread.is_worker = True
     try:
         yield
     finally:
-        _here.inside = before
+        _thread.is_worker = before
 
 
 @functools.cache
 def pool(threads: int) -> ThreadPoolExecutor:
-    """So many threads, which stay: to start one takes as long as thousands of starts."""
+    """A cached pool: creating a thread costs as much as thousands of integrations."""
     return ThreadPoolExecutor(threads, "dipoletop")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=pool.cache_clear)  # a child has none of these threads
+    os.register_at_fork(after_in_child=pool.cache_clear)  # threads do not survive a fork
 
 
 def in_parallel(
-    task: Callable[[int, Any], T], jobs: Iterable[int], devices: Sequence[Any]
+    task: Callable[[int, Device], T], jobs: Iterable[int], devices: Sequence[Device]
 ) -> Iterator[tuple[int, T]]:
-    """(job, task(job, device)) as they are done; two jobs wait for each worker: bounded memory."""
-    free = list(devices)
+    """Yield (job, task(job, device)) as the jobs are done.
+
+    At most two jobs for each worker are in flight, to bound memory.
+    """
+    idle = list(devices)
 
     def run(job: int) -> tuple[int, T]:
-        device = free.pop()  # list.pop and append are atomic
+        device = idle.pop()  # `pop` and `append` of a list are atomic
         try:
-            with jax.default_device(device), inside():
+            with jax.default_device(device), as_worker():
                 return job, task(job, device)
         finally:
-            free.append(device)
+            idle.append(device)
 
     jobs = iter(jobs)
     pending: set[Future[tuple[int, T]]] = set()

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.parallel import Device
 from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided
-from .._branch.march import march, set_out
+from .._branch.march import advance_window, start_march
 from ..equations.tangent import Tangent
 from .interface import EndStates, Finish, Limits, T
 from .on_device import classify_on_device
@@ -33,7 +33,7 @@ class BranchEngine:
 
         Outcomes are looked for only where elements of a window end.
         """
-        with _alone:
+        with _one_at_a_time:
             return jax.block_until_ready(_integrate(equation, y0, limits, until))
 
     def classify(
@@ -53,7 +53,10 @@ class BranchEngine:
         )
 
 
-_alone = threading.Lock()  # two such programs at once have been seen to wait for each other
+# Two such programs at once waited for each other as long as they had batched calls of LAPACK, see
+# `_base/dense`. Without these and without the lock, 60 calls by 4 threads return. The lock stays so
+# that one thread compiles for all.
+_one_at_a_time = threading.Lock()
 
 
 @eqx.filter_jit
@@ -82,28 +85,28 @@ def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: U
         fixed, state = jax.lax.stop_gradient((eqx.filter(equation, eqx.is_array), y))
         return decided(eqx.combine(fixed, equation), state, limits.tolerances, until)
 
-    def going(carry: Any) -> Bool[Array, ""]:
+    def running(carry: Any) -> Bool[Array, ""]:
         return carry[3] == RUNNING
 
-    def on(carry: Any) -> Any:
-        at, y, _, _ = carry
-        new, window, good = march(equation, at, limits.rtol)
-        # The start is looked at with the first window: XLA compiles a long verdict only once.
+    def advance(carry: Any) -> Any:
+        state, y, _, _ = carry
+        new, window, accepted = advance_window(equation, state, limits.rtol)
+        # The first state is looked at with the first window: XLA compiles a long verdict only once.
         states = jnp.concatenate([y[None], window.states[:, -1]])
-        times = at.time + jnp.append(0.0, window.times[:, -1])
-        done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= good)
-        which = jnp.where(jnp.any(done), jnp.argmax(done), good)
+        times = state.time + jnp.append(0.0, window.times[:, -1])
+        done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= accepted)
+        which = jnp.where(jnp.any(done), jnp.argmax(done), accepted)
         status = jnp.where(new.windows < limits.max_steps, RUNNING, EXHAUSTED)
-        status = jnp.where(new.lost, BROKEN, status)
+        status = jnp.where(new.failed, BROKEN, status)
         status = jnp.where(jnp.any(done), FINISHED, status).astype("int32")
         return new, states[which], times[which], status
 
-    at = set_out(equation, equation.omega(y0), 0.0)
+    state = start_march(equation, equation.omega(y0), 0.0)
     idle = jnp.where(limits.t1 > 0, RUNNING, FINISHED)
-    status = jnp.where(at.lost, BROKEN, idle)
-    begun = at, y0, at.time, status.astype("int32")
-    at, y, time, status = jax.lax.while_loop(going, on, begun)
-    return EndStates(y, time, at.windows, status)
+    status = jnp.where(state.failed, BROKEN, idle)
+    begun = state, y0, state.time, status.astype("int32")
+    state, y, time, status = jax.lax.while_loop(running, advance, begun)
+    return EndStates(y, time, state.windows, status)
 
 
 def _with_variations(

@@ -23,7 +23,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from .._base.monitoring import compiling
+from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
 from .._base.stopping import RUNNING, Until
 from .._base.tolerances import Tolerances
@@ -369,7 +369,7 @@ def prepare(
     with _compiling:
         if key not in _programs:
             try:
-                with compiling():
+                with report_compile_time():
                     _programs[key] = _Program(equation, n, solver, until, finish)
             except Unsupported as reason:
                 _programs[key] = reason

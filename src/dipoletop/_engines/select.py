@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 
 from .._base.checks import refuse
-from .._base.monitoring import compiling
+from .._base.monitoring import report_compile_time
 from .._base.parallel import Device
 from .._base.stopping import Until
 from ..equations._common import is_full, physical
@@ -78,7 +78,7 @@ def select_engine(
 def _native_engine() -> "tuple[NativeEngine | None, str]":
     """The native engine; or None, and why it is missing."""
     try:
-        with compiling():
+        with report_compile_time():
             from .native_engine import NativeEngine
     except ImportError as error:
         return None, f"numba cannot be imported ({error})"

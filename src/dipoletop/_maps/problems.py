@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from .._base.checks import check_equation, real, refuse
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
-from .._base.parallel import inside
+from .._base.parallel import as_worker
 from .._base.types import Equation, Vector, Verdict
 from ..equations._common import error_scale_of, physical
 from ..equations.tangent import Tangent
@@ -41,7 +41,7 @@ class BlockBuilder:
 
     def __call__(self, indices: Int[np.ndarray, "N"]) -> Block:
         """The block of these points."""
-        with inside():
+        with as_worker():
             points = self.over.points(indices)
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
@@ -80,7 +80,7 @@ class BlockBuilder:
         first = np.zeros(1, int)
         made, omegas = self(first)
         equation = physical(made)
-        with inside():
+        with as_worker():
             state = jax.eval_shape(equation.lift, omegas)
             digests = {
                 "problem": program_digest(self._vectorised, self.over.points(first)),

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .._base.checks import check_verdict
-from .._base.parallel import in_parallel, workers
+from .._base.parallel import in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol
 from .._engines.select import select_engines
-from .._runs.classify_many import Value, assemble, goal
+from .._runs.classification import Value, classification_of, stopping_rule
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem, block_builder
@@ -95,11 +95,13 @@ def sweep(
     if atol is not None:
         check_atol(atol)
     rtols, max_steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
-    devices = workers(devices)
+    devices = worker_devices(devices)
     # check
     equation, _ = blocks(np.zeros(1, int))
     check_verdict(equation)
-    engines = select_engines(engine, equation, devices, goal(equation, value), assemble)
+    engines = select_engines(
+        engine, equation, devices, stopping_rule(equation, value), classification_of
+    )
     # compute
     plan = Plan(blocks, equation, rtols, atol, max_steps, value, devices, engines)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)

@@ -1,10 +1,11 @@
 """One trajectory, through diffrax: states, energies, powers, and the balance that checks them.
 
-A full equation cannot be integrated forwards along its physical branch; `manifold` follows it.
+A full equation cannot be integrated forwards along its physical branch, since every error grows as
+fast as the runaway solutions do. `_branch.march` follows that branch instead.
 """
 
 import functools
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import diffrax
 import equinox as eqx
@@ -13,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.tree_util import Partial
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .. import radiation
 from .._base.batches import over_batch
 from .._base.checks import (
     FLAG,
+    ArrayLike,
+    NumberLike,
     check_single,
     concrete,
     finite,
@@ -28,20 +31,34 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
-from .._base.forward_mode import differentiable
-from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
+from .._base.forward_mode import forward_differentiable
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
-from .._branch import march as manifold
+from .._branch import march
 from .._engines.step_sizes import Controller
-from ..equations._common import error_scale_of
-from ..equations.levels import level_of
+from ..equations._common import error_scale_of, is_full, physical
 
-LOST = (
+BRANCH_LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
     "ω is too large for a slow branch, or `max_steps` windows did not suffice."
 )
-ENDED = "The run ended before the last of `ts`: the solver's steps became too small, or failed."
+STEP_FAILED = (
+    "The run ended before the last of `ts`: the solver's steps became too small, or failed."
+)
 OUT_OF_STEPS = "The run ended before the last of `ts`: `max_steps` did not suffice."
+
+
+class Options(TypedDict, total=False):
+    """The further arguments of `simulate`."""
+
+    solver: diffrax.AbstractSolver | None
+    stepsize_controller: diffrax.AbstractStepSizeController | None
+    adjoint: diffrax.AbstractAdjoint | None
+    throw: bool
+    dense: bool
+    balance: bool
+
+
 OPTIONS = {
     "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
     "stepsize_controller": (
@@ -56,43 +73,65 @@ OPTIONS = {
     "dense": (FLAG, "be True or False"),
     "balance": (FLAG, "be True or False"),
 }
-"""What `simulate` takes besides its named arguments: the class, and what is to be said of it."""
+"""The class of each of the `Options`, and how a refusal describes it."""
 
 
-class Followed(eqx.Module):
-    """How a motion on the physical branch was found, in place of diffrax's `Solution`."""
+class BranchSolution(eqx.Module):
+    """How a motion on the physical branch was computed; it stands in for diffrax's `Solution`."""
 
-    stats: dict[str, Any]
-    """`num_steps`: windows solved for."""
+    stats: dict[str, Int[Array, ""]]
+    """`num_steps`: the number of windows solved."""
     reached: Float[Array, ""]
-    """The last time up to which the motion was found."""
-    interpolation: None = None
+    """The last time up to which the motion is known."""
 
 
-def _batch_axes(run: Any) -> int:
+def _batch_axes(trajectory: Any) -> int:
     """The number of batch axes of a trajectory."""
-    if run.ts.shape != run.ys.shape[:-1]:
+    ts, ys = trajectory.ts.shape, trajectory.ys.shape
+    if ts != ys[:-1]:
         must = "have its batch axes in front of all its arrays, as `jax.vmap` puts them"
-        refuse("trajectory", must, f"has ts of {run.ts.shape} and ys of {run.ys.shape}")
-    return run.ts.ndim - 1
+        refuse("trajectory", must, f"has ts of {ts} and ys of {ys}")
+    return len(ts) - 1
 
 
 class Trajectory(eqx.Module):
-    """A solution at the times asked for; energies and powers are computed when asked for.
+    """The states of an equation at T given times; other quantities are computed when read.
 
-    From `jax.vmap` every field and property has the batch axes in front.
+    From `jax.vmap` every field and property has the batch axes in front of the shape given here.
+
+    Attributes:
+        equation: the equation of motion.
+        ts: times τ, shape (T,), in units of τ₀.
+        ys: states of the equation, shape (T, n).
+        emitted: ∫|d₂|²dτ, the energy radiated since the first time, shape (T,); None without
+            `balance=True`.
+        solution: diffrax's `Solution` with its result and its interpolation; of a motion on the
+            physical branch of a full equation a `BranchSolution`.
+        omega: property; angular velocity Ω in body axes, shape (T, 3), in units of 1/τ₀.
+        omega_dot: property; its rate dΩ/dτ, shape (T, 3).
+        energy: property; kinetic energy E = ½ Ω·IΩ, shape (T,).
+        power: property; radiated power |d₂|², shape (T,).
+        balance_defect: property; error of the energy balance, shape (T,); needs `balance=True`.
+        stats: property; counts of steps, a dict.
+        level: property; the level of approximation of the equation, a text.
     """
 
-    equation: Any
+    equation: Equation
     ts: Float[Array, "*batch T"]
-    """Times τ, in units of τ₀."""
     ys: Float[Array, "*batch T n"]
-    """States of the equation."""
     emitted: Float[Array, "*batch T"] | None
-    """∫|d₂|²dτ, the energy radiated since the start; None unless `balance` was asked for."""
-    solution: Any
-    """diffrax's own solution: statistics, result, dense interpolation. Of a motion on the physical
-    branch of a full equation a `Followed`."""
+    solution: diffrax.Solution | BranchSolution
+
+    def __repr__(self) -> str:
+        """The level, the range of times and the number of steps; shapes of what is traced."""
+        steps = self.stats["num_steps"]
+        known = [isinstance(x, jax.Array | np.ndarray) for x in (self.ts, self.ys, steps)]
+        if not (all(known) and concrete(self.ts, self.ys, steps)):
+            return eqx.tree_pformat(self)
+        *batch, times = self.ts.shape
+        runs = f"{'x'.join(map(str, batch))} runs, " if batch else ""
+        span = f"{float(self.ts.min()):g} ≤ τ ≤ {float(self.ts.max()):g}"
+        return f"Trajectory({self.level}: {runs}{times} times, {span}, {np.sum(steps)} steps)"
 
     @property
     @over_batch(_batch_axes)
@@ -103,113 +142,130 @@ class Trajectory(eqx.Module):
     @property
     @over_batch(_batch_axes)
     def omega_dot(self) -> Float[Array, "*batch T 3"]:
-        """Its rate."""
+        """Rate of the angular velocity in body axes, in units of 1/τ₀²."""
         return jax.vmap(functools.partial(_omega_dot, self.equation))(self.ts, self.ys)
 
     @property
     @over_batch(_batch_axes)
     def energy(self) -> Float[Array, "*batch T"]:
         """E = ½ Ω·IΩ."""
-        return jax.vmap(lambda w: radiation.kinetic_energy(self.equation.body, w))(self.omega)
+        return jax.vmap(lambda omega: radiation.kinetic_energy(self._body, omega))(self.omega)
 
     @property
     @over_batch(_batch_axes)
     def power(self) -> Float[Array, "*batch T"]:
         """Radiated power |d₂|²."""
-        power = functools.partial(radiation.radiated_power, self.equation.body)
+        power = functools.partial(radiation.radiated_power, self._body)
         return jax.vmap(power)(self.omega, self.omega_dot)
 
     @property
     @over_batch(_batch_axes)
     def balance_defect(self) -> Float[Array, "*batch T"]:
-        """[E − d₁·d₂ + ∫|d₂|²dτ] less its initial value, over the initial energy.
+        """Change of E − d₁·d₂ + ∫|d₂|²dτ since the first time, over the initial energy.
 
-        Zero for the full equation, whatever the motion; a reduced level leaves a defect that
-        says how far it is from the full equation.
+        Zero for the full equation, whatever the motion. At a reduced level the defect measures
+        the distance from the full equation.
 
         Raises:
             ValueError: the trajectory was computed without `balance=True`.
         """
         if self.emitted is None:
             refuse("balance", "be True in `simulate` for a balance defect", "was not")
-        schott = functools.partial(radiation.schott_energy, self.equation.body)
+        schott = functools.partial(radiation.schott_energy, self._body)
         total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
-        start = self.energy[0]
-        return (total - total[0]) / jnp.where(start > 0, start, 1.0)
+        initial = self.energy[0]
+        return (total - total[0]) / jnp.where(initial > 0, initial, 1.0)
 
     @property
     def stats(self) -> dict[str, Any]:
-        """Steps: `num_steps`, `num_accepted_steps`, `num_rejected_steps`, ...."""
+        """Steps: `num_steps`, `num_accepted_steps`, `num_rejected_steps`, …."""
         return self.solution.stats
 
     @property
     def level(self) -> str:
-        """Which level of the equation of motion this is."""
-        return level_of(self.equation)
+        """The level of approximation of the equation of motion."""
+        return getattr(self.equation, "level", type(self.equation).__name__)
 
-    def evaluate(self, t: Any) -> Float[Array, "..."]:
+    @property
+    def _body(self) -> Any:
+        """The body; not every equation has one."""
+        return self.equation.body  # pyright: ignore[reportAttributeAccessIssue]
+
+    def evaluate(self, t: NumberLike | ArrayLike) -> Float[Array, "..."]:
         """ω at any times within the run, by the solver's own interpolation (`dense=True`).
 
         Args:
             t: τ, of any shape.
 
         Returns:
-            The components on the last axis, those of `t` before it, those of a batch in front.
+            Shape (*batch, *t, 3): the axes of a batch, the axes of `t`, the components.
 
         Raises:
-            ValueError: the trajectory was computed without `dense=True`, or a time that is not
-                within it. A traced one gives NaN.
+            ValueError: the trajectory was computed without `dense=True`, or a time lies outside
+                the run. A traced time outside the run gives NaN.
         """
-        if self.solution.interpolation is None:
+        solution = self.solution
+        if isinstance(solution, BranchSolution) or solution.interpolation is None:
             refuse("dense", "be True in `simulate` for values in between", "was not")
         times = finite("t", t, np.shape(t), batch=False)
         first, last = self.ts[..., 0].max(), self.ts[..., -1].min()
         inside = (times >= first) & (times <= last)
         times = where_valid("t", times, inside, "lie within the run")
-        return self._between(times)
+        return self._interpolated(times)
 
     @over_batch(_batch_axes)
-    def _between(self, times: Float[Array, "..."]) -> Float[Array, "..."]:
-        def at(time: Any) -> Vector:
-            return self.equation.omega(self.solution.evaluate(time)[: self.ys.shape[-1]])
+    def _interpolated(self, times: Float[Array, "..."]) -> Float[Array, "..."]:
+        solution: Any = self.solution  # diffrax's: `evaluate` has refused any other
+        n = self.ys.shape[-1]
 
-        return jax.vmap(at)(times.ravel()).reshape(*times.shape, 3)
+        def omega(time: Float[Array, ""]) -> Vector:
+            return self.equation.omega(solution.evaluate(time)[:n])
+
+        return jax.vmap(omega)(times.ravel()).reshape(*times.shape, 3)
 
 
-def _omega_dot(equation: Any, t: Any, y: State) -> Vector:
+def _omega_dot(equation: Equation, t: Any, y: State) -> Vector:
     return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]
 
 
 def simulate(
     equation: Equation,
-    omega0: Any,
-    ts: Any,
+    omega0: ArrayLike,
+    ts: ArrayLike,
     *,
-    rtol: Any = 1e-10,
-    atol: Any = None,
-    max_steps: Any = MAX_STEPS,
-    **options: Any,
+    rtol: NumberLike = 1e-10,
+    atol: NumberLike | None = None,
+    max_steps: int | np.integer = MAX_STEPS,
+    **options: Unpack[Options],
 ) -> Trajectory:
     """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.
 
-    May be jitted, vmapped and differentiated: in reverse as it is; forwards with
-    `adjoint=diffrax.ForwardMode()`; along a physical branch in both ways.
+    May be jitted, vmapped and differentiated: in reverse mode as it is; in forward mode with
+    `adjoint=diffrax.ForwardMode()`; along a physical branch in both modes.
+
+    | option | meaning | default |
+    |---|---|---|
+    | `solver` | a solver of diffrax | `diffrax.Dopri8()` |
+    | `stepsize_controller` | a step size controller of diffrax | PID by `rtol`, `atol`, |ω(τ)| |
+    | `adjoint` | how diffrax differentiates | `diffrax.RecursiveCheckpointAdjoint()` |
+    | `throw` | raise if the run ends early, else fill up with NaN | True |
+    | `dense` | keep the interpolation, for `Trajectory.evaluate` | False |
+    | `balance` | integrate the radiated energy, too | False |
+
+    With `throw=False` a run that ends early has no derivatives in reverse mode.
 
     Args:
         equation: any equation of motion.
         omega0: start ω₀, shape (3,), dimensionless, body axes; a full equation is then followed
-            along its physical branch. Or a whole state of a full equation, which is taken as
-            given, and runs away unless it lies on that branch.
-        ts: times at which the state is wanted, shape (T,), increasing; the first is the start.
-        rtol: relative tolerance.
-        atol: absolute tolerance; None means none: errors are measured by the present |ω|.
-        max_steps: budget.
-        options: `solver` (`diffrax.Dopri8()`), `stepsize_controller`
-            (`diffrax.PIDController(rtol, atol)` with errors measured by the present |ω|) and
-            `adjoint` are passed to diffrax; `throw=False` returns what there is, and NaN
-            for the rest, instead of raising (then there are no derivatives in reverse);
-            `dense=True` keeps the interpolation; `balance=True` integrates the radiated energy
-            beside the state.
+            along its physical branch. Or a whole state of a full equation: it is integrated as it
+            is, and runs away unless it lies on that branch.
+        ts: times at which the state is wanted, shape (T,), increasing, T ≥ 2; ω₀ belongs to the
+            first.
+        rtol: relative tolerance of every step.
+        atol: absolute tolerance of every step; None means 0, since errors are measured by the
+            present |ω|.
+        max_steps: largest number of steps, or of windows along a physical branch.
+        options: see the table. Along a physical branch only `throw` and `balance`.
 
     Returns:
         A `Trajectory`.
@@ -226,27 +282,26 @@ def simulate(
     """
     check_single(equation)
     _check_options(options)
-    whole = is_whole_state(omega0)
-    if not whole:
-        equation = manifold.physical(equation)
+    whole_state = is_whole_state(omega0)
+    if not whole_state:
+        equation = physical(equation)
     times = _times(ts)
-    state = initial_state(equation, omega0)
-    rtol = tolerance("rtol", rtol)
-    scale = absolute(atol, rtol, equation.omega(state))
+    y0 = initial_state(equation, omega0)
+    tolerances = step_tolerances(rtol, atol, equation.omega(y0))
     steps = budget("max_steps", max_steps)
-    if manifold.is_full(equation) and not whole:
-        run = _follow(equation, state, times, rtol, steps, options)
-        failures = {LOST: ~(run.solution.reached >= times[-1])}
+    if is_full(equation) and not whole_state:
+        run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options)
+        failures = {BRANCH_LOST: ~(reached >= times[-1])}
     else:
-        run = _solve(equation, state, times, (rtol, scale), steps, options)
-        result = run.solution.result
-        out = result == diffrax.RESULTS.max_steps_reached
-        failures = {OUT_OF_STEPS: out, ENDED: ~(diffrax.is_successful(result) | out)}
+        run, result = _solve(equation, y0, times, tolerances, steps, options)
+        out_of_steps = result == diffrax.RESULTS.max_steps_reached
+        failed = ~(diffrax.is_successful(result) | out_of_steps)
+        failures = {OUT_OF_STEPS: out_of_steps, STEP_FAILED: failed}
     return _raised(run, failures) if options.get("throw", True) else run
 
 
 def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
-    """The trajectory, unless it failed; of a traced one equinox raises, later."""
+    """The trajectory, unless it failed; if it is traced, equinox raises when it is computed."""
     for sentence, failed in failures.items():
         if concrete(failed) and failed:
             raise RuntimeError(sentence)
@@ -256,7 +311,7 @@ def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
     return run
 
 
-def _check_options(options: dict[str, Any]) -> None:
+def _check_options(options: Options) -> None:
     for name, value in options.items():
         if name not in OPTIONS:
             refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
@@ -265,15 +320,22 @@ def _check_options(options: dict[str, Any]) -> None:
             instance(name, value, kind, must)
 
 
-def _times(ts: Any) -> Float[Array, "T"]:
+def _times(ts: ArrayLike) -> Float[Array, "T"]:
     times = finite("ts", ts, (-1,), batch=False)
     if times.shape[0] < 2:
         refuse("ts", "hold at least two times, the start first", f"has shape {times.shape}")
     return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
 
 
-def _follow(equation, state, times, rtol, max_windows: int, options) -> Trajectory:
-    """Along the physical branch of a full equation."""
+def _follow(
+    equation: Any,
+    y0: State,
+    times: Float[Array, "T"],
+    rtol: Float[Array, ""],
+    max_windows: int,
+    options: Options,
+) -> tuple[Trajectory, Float[Array, ""]]:
+    """The motion along the physical branch of a full equation, and the time that it reached."""
     for name in ("solver", "stepsize_controller", "adjoint", "dense"):
         if options.get(name):
             refuse(
@@ -282,49 +344,71 @@ def _follow(equation, state, times, rtol, max_windows: int, options) -> Trajecto
                 "physical branch diffrax cannot follow (give a whole state for the vector field)",
                 f"one is `{name}`",
             )
-    motion = _motion(equation, equation.omega(state), times, rtol, max_windows)
-    # The rates, for derivatives with respect to the times.
-    later = times - times[0]
-    later = later - jax.lax.stop_gradient(later)
-    states = motion.states + jax.vmap(equation)(times, motion.states) * later[:, None]
+    motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows)
+    # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
+    # which is 0, gives the states their derivatives with respect to the times.
+    elapsed = times - times[0]
+    elapsed = elapsed - jax.lax.stop_gradient(elapsed)
+    states = motion.states + jax.vmap(equation)(times, motion.states) * elapsed[:, None]
     emitted = motion.emitted if options.get("balance", False) else None
-    found = Followed({"num_steps": motion.windows}, motion.reached)
-    return Trajectory(equation, times, states, emitted, found)
+    solution = BranchSolution({"num_steps": motion.windows}, motion.reached)
+    return Trajectory(equation, times, states, emitted, solution), motion.reached
 
 
-def _motion(equation, omega, times, rtol, max_windows: int) -> manifold.Motion:
-    """`manifold.follow`, differentiable in reverse, too, with respect to equation and start."""
+def _differentiable_motion(
+    equation: Any,
+    omega0: Vector,
+    times: Float[Array, "T"],
+    rtol: Float[Array, ""],
+    max_windows: int,
+) -> march.Motion:
+    """`march.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    x, back = ravel_pytree((arrays, omega))
+    variables, unravel = ravel_pytree((arrays, omega0))
 
-    def follow(x: Array, settings: Any) -> manifold.Motion:
-        arrays, omega = back(x)
-        times, rtol = settings
-        body = eqx.combine(arrays, rest)
-        motion = manifold.follow(body, omega, times, rtol, max_windows)
-        return motion._replace(windows=motion.windows.astype(x.dtype))
+    def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
+        arrays, omega0 = unravel(variables)
+        times, rtol = constants
+        varied = eqx.combine(arrays, rest)
+        motion = march.follow(varied, omega0, times, rtol, max_windows)
+        return motion._replace(windows=motion.windows.astype(variables.dtype))
 
-    settings = times, rtol
-    kinds = jax.eval_shape(follow, x, settings)
-    _, apart = ravel_pytree(jax.tree.map(lambda kind: jnp.zeros(kind.shape, kind.dtype), kinds))
-    motion = apart(differentiable(lambda x, s: ravel_pytree(follow(x, s))[0])(x, settings))
+    # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
+    constants = times, rtol
+    shapes = jax.eval_shape(follow, variables, constants)
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+    _, to_motion = ravel_pytree(zeros)
+    raveled = forward_differentiable(
+        lambda variables, constants: ravel_pytree(follow(variables, constants))[0]
+    )
+    motion = to_motion(raveled(variables, constants))
     return motion._replace(windows=motion.windows.astype(int))
 
 
-def _sizes(equation: Any, y: State) -> State:
-    """What errors are measured by; the radiated energy, if it is there, goes as the square of ω."""
+def _sizes_with_energy(equation: Equation, y: State) -> State:
+    """The sizes that errors of a state are measured by; the radiated energy may follow it.
+
+    That energy is measured by the largest component of ω squared, unless it is larger itself.
+    """
     n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
     least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
     return jnp.concatenate([error_scale_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
 
 
 @eqx.filter_jit
-def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajectory:
-    rtol, atol = tolerances
+def _solve(
+    equation: Any,
+    y0: State,
+    times: Float[Array, "T"],
+    tolerances: Tolerances,
+    max_steps: int,
+    options: Options,
+) -> tuple[Trajectory, Any]:
+    """The motion by diffrax, and diffrax's result."""
     n = y0.shape[0]
     balance = options.get("balance", False)
 
-    def field(t, y, args):
+    def field(t: Any, y: State, args: Any) -> State:
         rate = equation(t, y[:n], args)
         if not balance:
             return rate
@@ -334,7 +418,7 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
 
     controller = options.get("stepsize_controller")
     if controller is None:
-        controller = Controller(rtol, atol, Partial(_sizes, equation))
+        controller = Controller(*tolerances, Partial(_sizes_with_energy, equation))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         options.get("solver") or diffrax.Dopri8(),
@@ -349,8 +433,10 @@ def _solve(equation, y0, times, tolerances, max_steps: int, options) -> Trajecto
         throw=False,
     )
     ys: Any = solution.ys
-    # What was not reached has no derivative, either: diffrax's constant inf would have 0. (A factor
-    # of what depends on everything: `where` would spoil derivatives in reverse of whole runs, too.)
+    # States that were not reached have NaN for derivatives, too; those of diffrax's inf are 0.
+    # NaN multiplies a number that depends on all inputs, since `where` would put NaN into the
+    # reverse-mode derivatives of complete runs.
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
     ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
-    return Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)
+    run = Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)
+    return run, solution.result

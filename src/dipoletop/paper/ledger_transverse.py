@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from .. import exact
-from .._branch.march import slow_manifold
+from .._branch.slow_manifold import slow_manifold
 from ..bodies import axisymmetric
 from ..equations.rigid import Full, Reduced
 from ..equations.transverse import (
