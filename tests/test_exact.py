@@ -64,8 +64,8 @@ def test_longitudinal_exponents():
                 root = mp.sqrt((1 + mp.sqrt(1 + 16 * s**2)) / 2)
                 assert abs(found / ((1 + sign * root) / 2) - 1) < 1e-14
             assert abs((2 * below - 1) ** 2 * below * (below - 1) / s**2 - 1) < 1e-14
-        at = jnp.array([0.0, 0.0, w3, 0.0, 0.0])
-        jacobian = jax.jacfwd(lambda y, delta=delta: dt.LongitudinalFull(delta)(0.0, y))(at)
+        rotation = jnp.array([0.0, 0.0, w3, 0.0, 0.0])
+        jacobian = jax.jacfwd(lambda y, delta=delta: dt.LongitudinalFull(delta)(0.0, y))(rotation)
         rates = np.linalg.eigvals(np.asarray(jacobian))
         assert np.min(np.abs(rates - complex(below, turn - w3))) < 1e-14 * max(1, w3)
         assert np.min(np.abs(rates - complex(above, -turn - w3))) < 1e-14 * max(1, 30 * w3)
@@ -128,7 +128,7 @@ def test_averaged(delta, start):
 
 @pytest.mark.parametrize("delta", [-1.0, -0.5, 0.0])
 def test_averaged_where_exponents_degenerate(delta):
-    """The closed forms of their own that δ = −1, −1/2, 0 have, and no jump beside them."""
+    """The separate closed forms of δ = −1, −1/2, 0, and no jump next to them."""
     start = dt.cylindrical(1.0, 0.7, 0.0)
     found = np.asarray(averaged(delta, start, LATE))
     u, v = found[:, 0] ** 2 + found[:, 1] ** 2, found[:, 2] ** 2
@@ -150,8 +150,8 @@ def test_averaged_where_exponents_degenerate(delta):
         tau = [quad(rate, xi0, x, epsabs=0, epsrel=1e-13)[0] for x in (*xi, xi0)]
     np.testing.assert_allclose(scaled, constant, rtol=2e-13)
     np.testing.assert_allclose(np.array(tau[:-1]) - tau[-1], LATE, rtol=1e-12, atol=1e-14)
-    beside = np.asarray(averaged(delta + 1e-12, start, LATE))
-    np.testing.assert_allclose(beside[:, 2], found[:, 2], rtol=1e-9)
+    nearby = np.asarray(averaged(delta + 1e-12, start, LATE))
+    np.testing.assert_allclose(nearby[:, 2], found[:, 2], rtol=1e-9)
 
 
 def test_averaged_on_the_axes_and_at_the_fixed_ratio():
@@ -182,7 +182,7 @@ def test_averaged_time_is_the_inverse():
 
 @pytest.mark.parametrize("delta", [-1.0, -0.8, -0.5, -0.2, 0.0, 0.3])
 def test_late_averaged_motion(delta):
-    """(4.20), (4.21) and the two logarithms that the paper lacks."""
+    """(4.20), (4.21) and the two logarithms that are missing in the paper."""
     start = dt.cylindrical(1.0, 0.7, 0.0)
     times = np.array([1e8, 1e30, 1e100, 1e250])
     found = np.asarray(averaged(delta, start, times))
@@ -197,14 +197,14 @@ def test_late_averaged_motion(delta):
 
 
 def test_late_rotator():
-    """(A.4) with its logarithm: what is left falls like 1/τ."""
+    """(A.4) with its logarithm: the remainder falls like 1/τ."""
     f = jax.jit(dt.critical_manifold)
-    lacks, time = [], 0.0
+    remainders, time = [], 0.0
     for high, low in ((0.5, 0.02), (0.02, 0.01), (0.01, 0.005)):
         time += quad(lambda s: float(-np.exp(s) / f(np.exp(s))), np.log(low), np.log(high))[0]
-        lacks.append((low / float(dt.exact.rotator_late(time)) - 1) * time)
-    assert abs(lacks[2] - lacks[1]) < 0.01
-    assert abs(lacks[2]) < 5
+        remainders.append((low / float(dt.exact.rotator_late(time)) - 1) * time)
+    assert abs(remainders[2] - remainders[1]) < 0.01
+    assert abs(remainders[2]) < 5
 
 
 def test_refusals():

@@ -23,7 +23,7 @@ both_limits = pytest.mark.parametrize("corrected", [False, True])
 
 
 def reference(delta, corrected):
-    """The field as physics has it, for scipy."""
+    """The field of section 4, for scipy."""
 
     def field(_, y):
         phi, z = y
@@ -35,15 +35,15 @@ def reference(delta, corrected):
 
 
 def edge(system, turned=0.0):
-    """z_s at PHI; in one array at order 1 and one by one else, so that each compiles once."""
+    """z_s at PHI; in one array at order 1 and one by one otherwise, so that each compiles once."""
     phi = PHI + turned
     z = [boundary(system, x) for x in phi] if system.corrected else boundary(system, phi)
     return np.asarray(z)
 
 
-def solve(field, start, sigma, events):
+def solve(field, y0, sigma, events):
     settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
-    return solve_ivp(field, (0, sigma), start, events=events, **settings)
+    return solve_ivp(field, (0, sigma), y0, events=events, **settings)
 
 
 @pytest.mark.parametrize(
@@ -95,31 +95,34 @@ def jacobians(system, points):
 def test_saddle_is_where_the_field_vanishes(corrected):
     delta = jnp.array([-0.45, -0.2, -0.01, 0.3, 0.9])
     system = Planar(delta, corrected)
-    at = saddle(system)
-    point = jnp.stack([at.phi, at.z])
-    assert np.all((np.asarray(at.phi) > 0) & (np.asarray(at.phi) < np.pi / 2))
+    fixed = saddle(system)
+    point = jnp.stack([fixed.phi, fixed.z])
+    assert np.all((np.asarray(fixed.phi) > 0) & (np.asarray(fixed.phi) < np.pi / 2))
     np.testing.assert_allclose(system(0.0, point), 0.0, atol=1e-13)
     jacobian = jacobians(system, point)
-    for value, slope in ((at.unstable, at.unstable_slope), (at.stable, at.stable_slope)):
+    for value, slope in (
+        (fixed.unstable, fixed.unstable_slope),
+        (fixed.stable, fixed.stable_slope),
+    ):
         direction = np.stack([np.ones(5), slope], axis=-1)
         stretched = np.einsum("nij,nj->ni", jacobian, direction)
         expected = np.asarray(value)[:, None] * direction
         np.testing.assert_allclose(stretched, expected, rtol=1e-11, atol=1e-11)
-    assert np.all((np.asarray(at.unstable) > 0) & (np.asarray(at.stable) < 0))
+    assert np.all((np.asarray(fixed.unstable) > 0) & (np.asarray(fixed.stable) < 0))
 
 
 @both_limits
 def test_known_saddle_and_boundary(corrected):
     system, (phi, z, top) = Planar(-0.2, corrected), KNOWN[corrected]
-    at = saddle(system)
-    assert at.phi == pytest.approx(phi, abs=1e-12)
-    assert at.z == pytest.approx(z, abs=1e-9)
+    fixed = saddle(system)
+    assert fixed.phi == pytest.approx(phi, abs=1e-12)
+    assert fixed.z == pytest.approx(z, abs=1e-9)
     assert edge(system)[0] == pytest.approx(top, abs=6e-11)
-    assert edge(system, float(at.phi) - 2 * np.pi)[0] == pytest.approx(float(at.z), rel=1e-7)
+    assert edge(system, float(fixed.phi) - 2 * np.pi)[0] == pytest.approx(float(fixed.z), rel=1e-7)
 
 
 @both_limits
-def test_boundary_parts_the_fates(corrected):
+def test_boundary_separates_the_fates(corrected):
     """Just above it φ runs away; just below, the motion settles at some multiple of π."""
     delta = -0.35
     field = reference(delta, corrected)
@@ -199,7 +202,7 @@ def test_cycle_closes(delta):
     assert slope**2 == pytest.approx(float(cycle.multiplier), rel=1e-3)
 
 
-def test_no_cycle_is_made_up_beside_the_critical_shape():
+def test_no_cycle_is_made_up_near_the_critical_shape():
     """A cycle lies inside its basin; where Newton's method leaves that, there is no value."""
     critical = critical_delta()
     for above in (1e-9, 3e-7):
@@ -221,8 +224,8 @@ def test_cycle_of_a_thin_needle_is_harmonic():
 def test_what_does_not_exist_is_nan():
     shapes = jnp.array([-1.0, -0.8, -0.5, 0.0, 0.3])
     for corrected, none in ((True, [1, 0, 0, 1, 0]), (False, [1, 1, 1, 1, 0])):
-        at = saddle(Planar(shapes, corrected))
-        np.testing.assert_array_equal(np.isnan(at), np.tile(none, (len(at), 1)))
+        fixed = saddle(Planar(shapes, corrected))
+        np.testing.assert_array_equal(np.isnan(fixed), np.tile(none, (len(fixed), 1)))
     assert np.all(np.isnan(edge(Planar(0.3))))
     assert np.all(np.isnan(edge(Planar(-0.6, corrected=False))))
     assert np.all(np.isnan(wobble(0.7532)))

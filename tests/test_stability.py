@@ -15,7 +15,7 @@ SHAPES = [-1.0, -0.97, -0.5, -0.2, -1e-3, 0.1, 0.5, 0.9, 0.99]
 SPINS = np.logspace(-12, 0, 13)
 DELTA, W = (part.ravel() for part in np.meshgrid(SHAPES, SPINS, indexing="ij"))
 MORE = np.linspace(-0.99, 0.99, 45)  # at w = 0.01
-FAR = 1e4  # where slow and fast are not told apart
+FAR = 1e4  # where slow and fast cannot be separated
 BODIES = [(0.5, 0.8, 1.0), (0.6, 0.9, 0.7), (0.97, 1.0, 0.2), (1.0, 1.0, 0.7)]
 STRENGTH = 1.5  # |d|
 QUICK = {"xla_backend_optimization_level": 0}  # to compile; it runs once
@@ -73,14 +73,14 @@ def quartic(moments, k, w):
 def assert_roots(found, polynomial, rtol=1e-12):
     """All the roots, each once: real and imaginary parts by themselves."""
     exact = [mp.mpc(complex(z)) for z in found]
-    for i, start in enumerate(exact):
-        for _ in range(2):  # Newton's method from what was found
+    for i, root in enumerate(exact):
+        for _ in range(2):  # Newton's method from the computed root
             value = slope = mp.mpf(0)
             for coefficient in polynomial:
                 slope, value = slope * exact[i] + value, value * exact[i] + coefficient
             exact[i] -= value / slope
-        assert abs(exact[i].real - start.real) <= rtol * abs(exact[i].real)
-        assert abs(exact[i].imag - start.imag) <= rtol * abs(exact[i].imag) + 1e-40 * abs(start)
+        assert abs(exact[i].real - root.real) <= rtol * abs(exact[i].real)
+        assert abs(exact[i].imag - root.imag) <= rtol * abs(exact[i].imag) + 1e-40 * abs(root)
     product = polynomial[-1] / polynomial[0]
     assert abs(mp.fprod(exact) - product) <= 1e-25 * abs(product)
     slow, fast = np.array(found[:2]), np.array(found[2:])
@@ -135,14 +135,14 @@ def test_derivative_in_the_shape(line):
     np.testing.assert_allclose(found, -(x**3 - x**2 + w**2 * x) / below, rtol=1e-11)
 
 
-def test_residual_line_is_stable_for_every_shape_but_at_order_1(line):
+def test_residual_line_is_stable_for_every_shape_except_at_order_1(line):
     for name in ("semi", "full"):
         assert line[0][name].stable[DELTA.size : -1].all()
     np.testing.assert_array_equal(line[0]["2"].stable[DELTA.size : -1], MORE < 0.95)
     np.testing.assert_array_equal(line[0]["1"].stable[DELTA.size : -1], MORE > -0.5)
 
 
-def test_what_cannot_be_told_apart_is_not_a_number(line):
+def test_inseparable_eigenvalues_are_not_numbers(line):
     assert np.isnan(line[0]["full"].slow[-1, 1:]).all()
     assert not line[0]["full"].stable[-1]
     assert np.isfinite(line[0]["semi"].growth[-1])
@@ -178,7 +178,7 @@ def cases():
 
 @pytest.fixture(scope="module")
 def asymmetric():
-    """In body axes, in other axes, and what is no equilibrium."""
+    """Spectra in body axes, in other axes, and at states that are no equilibria."""
     moments, axes, w = (np.array(part) for part in zip(*cases(), strict=True))
     inertia = np.stack([np.diag(np.roll(j, a)) for j, a in zip(moments, axes, strict=True)])
     unit = np.eye(3)[axes]
@@ -233,7 +233,7 @@ def test_rounding_of_another_frame(asymmetric):
     np.testing.assert_allclose(turned.fast, plain.fast, rtol=1e-12)
 
 
-def test_rest_and_what_is_no_equilibrium(asymmetric):
+def test_rest_and_states_that_are_no_equilibria(asymmetric):
     _, (_, _, found) = asymmetric
     np.testing.assert_array_equal(found.slow[0], 0)
     inertia, n = np.diag(BODIES[0]), np.array([0.6, 0.8, 0.0])

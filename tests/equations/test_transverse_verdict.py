@@ -17,17 +17,17 @@ BELOW = 2e-5
 
 
 @eqx.filter_jit
-def judged(equation, y):
-    found = equation.verdict(y)
-    return found.outcome, found.certified, found.stop
+def decide(equation, y):
+    verdict = equation.verdict(y)
+    return verdict.outcome, verdict.certified, verdict.stop
 
 
 def verdict(level, delta, omega):
     """Outcome, certificate and kind of stop of starts, components on axis 0."""
-    return map(np.asarray, judged(level(np.asarray(delta)), np.stack(omega)))
+    return map(np.asarray, decide(level(np.asarray(delta)), np.stack(omega)))
 
 
-def some(seed, low, high):
+def random_states(seed, low, high):
     """Shapes, angles φ, amplitudes u = ω⊥² and signs."""
     rng = np.random.default_rng(seed)
     deltas, angles = rng.uniform(low, high, N), rng.uniform(0, 2 * np.pi, N)
@@ -44,7 +44,7 @@ def cone(delta):
 @pytest.mark.parametrize(("low", "high"), [(-0.499, -0.01), (0.01, 0.99)])
 @pytest.mark.parametrize("face", ["width", "height"])
 def test_residual_cone_of_order_one(low, high, face):
-    delta, _, u, (one, two), rng = some(1, low, high)
+    delta, _, u, (one, two), rng = random_states(1, low, high)
     width, height = cone(delta)
     inner, part = rng.uniform(0.01, 0.9, (2, N))
     for side, expected in ((1 - NEAR, True), (1 + NEAR, False)):
@@ -71,7 +71,7 @@ def turning(swing, bound):
 @pytest.mark.parametrize("threshold", [1.0, 1.1])
 def test_turning_region_of_order_one(threshold):
     """q = 2|δω₃|/(u + Mω₃²) has two solutions ω₃; on the larger Mω₃² > 0.8u, and 1.1 counts."""
-    delta, phi, _, (sign, _), _ = some(2, -0.49, -0.05)
+    delta, phi, _, (sign, _), _ = random_states(2, -0.49, -0.05)
     swing = sign * np.sin(2 * phi)
     m, u = 1 + delta + delta**2, 1e-3 * delta**2
     for bound, expected in ((threshold + BELOW, True), (threshold - NEAR, False)):
@@ -90,7 +90,7 @@ def test_turning_region_of_order_one(threshold):
 
 def test_turning_needs_more_where_the_axial_part_is_large():
     """Between the bounds 1.0 and 1.1 it counts whether Mω₃² is below 0.8u."""
-    delta, phi, _, (sign, _), _ = some(10, -0.49, -0.05)
+    delta, phi, _, (sign, _), _ = random_states(10, -0.49, -0.05)
     m, q = 1 + delta + delta**2, turning(sign * np.sin(2 * phi), 1.05)
     for part, expected in ((0.8 * (1 - NEAR), True), (0.8 * (1 + NEAR), False)):
         u = (2 * delta / (q * (1 + part))) ** 2 * part / m
@@ -100,12 +100,12 @@ def test_turning_needs_more_where_the_axial_part_is_large():
 
 
 def test_beyond_one_half_order_one_stops_unless_w3_is_0():
-    _, phi, u, (sign, _), _ = some(3, -1, 0)
+    _, phi, u, (sign, _), _ = random_states(3, -1, 0)
     flat = np.sqrt(u) * np.cos(phi), np.sqrt(u) * np.sin(phi)
-    at, above = np.full(N, -0.5), np.full(N, -0.5 + NEAR)
-    outcome, certified, stop = verdict(dt.TransverseReduced, at, (*flat, sign * 1e-6 * u))
+    limit, above = np.full(N, -0.5), np.full(N, -0.5 + NEAR)
+    outcome, certified, stop = verdict(dt.TransverseReduced, limit, (*flat, sign * 1e-6 * u))
     assert np.all(outcome == Outcome.STOP) & np.all(certified) & np.all(stop == Stop.ROTATING)
-    outcome, certified, _ = verdict(dt.TransverseReduced, at, (*flat, 0 * u))
+    outcome, certified, _ = verdict(dt.TransverseReduced, limit, (*flat, 0 * u))
     assert np.all(outcome == Outcome.RESIDUAL) & np.all(certified)
     outcome, *_ = verdict(dt.TransverseReduced, above, (*flat, sign * 1e-6 * u))
     assert np.all(outcome == Outcome.UNDECIDED)
@@ -124,7 +124,7 @@ def on_ellipse(delta, v, angle):
 
 @pytest.mark.parametrize(("low", "high"), [(-1.0, -0.011), (0.021, 0.989)])
 def test_residual_region_of_the_semi_reduced_level(low, high):
-    delta, angle, v, (sign, _), _ = some(4, low, high)
+    delta, angle, v, (sign, _), _ = random_states(4, low, high)
     t, z = on_ellipse(delta, v, angle)
     w1 = sign * np.sqrt(v)
     for side, expected in ((1 - NEAR, True), (1 + NEAR, False)):
@@ -163,7 +163,7 @@ def turn_of_semi(delta, phi, u, w3):
 
 
 def test_turning_region_of_the_semi_reduced_level():
-    delta, phi, _, (sign, _), _ = some(5, -1.0, -0.05)
+    delta, phi, _, (sign, _), _ = random_states(5, -1.0, -0.05)
     u = 1e-4 * delta**2
     threshold = np.maximum(0.88, 1.15 - np.abs(delta))
 
@@ -203,7 +203,7 @@ WOBBLE = {
 def test_wobbling_region_of_the_semi_reduced_level():
     """On the section ω₁ = 0 up to |ω₃|/ω₂² = z_W(1 − 0.005 − 10u/(1−δ)), z_W to five digits."""
     delta, edge = (np.resize(column, N) for column in (list(WOBBLE), list(WOBBLE.values())))
-    *_, (sign, other), rng = some(6, 0, 1)
+    *_, (sign, other), rng = random_states(6, 0, 1)
     u = rng.uniform(0.0, 1e-3, N) * (1 - delta)
     bound = edge * (1 - 0.005 - 10 * u / (1 - delta))
     for side, expected in ((1 - 1e-4, True), (1 + 1e-4, False)):
@@ -218,22 +218,21 @@ def test_wobbling_region_of_the_semi_reduced_level():
 
 
 @pytest.mark.parametrize("order", [2, 4])
-def test_higher_orders_are_judged_at_small_amplitude_and_never_certified(order):
+def test_higher_orders_are_decided_at_small_amplitude_and_never_certified(order):
     """|ω|² ≤ 0.1 for δ ≤ 0.3, ≤ 0.1 min(1, (1−δ)²) above."""
-    delta, *_ = some(7, -0.99, 0.99)
+    delta, *_ = random_states(7, -0.99, 0.99)
     limit = np.sqrt(np.where(delta <= 0.3, 0.1, 0.1 * (1 - delta) ** 2))
     way = np.array([1.0, 1e-3, 1e-3])
     for side, expected in ((1 - NEAR, True), (1 + NEAR, False)):
         omega = side * limit * (way / np.linalg.norm(way))[:, None]
-        found = verdict(lambda d: dt.TransverseReduced(d, order), delta, omega)
-        outcome, certified, _ = found
+        outcome, certified, _ = verdict(lambda d: dt.TransverseReduced(d, order), delta, omega)
         assert np.all((outcome == Outcome.RESIDUAL) == expected)
         assert not np.any(certified)
 
 
 @pytest.mark.parametrize("level", [dt.LongitudinalReduced, dt.LongitudinalSemi])
 def test_along_the_axis_every_start_is_certain(level):
-    delta, phi, u, (sign, _), _ = some(8, -1.0, 0.99)
+    delta, phi, u, (sign, _), _ = random_states(8, -1.0, 0.99)
     omega = np.sqrt(u) * np.cos(phi), np.sqrt(u) * np.sin(phi), sign * u
     outcome, certified, _ = verdict(level, delta, omega)
     assert np.all(outcome == Outcome.RESIDUAL) & np.all(certified)
@@ -241,8 +240,8 @@ def test_along_the_axis_every_start_is_certain(level):
     assert np.all(outcome == Outcome.STOP) & np.all(certified) & np.all(stop == Stop.AXIS)
 
 
-def test_higher_orders_along_the_axis_are_judged_at_small_amplitude():
-    delta, *_ = some(9, -1.0, 0.99)
+def test_higher_orders_along_the_axis_are_decided_at_small_amplitude():
+    delta, *_ = random_states(9, -1.0, 0.99)
     for side, expected in ((1 - NEAR, Outcome.RESIDUAL), (1 + NEAR, Outcome.UNDECIDED)):
         omega = np.sqrt(0.1) * side * np.array([[0.6], [0.0], [0.8]]) * np.ones(N)
         outcome, certified, _ = verdict(lambda d: dt.LongitudinalReduced(d, 2), delta, omega)

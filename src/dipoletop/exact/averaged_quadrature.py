@@ -86,7 +86,7 @@ class Orbit(NamedTuple):
 
 
 def _falling(orbit: Orbit, x: Scalars) -> Point:
-    """ξ > ξ*: ξ − ξ* falls like e⁻ˣ. (4.16) in a form that holds for b → 0, too."""
+    """Case ξ > ξ*: ξ − ξ* falls like e⁻ˣ. (4.16) in a form that holds for b → 0, too."""
     d, a, b, xi0 = orbit.delta, orbit.a, orbit.b, orbit.u / orbit.v
     log_xi = jnp.log1p(orbit.direction / (a * xi0) * jnp.expm1(-x))
     lag = -jnp.expm1(-x) / (a * xi0 * jnp.exp(log_xi))
@@ -99,13 +99,13 @@ def _falling(orbit: Orbit, x: Scalars) -> Point:
 
 
 def _constant(orbit: Orbit, x: Scalars) -> Point:
-    """ξ = ξ*: v falls like e⁻ˣ."""
+    """Case ξ = ξ*: v falls like e⁻ˣ."""
     rate = ((2 + orbit.delta) * orbit.u + 2 * orbit.v) / (1 - orbit.delta)
     return Point(-x, -x, jnp.exp(x) / rate)
 
 
 def _rising(orbit: Orbit, x: Scalars) -> Point:
-    """ξ < ξ*: ξ/(ξ* − ξ) grows like eˣ."""
+    """Case ξ < ξ*: ξ/(ξ* − ξ) grows like eˣ."""
     a, b = orbit.a, orbit.b
     log_ratio = _log1p_over(-a, orbit.u / orbit.v * jnp.expm1(x) / b)
     log_xi = x + a * log_ratio
@@ -115,7 +115,7 @@ def _rising(orbit: Orbit, x: Scalars) -> Point:
 
 
 def _unbounded(orbit: Orbit, x: Scalars) -> Point:
-    """A ≥ 0: ξ = ξ₀eˣ."""
+    """Case a ≥ 0: ξ = ξ₀eˣ."""
     a, b, direction = orbit.a, orbit.b, orbit.direction
     near = _log1p_over(a, orbit.u / orbit.v * jnp.expm1(jnp.minimum(x, FAR)) / direction)
     far = (x + jnp.log1p(b * jnp.expm1(-x) / direction)) / jnp.where(a > 0, a, 1.0)
@@ -131,7 +131,7 @@ def _log_v(orbit: Orbit, log_xi: Scalars, log_ratio: Scalars) -> Scalars:
 
 
 def _u_and_v(orbit: Orbit, log_xi: Scalars, log_v: Scalars) -> tuple[Scalars, Scalars, Scalars]:
-    """Ln u/u₀, u, v."""
+    """The logarithm ln u/u₀, u and v."""
     log_u = log_xi + log_v
     return log_u, orbit.u * jnp.exp(log_u), orbit.v * jnp.exp(log_v)
 
