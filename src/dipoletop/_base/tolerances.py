@@ -87,8 +87,12 @@ def whole(
     return int(value)
 
 
-def check_settings(settings: dict[str, Any]) -> None:
-    """Refuse what is no setting of the runs; ω∞ is always wanted, its sign is part of the fate."""
+def check_settings(settings: dict[str, Any], also: tuple[str, ...] = ()) -> None:
+    """Refuse names that are no settings of the runs, nor among those that are allowed `also`.
+
+    Where the fate is wanted, `value` is no setting: the sign of ω∞ is a part of the fate.
+    """
+    allowed = (*SETTINGS, *also)
     for name in settings:
-        if name not in SETTINGS:
-            refuse("settings", f"be among {', '.join(SETTINGS)}", f"hold {name!r}")
+        if name not in allowed:
+            refuse("settings", f"be among {', '.join(allowed)}", f"hold {name!r}")
