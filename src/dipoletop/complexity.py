@@ -94,7 +94,7 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
     Args:
         labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, which
             stands for its fates; UNDECIDED and FAILED are labels like any other.
-        box: side of a box in points; what is left at the last rows and columns is not used.
+        box: side of a box in points; last rows and columns that fill no box are not used.
 
     Returns:
         `BasinEntropy`. The errors are those of the mean of independent boxes; on a regular grid

@@ -129,18 +129,18 @@ def trace(
     if by is not None and (by not in crossing.a or by in bounds):
         refuse("by", "name another coordinate of the crossing", f"is {by!r}")
     scaled = _in_units_of_box(crossing, tuple(bounds), size)
-    found, end = _follow(scaled, low, step, budget("n", n), by)
-    points = np.stack([each.point for each in found]) * size
-    normals = np.stack([each.normal for each in found]) / size
+    followed, end = _follow(scaled, low, step, budget("n", n), by)
+    points = np.stack([each.point for each in followed]) * size
+    normals = np.stack([each.normal for each in followed]) / size
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    shift = None if by is None else np.stack([each.shift for each in found]) * size
+    shift = None if by is None else np.stack([each.shift for each in followed]) * size
     return Curve(points, normals, shift, end)
 
 
 def _follow(
     start: Crossings, low: Vector, step: float, n: int, by: str | None
 ) -> tuple[list[_BoundaryPoint], CurveEnd]:
-    """From point to point, until the curve closes, leaves the box, is lost, or has n of them."""
+    """From point to point, until the curve closes, leaves the box, is lost, or has n points."""
     points = [_first_point(start, by)]
     side, h, curvature = np.sign(step), abs(step), 0.0
     while len(points) < n:

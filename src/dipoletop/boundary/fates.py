@@ -13,8 +13,8 @@ from .._maps.basin import Basin
 class Fate(enum.IntEnum):
     """In which way a trajectory ends: outcome, sense of the residual rotation, kind of stop.
 
-    The members from STOP on are `STOP + kind` for the kinds of stop in `Stop`. A trajectory up to
-    UNDECIDED has no known fate.
+    The members from STOP on are `STOP + kind` for the kinds of stop in `Stop`. FAILED and
+    UNDECIDED, the members up to 0, mean that the fate is not known.
     """
 
     FAILED = -1

@@ -52,7 +52,7 @@ class Kick(NamedTuple):
     size: float
     """|kick|: the distance of ω₀ from the boundary; inf if no other fate was met."""
     fates: Int[np.ndarray, "2"]
-    """Those of ω₀ and of ω₀ + kick, as `fate` numbers them; 0 if no other fate was met."""
+    """Fates of ω₀ and of ω₀ + kick, members of `Fate`; UNDECIDED if no other fate was met."""
     defect: float
     """The sine of the angle between the kick and the normal of the boundary, 0 at a minimum; NaN
     if neither side is of residual rotation."""

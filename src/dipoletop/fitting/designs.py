@@ -120,7 +120,7 @@ def design(
     generator = np.random.default_rng(whole("seed", seed, 0))
     halton = qmc.Halton(len(low), seed=generator)  # pyright: ignore[reportCallIssue]
     units = halton.random(budget("n", n))
-    _, values, _ = landscape.at(units)
+    _, values, _ = landscape.values(units)
     if np.all(np.isnan(values)):
         refuse("bounds", "hold parameters whose fate is known", "of all that were tried none is")
     order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")
@@ -146,7 +146,7 @@ class _Landscape(NamedTuple):
         """The parameters at points of the unit cube."""
         return self.low * (1 - units) + self.high * units
 
-    def at(self, units: Float[np.ndarray, "k m"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def values(self, units: Float[np.ndarray, "k m"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """ω∞, the objective and its gradient at k points; the latter NaN where ω∞ is not known."""
         columns = dict(zip(self.names, self.parameters(units).T, strict=True))
         basin = sweep(self.problem, Points(**columns), derivatives=self.names, **self.settings)
@@ -169,7 +169,7 @@ def _climb(
     from scipy.optimize import minimize
 
     def loss(units: Float[np.ndarray, "m"]) -> tuple[float, np.ndarray]:
-        _, value, gradient = landscape.at(units[None])
+        _, value, gradient = landscape.values(units[None])
         if np.isnan(value[0]):  # a flat floor, on which the search ends
             return -worst / scale, np.zeros_like(units)
         return -value[0] / scale, -gradient[0] / scale
@@ -188,7 +188,7 @@ def _design(
     landscape: _Landscape, top: Float[np.ndarray, "m"], largest_defect: float, runs: int
 ) -> Design:
     """The result at the highest point."""
-    (omega_inf,), (value,), (gradient,) = landscape.at(top[None])
+    (omega_inf,), (value,), (gradient,) = landscape.values(top[None])
     closed = ((top <= 0) & (gradient < 0)) | ((top >= 1) & (gradient > 0))
     defect = float(np.max(np.where(closed, 0.0, np.abs(gradient))))
     end = DesignEnd.MAXIMUM if defect <= largest_defect else DesignEnd.SLOPE

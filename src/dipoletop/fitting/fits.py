@@ -156,18 +156,18 @@ class _Model(NamedTuple):
     observe: Observe
     rtol: float
 
-    def at(self, p: Float[Array, "m"]) -> tuple[Any, Any]:
-        """Equation and start."""
+    def equation_and_start(self, p: Float[Array, "m"]) -> tuple[Any, Any]:
+        """The run of these parameters."""
         return self.problem(**dict(zip(self.names, p, strict=True)))
 
     def observed(
         self, p: Float[Array, "m"], safe: Float[Array, "m"], times: Float[Array, "T"]
     ) -> Float[Array, "..."]:
         """The series that the parameters predict; not finite if their run fails."""
-        arrays = jax.tree.leaves(eqx.filter(self.at(p), eqx.is_inexact_array))
+        arrays = jax.tree.leaves(eqx.filter(self.equation_and_start(p), eqx.is_inexact_array))
         valid = functools.reduce(jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in arrays])
         # A run from NaN would use up its whole budget of steps.
-        equation, start = self.at(jnp.where(valid, p, safe))
+        equation, start = self.equation_and_start(jnp.where(valid, p, safe))
         options: dict[str, Any] = {"rtol": self.rtol, "throw": False}
         if not manifold.is_full(manifold.physical(equation)):  # which diffrax does not integrate
             options["adjoint"] = diffrax.ForwardMode()
