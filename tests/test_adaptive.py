@@ -165,11 +165,10 @@ def test_basins_of_the_top():
 @pytest.mark.parametrize(
     ("grid", "settings", "words"),
     [
-        (dt.Grid(x=SIDE, y=0.5), {}, "`grid` must have exactly two axes longer than 1"),
+        (dt.Grid(x=SIDE, y=0.5), {}, "`over` must have exactly two axes longer than 1"),
         (dt.Grid(x=SIDE, y=SIDE[::-1]), {}, "its axis y is another one"),
         (dt.Grid(x=SIDE, y=np.eye(3)), {}, "its axis y is another one"),
         (GRID, {"coarse": 0}, "`coarse` must be a positive whole number, but is 0"),
-        (GRID, {"coarse": 2.5}, "`coarse` must be a positive whole number, but is 2.5"),
         (GRID, {"omega_tol": 0.0}, "`omega_tol` must be positive, but is 0"),
         (GRID, {"value": False}, "`settings` must be among .*, but hold 'value'"),
         (GRID, {"rtol": -1.0}, "`rtol` must"),
@@ -179,3 +178,11 @@ def test_basins_of_the_top():
 def test_bad_input_is_refused_in_one_sentence(grid, settings, words):
     with pytest.raises(ValueError, match=words):
         refine(picture, grid, **settings)
+
+
+def test_the_old_name_of_the_grid_works():
+    with (
+        pytest.warns(DeprecationWarning, match=r"use `refine\(over=...\)`"),
+        pytest.raises(ValueError, match="`coarse` must be"),
+    ):
+        refine(picture, grid=GRID, coarse=0)

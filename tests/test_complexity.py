@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
+from dipoletop import complexity
 from dipoletop.complexity import basin_entropy, boundary_dimension, uncertainty_exponent
 
 
@@ -191,7 +192,7 @@ BOX = dt.Grid(x=[0.0, 1.0], y=0.0, turn=0.5)
         ),
         (
             lambda: uncertainty_exponent(stripes, dt.Grid(x=0.5), epsilons=[0.1, 0.2]),
-            "`region` must have an axis that is not fixed",
+            "`over` must have an axis that is not fixed",
         ),
         (
             lambda: uncertainty_exponent(stripes, dt.Grid(x=np.eye(2)), epsilons=[0.1, 0.2]),
@@ -202,3 +203,21 @@ BOX = dt.Grid(x=[0.0, 1.0], y=0.0, turn=0.5)
 def test_bad_input_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_old_names_work_and_results_show_their_numbers():
+    with (
+        pytest.warns(DeprecationWarning, match=r"use `uncertainty_exponent\(over=...\)`"),
+        pytest.raises(ValueError, match="two different positive"),
+    ):
+        uncertainty_exponent(stripes, region=BOX, epsilons=[0.1, 0.1])
+    with pytest.warns(DeprecationWarning, match="use `dipoletop.complexity.UncertaintyExponent`"):
+        assert complexity.Uncertainty is complexity.UncertaintyExponent
+    steps, shares = np.array([0.01, 0.1]), np.array([0.02, 0.2])
+    assert repr(complexity.UncertaintyExponent(0.98, 0.02, 1.02, steps, shares, shares / 10)) == (
+        "UncertaintyExponent(exponent=0.98 ± 0.02, dimension=1.02, epsilons=[0.01, 0.1], "
+        "fractions=[0.02, 0.2])"
+    )
+    assert repr(basin_entropy(np.zeros((10, 10), int))).startswith("BasinEntropy(entropy=0 ± 0")
+    straight = boundary_dimension(np.arange(65)[:, None] < np.full(65, 20))
+    assert repr(straight).endswith("scales=[1, 2, 4], counts=[64, 32, 16])")

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dipoletop.uncertainty import propagate, sobol
+from dipoletop._maps.basin import Share
+from dipoletop.uncertainty import Estimate, Index, Propagation, SobolIndices, propagate, sobol
 
 START = jnp.array([1.0, 0.0, 0.0])
 
@@ -199,13 +200,13 @@ def test_few_unknown_runs_are_replaced_and_many_refused():
     def problem(x, y):
         return Told(jnp.where(x > 0.99, jnp.nan, 1 + y)), START
 
-    ranges = {"x": (0.0, 1.0), "y": (0.0, 1.0)}
-    found = sobol(problem, ranges, n=512, most_unknown=0.02, max_steps=5)
+    bounds = {"x": (0.0, 1.0), "y": (0.0, 1.0)}
+    found = sobol(problem, bounds, n=512, most_unknown=0.02, max_steps=5)
     assert found.unknown == pytest.approx(0.01, abs=0.003)
     assert found.first["y"].value == pytest.approx(1, abs=0.05)
     assert found.first["x"].value == pytest.approx(0, abs=0.05)
     with pytest.raises(ValueError, match=r"`most_unknown` must be at least .*, but that share is"):
-        sobol(problem, ranges, n=512, most_unknown=0.005, max_steps=5)
+        sobol(problem, bounds, n=512, most_unknown=0.005, max_steps=5)
 
 
 @pytest.mark.parametrize(
@@ -215,13 +216,34 @@ def test_few_unknown_runs_are_replaced_and_many_refused():
         ({"seed": -1}, r"`seed` must be a whole number, not negative"),
         ({"most_unknown": np.nan}, r"`most_unknown` must be finite"),
         ({"target": "time"}, r"`target` must be 'omega_inf' or 'residual'"),
-        ({"ranges": {}}, r"`ranges` must be a dict of pairs"),
-        ({"ranges": {"a": (0.0, 1.0), "b": (1.0, 1.0)}}, r"`ranges\['b'\]` must be a pair low <"),
-        ({"ranges": {"a": (0.0, 1.0), "b": 1.0}}, r"`ranges\['b'\]` must have shape \(2,\)"),
-        ({"target": "residual"}, r"`ranges` must make the target vary, but it is 1 everywhere"),
+        ({"bounds": {}}, r"`bounds` must be a dict of pairs"),
+        ({"bounds": {"a": (0.0, 1.0), "b": (1.0, 1.0)}}, r"`bounds\['b'\]` must be a pair low <"),
+        ({"bounds": {"a": (0.0, 1.0), "b": 1.0}}, r"`bounds\['b'\]` must have shape \(2,\)"),
+        ({"target": "residual"}, r"`bounds` must make the target vary, but it is 1 everywhere"),
     ],
 )
 def test_sobol_refuses(change, match):
-    given = {"ranges": {"a": (0.1, 1.0), "b": (0.1, 0.2)}, "n": 16} | change
+    given = {"bounds": {"a": (0.1, 1.0), "b": (0.1, 0.2)}, "n": 16} | change
     with pytest.raises(ValueError, match=match):
-        sobol(plane, given.pop("ranges"), **given)
+        sobol(plane, given.pop("bounds"), **given)
+
+
+def test_the_old_name_of_the_bounds_works():
+    with (
+        pytest.warns(DeprecationWarning, match=r"use `sobol\(bounds=...\)`"),
+        pytest.raises(ValueError, match="`bounds` must be a dict of pairs"),
+    ):
+        sobol(plane, ranges={})
+
+
+def test_summaries_show_estimates_with_their_errors():
+    assert repr(Estimate(0.25, 0.01)) == "0.25 ± 0.01"
+    shares, other = {"STOP": Share(1.0, 0.9, 1.0, 40)}, Share(0.0, 0.0, 0.1, 0)
+    unknown = Estimate(np.nan, np.nan)
+    assert repr(Propagation(0.5, {"a": 2.0}, 0.1, shares, other, unknown, unknown)).startswith(
+        "Propagation(omega_inf=0.5, gradient={a: 2}, linear_std=0.1, shares={STOP: "
+    )
+    indices = {"a": Index(0.25, 0.2, 0.3)}
+    assert "first={a: 0.25 [0.2, 0.3]}" in repr(
+        SobolIndices("residual", indices, indices, 0.5, 0.25, 12, 0.0)
+    )

@@ -1,56 +1,70 @@
-"""Maps that integrate next to the basin boundaries only, and fill in the rest."""
+"""Maps that integrate next to the basin boundaries only, and fill in the rest.
+
+A coarse lattice of cells is laid over the grid. Cells whose corners have different fates are halved
+until their corners are neighbours in the grid; the rest is filled in from the corners. Neighbours
+of such a cell are examined too, so that a boundary is followed from cell to cell.
+"""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._base.checks import finite, refuse
+from ._base.checks import finite, instance, refuse
+from ._base.deprecated import renamed_argument
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
 from ._maps.basin import Basin
 from ._maps.columns import COLUMNS
 from ._maps.grids import Grid, Points
-from ._maps.sweep import Problem, sweep
+from ._maps.problems import Problem
+from ._maps.sweep import sweep
 from .boundary import fate
 
 Cells = Int[np.ndarray, "_ 2"]
 """Cells of a lattice by the numbers of their first row and column."""
+Spans = tuple[Int[np.ndarray, "m 2"], Int[np.ndarray, "m 2"]]
+"""First and last row, and first and last column, of every cell."""
 
-PARTS = (65536, 8192, 1024)  # points in one sweep, at most; at least half of it but for the last
-PIXELS = 1 << 20  # filled in at once, at most: what bounds the memory
+PARTS = (65536, 8192, 1024)  # points in one sweep, at most; only the last has less than half
+PIXELS = 1 << 20  # filled in at once, at most, which bounds the memory
 
 
+@renamed_argument(old="grid", new="over")
 def refine(
-    problem: Problem, grid: Grid, *, coarse: Any = 64, omega_tol: Any = None, **settings: Any
+    problem: Problem,
+    over: Grid,
+    *,
+    coarse: int = 64,
+    omega_tol: float | None = None,
+    **settings: Any,
 ) -> Basin:
-    """The map of `sweep(problem, grid)` from far fewer runs: those next to the boundaries.
+    """The map of `sweep(problem, over)` from far fewer runs: those next to the boundaries.
 
     A lattice of about `coarse` × `coarse` cells is integrated; cells whose corners differ in
-    their `fate` are halved, down to the grid itself. Whenever such a cell is found, its
-    neighbours of the same size are examined too, so that a boundary is followed wherever it
-    goes. What is left is filled in from the corners of its cell: labels as they are, ω∞ and τ
+    their `fate` are halved, down to the grid itself, and their neighbours of the same size are
+    examined too. The rest is filled in from the corners of its cell: labels as they are, ω∞ and τ
     bilinear, `steps` 0, `certified` where all four are.
 
-    **What can be missed:** an island smaller than a coarse cell that no corner falls into and
-    that touches nothing that was found; so, too, single points such as a start exactly on an axis,
-    or what is thinner than the spacing of the grid. A larger `coarse` lowers the risk.
+    **What can be missed:** an island smaller than a coarse cell that contains no corner and
+    touches no cell that is examined; so, too, single points such as a start exactly on an axis,
+    or a structure that is thinner than the spacing of the grid. A larger `coarse` lowers the risk.
 
     Args:
         problem: as in `sweep`.
-        grid: two axes of numbers that grow, and any number of axes of length 1.
-        coarse: least number of cells along each axis to begin with.
-        omega_tol: also halve the cells at whose centre the interpolated ω∞ is off by more than
-            this, or where the fate is another one; None means to look at no centre.
+        over: two axes of increasing numbers, and any number of axes of length 1.
+        coarse: least number of cells along each axis of the first lattice.
+        omega_tol: also halve the cells at whose centre the interpolated ω∞ has an error above
+            this, or where the fate is another one; None examines no centre.
         settings: rtol, atol, max_steps, devices and engine, as in `sweep`.
 
     Returns:
-        A `Basin` over `grid` in memory with one more column, `computed`: whether the point was
-        integrated. Such points are integrated once, exactly where `sweep` would do it; only
-        rounding (the last digits of ω∞ and τ) can depend on which runs share a block. `attrs`
-        hold the number of them, `computed`, and the first cells' size in points, `refined_from`.
+        A `Basin` over the grid, in memory, with one more column, `computed`: whether the point
+        was integrated, once, exactly where `sweep` would do it; only rounding (the last digits of
+        ω∞ and τ) can depend on which runs share a block. `attrs` hold the number of these points,
+        `computed`, and the size of the first cells in points, `refined_from`.
 
     Raises:
         ValueError: bad arguments.
@@ -69,48 +83,51 @@ def refine(
     """
     began = time.perf_counter()
     check_settings(settings)
-    picture = _Picture(problem, grid, settings)
-    coarse = budget("coarse", coarse)
-    if (
-        omega_tol is not None
-        and (omega_tol := float(finite("omega_tol", omega_tol, batch=False))) <= 0
-    ):
-        refuse("omega_tol", "be positive", f"is {omega_tol:g}")
-
-    sizes = [1 << max(0, ((n - 1) // coarse).bit_length() - 1) for n in picture.shape]
-    lattice = _Lattice(picture.shape, sizes)
-    split = _examine(picture, lattice, lattice.all(), omega_tol)
+    picture = _Picture(problem, over, settings)
+    coarse, largest_error = budget("coarse", coarse), _checked(omega_tol)
+    first_sizes = [1 << max(0, ((n - 1) // coarse).bit_length() - 1) for n in picture.shape]
+    lattice = _Lattice(picture.shape, first_sizes)
+    mixed = _examine(picture, lattice, lattice.all(), largest_error)
     while max(lattice.sizes) > 1:
-        lattice, cells = lattice.halved(split)
-        split = _examine(picture, lattice, cells, omega_tol)
-    return picture.basin(sizes, time.perf_counter() - began)
+        lattice, cells = lattice.halved(mixed)
+        mixed = _examine(picture, lattice, cells, largest_error)
+    return picture.basin(first_sizes, time.perf_counter() - began)
+
+
+def _checked(omega_tol: Any) -> float | None:
+    if omega_tol is None:
+        return None
+    omega_tol = float(finite("omega_tol", omega_tol, batch=False))
+    if omega_tol <= 0:
+        refuse("omega_tol", "be positive", f"is {omega_tol:g}")
+    return omega_tol
 
 
 def _examine(
-    picture: "_Picture", lattice: "_Lattice", fresh: Cells, omega_tol: float | None
+    picture: "_Picture", lattice: "_Lattice", cells: Cells, largest_error: float | None
 ) -> Cells:
-    """The cells to halve, among these and all that a boundary goes on to; the others are filled."""
+    """Which of these cells, and of those that a boundary leads to, to halve; others are filled."""
     seen = np.zeros(lattice.shape, bool)
-    split, uniform = [], []
-    while len(fresh):
-        seen[tuple(fresh.T)] = True
-        corners = lattice.corners(fresh)
+    mixed, uniform = [], []
+    while len(cells):
+        seen[tuple(cells.T)] = True
+        corners = lattice.corners(cells)
         picture.compute(corners)
-        mixed = picture.differ(corners)
-        split.append(fresh[mixed])
-        uniform.append(fresh[~mixed])
-        around = lattice.around(fresh[mixed])
-        fresh = around[~seen[tuple(around.T)]]
-    found, filled = (np.concatenate(parts or [fresh]) for parts in (split, uniform))
-    if omega_tol is not None and max(lattice.sizes) > 1:
-        off = picture.off(lattice, filled, omega_tol)
-        found, filled = np.concatenate([found, filled[off]]), filled[~off]
-    picture.fill(lattice, filled)
-    return found
+        differ = picture.differ(corners)
+        mixed.append(cells[differ])
+        uniform.append(cells[~differ])
+        around = lattice.around(cells[differ])
+        cells = around[~seen[tuple(around.T)]]
+    to_halve, to_fill = np.concatenate(mixed or [cells]), np.concatenate(uniform or [cells])
+    if largest_error is not None and max(lattice.sizes) > 1:
+        wrong = picture.wrong_at_centre(lattice, to_fill, largest_error)
+        to_halve, to_fill = np.concatenate([to_halve, to_fill[wrong]]), to_fill[~wrong]
+    picture.fill(lattice, to_fill)
+    return to_halve
 
 
 class _Lattice:
-    """Every so many rows and columns of a grid, and the last of each; cells lie between them."""
+    """Every k-th row and column of a grid, and the last of each; cells lie between them."""
 
     def __init__(self, points: tuple[int, ...], sizes: list[int]) -> None:
         self.points, self.sizes = points, sizes
@@ -142,10 +159,12 @@ class _Lattice:
         flat = cells.reshape(-1, 2)
         return flat[np.all((flat >= 0) & (flat < self.shape), axis=1)]
 
-    def spans(self, cells: Cells) -> tuple[Int[np.ndarray, "m 2"], ...]:
+    def spans(self, cells: Cells) -> Spans:
         """First and last row, and first and last column, of every cell."""
-        pairs = zip(self.nodes, cells.T, strict=True)
-        return tuple(np.stack([nodes[at], nodes[at + 1]], -1) for nodes, at in pairs)
+        row_nodes, column_nodes = self.nodes
+        row, column = cells.T
+        rows = np.stack([row_nodes[row], row_nodes[row + 1]], -1)
+        return rows, np.stack([column_nodes[column], column_nodes[column + 1]], -1)
 
     def corners(self, cells: Cells) -> Int[np.ndarray, "m 2 2"]:
         """Flat numbers of the corners."""
@@ -153,21 +172,25 @@ class _Lattice:
         return rows[:, :, None] * self.points[1] + columns[:, None, :]
 
 
-class _Picture:
-    """The columns of the map, and what has been integrated so far."""
+def _long_axes(grid: Any) -> list[str]:
+    """The two axes of a map."""
+    instance("over", grid, Grid, "be a Grid")
+    lengths = dict(zip(grid.dims, grid.shape, strict=True))
+    names = [name for name, n in lengths.items() if n > 1]
+    if len(names) != 2:
+        shown = ", ".join(f"{name} ({n})" for name, n in lengths.items())
+        refuse("over", "have exactly two axes longer than 1", f"has {shown}")
+    for name in names:
+        if grid.axes[name].ndim > 1 or np.any(np.diff(grid.axes[name]) <= 0):
+            refuse("over", "have axes of increasing numbers", f"its axis {name} is another one")
+    return names
 
-    def __init__(self, problem: Problem, grid: Any, settings: dict[str, Any]) -> None:
-        if not isinstance(grid, Grid):
-            refuse("grid", "be a Grid", f"is {type(grid).__name__}")
-        names = [name for name, n in zip(grid.dims, grid.shape, strict=True) if n > 1]
-        if len(names) != 2:
-            shown = ", ".join(
-                f"{name} ({n})" for name, n in zip(grid.dims, grid.shape, strict=True)
-            )
-            refuse("grid", "have exactly two axes longer than 1", f"has {shown}")
-        for name in names:
-            if grid.axes[name].ndim > 1 or np.any(np.diff(grid.axes[name]) <= 0):
-                refuse("grid", "have axes of numbers that grow", f"its axis {name} is another one")
+
+class _Picture:
+    """The columns of the map, and which points have been integrated so far."""
+
+    def __init__(self, problem: Problem, grid: Grid, settings: Mapping[str, Any]) -> None:
+        names = _long_axes(grid)
         self.problem, self.grid, self.settings = problem, grid, settings
         self.values = [grid.axes[name] for name in names]
         self.shape = tuple(len(values) for values in self.values)
@@ -177,20 +200,20 @@ class _Picture:
         self.fate = np.zeros(size, np.int8)
         self.computed = np.zeros(size, bool)
 
-    def compute(self, wanted: Int[np.ndarray, "..."]) -> None:
-        """Integrate those of the points that are not known yet."""
-        new = np.unique(wanted[~self.computed[wanted]])
+    def compute(self, points: Int[np.ndarray, "..."]) -> None:
+        """Integrate those of the points that have not been integrated."""
+        new = np.unique(points[~self.computed[points]])
         for part in _parts(new):
             places = np.unravel_index(part, self.grid.shape)  # axes of length 1 change no number
-            points = {
+            coordinates = {
                 name: values[place]
                 for (name, values), place in zip(self.grid.axes.items(), places, strict=True)
             }
-            found = sweep(self.problem, Points(**points), progress=False, **self.settings)
+            basin = sweep(self.problem, Points(**coordinates), progress=False, **self.settings)
             for name in self.columns:
-                self.columns[name][part] = found.column(name)
-            self.fate[part] = fate(found)
-            self.attrs = found.attrs
+                self.columns[name][part] = basin.column(name)
+            self.fate[part] = fate(basin)
+            self.attrs = basin.attrs
         self.computed[new] = True
 
     def differ(self, corners: Int[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
@@ -198,40 +221,49 @@ class _Picture:
         fates = self.fate[corners]
         return np.any(fates != fates[:, :1, :1], axis=(1, 2))
 
-    def off(self, lattice: _Lattice, cells: Cells, most: float) -> Bool[np.ndarray, "m"]:
-        """Whether the fate at the centre is another one, or the interpolated ω∞ off by `most`."""
-        corners = lattice.corners(cells)
-        middles = [span.sum(-1) // 2 for span in lattice.spans(cells)]
-        centres = middles[0] * self.shape[1] + middles[1]
+    def wrong_at_centre(
+        self, lattice: _Lattice, cells: Cells, largest_error: float
+    ) -> Bool[np.ndarray, "m"]:
+        """Whether the centre has another fate, or the interpolated ω∞ is wrong there by more."""
+        corners, spans = lattice.corners(cells), lattice.spans(cells)
+        row, column = spans[0].sum(-1) // 2, spans[1].sum(-1) // 2
+        centres = row * self.shape[1] + column
         self.compute(centres)
-        weights = self._weights(lattice.spans(cells), [m[:, None] for m in middles])
-        between = _bilinear(self.columns["omega_inf"][corners], weights)[:, 0, 0]
-        wrong = np.abs(between - self.columns["omega_inf"][centres]) > most
+        weights = self._weights(spans, (row[:, None], column[:, None]))
+        interpolated = _bilinear(self.columns["omega_inf"][corners], weights)[:, 0, 0]
+        wrong = np.abs(interpolated - self.columns["omega_inf"][centres]) > largest_error
         return wrong | (self.fate[centres] != self.fate[corners[:, 0, 0]])
 
     def fill(self, lattice: _Lattice, cells: Cells) -> None:
-        """What the corners of uniform cells say about the points within that are not known."""
-        heights, widths = (np.arange(size + 1) for size in lattice.sizes)
-        if len(heights) == len(widths) == 2:
+        """Fill in the points of uniform cells that have not been integrated, from the corners."""
+        height, width = lattice.sizes[0] + 1, lattice.sizes[1] + 1
+        if height == width == 2:
             return
-        at_once = max(1, PIXELS // (len(heights) * len(widths)))
+        at_once = max(1, PIXELS // (height * width))
         for first in range(0, len(cells), at_once):
             part = cells[first : first + at_once]
             spans, corners = lattice.spans(part), lattice.corners(part)
-            steps = zip(spans, (heights, widths), strict=True)
-            inner = [np.minimum(span[:, :1] + step, span[:, 1:]) for span, step in steps]
-            points = inner[0][:, :, None] * self.shape[1] + inner[1][:, None, :]
-            free, weights = ~self.computed[points], self._weights(spans, inner)
-            alike = {name: self.columns[name][corners[:, :1, :1]] for name in ("outcome", "stop")}
-            sure = self.columns["certified"][corners].all(axis=(1, 2), keepdims=True)
-            error = np.where(alike["outcome"] == Outcome.RESIDUAL, np.inf, 0.0)  # not known
-            for name, value in {**alike, "certified": sure, "omega_inf_error": error}.items():
-                self.columns[name][points[free]] = np.broadcast_to(value, points.shape)[free]
-            for name in ("omega_inf", "time"):
-                between = _bilinear(self.columns[name][corners], weights)
-                self.columns[name][points[free]] = between[free]
+            rows = np.minimum(spans[0][:, :1] + np.arange(height), spans[0][:, 1:])
+            columns = np.minimum(spans[1][:, :1] + np.arange(width), spans[1][:, 1:])
+            points = rows[:, :, None] * self.shape[1] + columns[:, None, :]
+            self._fill(points, corners, self._weights(spans, (rows, columns)))
 
-    def _weights(self, spans: Any, places: Any) -> list[Float[np.ndarray, "m _"]]:
+    def _fill(
+        self, points: Int[np.ndarray, "m h w"], corners: Int[np.ndarray, "m 2 2"], weights: Any
+    ) -> None:
+        free = ~self.computed[points]
+        values = {name: self.columns[name][corners[:, :1, :1]] for name in ("outcome", "stop")}
+        residual = values["outcome"] == Outcome.RESIDUAL
+        values["omega_inf_error"] = np.where(residual, np.inf, 0.0)  # there is no estimate
+        certified = self.columns["certified"][corners]
+        values["certified"] = np.all(certified, axis=(1, 2), keepdims=True)
+        for name, value in values.items():
+            self.columns[name][points[free]] = np.broadcast_to(value, points.shape)[free]
+        for name in ("omega_inf", "time"):
+            interpolated = _bilinear(self.columns[name][corners], weights)
+            self.columns[name][points[free]] = interpolated[free]
+
+    def _weights(self, spans: Spans, places: Any) -> list[Float[np.ndarray, "m _"]]:
         """How far along its cell, from 0 to 1, every row and every column lies."""
         weights = []
         for values, span, place in zip(self.values, spans, places, strict=True):
@@ -239,10 +271,10 @@ class _Picture:
             weights.append((values[place] - low) / (high - low))
         return weights
 
-    def basin(self, sizes: list[int], seconds: float) -> Basin:
-        """All of it, over the grid."""
+    def basin(self, first_sizes: list[int], seconds: float) -> Basin:
+        """The whole map over the grid."""
         grid, count = self.grid, int(np.sum(self.computed))
-        attrs = self.attrs | {"computed": count, "refined_from": sizes}
+        attrs = self.attrs | {"computed": count, "refined_from": first_sizes}
         columns = self.columns | {"computed": self.computed}
         return Basin(grid.dims, grid.shape, grid.coords, columns, attrs, seconds)
 
@@ -250,9 +282,9 @@ class _Picture:
 def _parts(points: Int[np.ndarray, "n"]) -> Iterator[Int[np.ndarray, "m"]]:
     """Parts of a list for single sweeps, whose tiles then have few sizes to compile for."""
     while len(points):
-        most = next((n for n in PARTS if len(points) > n // 2), PARTS[-1])
-        yield points[:most]
-        points = points[most:]
+        size = next((n for n in PARTS if len(points) > n // 2), PARTS[-1])
+        yield points[:size]
+        points = points[size:]
 
 
 def _bilinear(
@@ -260,5 +292,6 @@ def _bilinear(
 ) -> Float[np.ndarray, "m h w"]:
     """Values within cells: linear along the columns, then along the rows."""
     u, v = weights[0][:, :, None], weights[1][:, None, :]
-    first, last = (corners[:, :1, k, None] * (1 - u) + corners[:, 1:, k, None] * u for k in (0, 1))
+    first = corners[:, :1, 0, None] * (1 - u) + corners[:, 1:, 0, None] * u
+    last = corners[:, :1, 1, None] * (1 - u) + corners[:, 1:, 1, None] * u
     return first * (1 - v) + last * v

@@ -1,7 +1,7 @@
-"""How intricate basins are: entropy, dimension of the boundary, uncertainty of the outcome.
+"""Entropy of basins, dimension of their boundary, and how predictable a fate is.
 
-The numbers describe what is resolved: a smooth boundary has dimension 1 in a plane, a fractal one
-more. Every estimate comes with a standard error, which knows nothing of the scales left out.
+The numbers describe the scales that are resolved: a smooth boundary has dimension 1 in a plane, a
+fractal one more. The standard error of an estimate does not include the scales left out.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
 from ._base.checks import finite, refuse
+from ._base.deprecated import renamed_argument, renamed_attributes
+from ._base.statistics import mean_and_error
+from ._base.summaries import summary
 from ._base.tolerances import budget, check_settings, whole
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points
-from ._maps.sweep import Problem, sweep
+from ._maps.problems import Problem
+from ._maps.sweep import sweep
 from ._runs.classification import UNCHECKED
 from .boundary import fate
 
-AROUND = (-1, 0, 1)  # a point and its two companions, in units of ε
+OFFSETS = np.array((-1, 0, 1))  # of a point and its two companions, in units of ε
+
+__getattr__ = renamed_attributes(__name__, {"Uncertainty": "UncertaintyExponent"})
 
 
 class BasinEntropy(NamedTuple):
@@ -27,35 +33,54 @@ class BasinEntropy(NamedTuple):
     entropy: float
     """S_b, the mean over all boxes."""
     error: float
+    """Standard error of `entropy`."""
     boundary_entropy: float
     """S_bb, the mean over the boxes with more than one label; NaN if there is none."""
     boundary_error: float
+    """Standard error of `boundary_entropy`."""
     boxes: int
+    """How many boxes there are."""
     boundary_boxes: int
+    """How many of them have more than one label."""
+
+    def __repr__(self) -> str:
+        return summary(self, entropy="error", boundary_entropy="boundary_error")
 
 
 class BoundaryDimension(NamedTuple):
-    """A box-counting dimension D with its standard error, and what the line was fitted to."""
+    """A box-counting dimension D with its standard error, and the points of the fitted line."""
 
     dimension: float
+    """D, the slope of the line."""
     error: float
+    """Standard error of `dimension`."""
     scales: Int[np.ndarray, "k"]
     """Sides s of the boxes, in points of the grid."""
     counts: Int[np.ndarray, "k"]
     """N(s), boxes that the boundary enters."""
 
+    def __repr__(self) -> str:
+        return summary(self, dimension="error")
 
-class Uncertainty(NamedTuple):
-    """An uncertainty exponent α with its standard error, and what the line was fitted to."""
+
+class UncertaintyExponent(NamedTuple):
+    """An uncertainty exponent α with its standard error, and the points of the fitted line."""
 
     exponent: float
+    """α, the slope of the line."""
     error: float
+    """Standard error of `exponent`."""
     dimension: float
     """D − α, that of the boundary in the D-dimensional region; `error` is its error too."""
     epsilons: Float[np.ndarray, "k"]
+    """The displacements ε."""
     fractions: Float[np.ndarray, "k"]
     """f(ε), the share of ε-uncertain points."""
     fraction_errors: Float[np.ndarray, "k"]
+    """Standard errors of `fractions`."""
+
+    def __repr__(self) -> str:
+        return summary(self, "fraction_errors", exponent="error")
 
 
 def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
@@ -69,7 +94,7 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
     Args:
         labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, which
             stands for its fates; UNDECIDED and FAILED are labels like any other.
-        box: side of a box in points; what is left at the last rows and columns is not used.
+        box: side of a box in points; last rows and columns that fill no box are not used.
 
     Returns:
         `BasinEntropy`. The errors are those of the mean of independent boxes; on a regular grid
@@ -83,23 +108,25 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
 
     Example:
         >>> import numpy as np
-        >>> found = basin_entropy(np.arange(16)[:, None] < np.full(16, 6), box=4)
-        >>> found.boxes, found.boundary_boxes, bool(np.isclose(found.boundary_entropy, np.log(2)))
-        (16, 4, True)
+        >>> result = basin_entropy(np.arange(16)[:, None] < np.full(16, 6), box=4)
+        >>> result.boundary_boxes, bool(np.isclose(result.boundary_entropy, np.log(2)))
+        (4, True)
     """
-    plane = _plane(labels)
+    plane = _label_plane(labels)
     side = whole("box", box, 2, "be a whole number from 2 on")
     if side > min(plane.shape):
         refuse("box", f"fit into labels of shape {plane.shape}", f"is {side}")
-    rows, columns = (n // side for n in plane.shape)
-    cut = plane[: rows * side, : columns * side]
-    boxes = cut.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
+    rows, columns = plane.shape[0] // side, plane.shape[1] // side
+    covered = plane[: rows * side, : columns * side]
+    boxes = covered.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
     entropies = np.zeros(len(boxes))
     for label in np.unique(boxes):
         share = np.mean(boxes == label, axis=1)
         entropies -= share * np.log(np.where(share > 0, share, 1.0))
     mixed = entropies[np.any(boxes != boxes[:, :1], axis=1)]
-    return BasinEntropy(*_mean(entropies), *_mean(mixed), len(boxes), len(mixed))
+    mean, error = map(float, mean_and_error(entropies))
+    boundary_mean, boundary_error = map(float, mean_and_error(mixed))
+    return BasinEntropy(mean, error, boundary_mean, boundary_error, len(boxes), len(mixed))
 
 
 def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
@@ -127,54 +154,53 @@ def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
         >>> round(boundary_dimension(np.arange(65)[:, None] < np.full(65, 20)).dimension, 12)
         1.0
     """
-    plane = _plane(labels)
+    plane = _label_plane(labels)
     if scales is None:
         scales = [1 << k for k in range((min(plane.shape) // 16).bit_length())]
     sides = np.unique([budget("scales", side) for side in np.ravel(np.asarray(scales, object))])
     if len(sides) < 3 or sides[-1] >= min(plane.shape):
         must = f"hold three different sides or more, all below {min(plane.shape)}"
         refuse("scales", must, f"holds {sides.tolist()}")
-    mixed = _mixed(plane)
+    mixed = _mixed_squares(plane)
     if not mixed.any():
         refuse("labels", "have a boundary", "have the same value everywhere")
-    counts = np.array([_count(mixed, int(side)) for side in sides])
-    slope, _, scatter = _line(-np.log(sides), np.log(counts), np.ones(len(sides)))
-    return BoundaryDimension(slope, scatter, sides, counts)
+    counts = np.array([_count_boxes(mixed, int(side)) for side in sides])
+    slope, _, error = _fitted_slope(-np.log(sides), np.log(counts), np.ones(len(sides)))
+    return BoundaryDimension(slope, error, sides, counts)
 
 
+@renamed_argument(old="region", new="over")
 def uncertainty_exponent(
     problem: Problem,
-    region: Grid,
+    over: Grid,
     *,
     epsilons: Sequence[float] | Float[np.ndarray, "k"],
-    n: Any = 4096,
+    n: int = 4096,
+    seed: int = 0,
     along: str | None = None,
-    seed: Any = 0,
     **settings: Any,
-) -> Uncertainty:
+) -> UncertaintyExponent:
     """α in f(ε) ~ ε^α: the share f of points whose fate changes if one coordinate moves by ±ε.
 
-    The boundary then has dimension D − α in a region of D dimensions: α = 1 if it is smooth; with
-    a smaller α a better knowledge of the start helps less to foresee its fate.
+    The boundary then has dimension D − α in D dimensions, and α = 1 if it is smooth. With a
+    smaller α, better knowledge of the start improves the prediction of its fate less.
 
     Args:
         problem: as in `sweep`.
-        region: the box that its axes span, from the least to the largest value on each; an axis
-            of length 1 is fixed.
-        epsilons: the displacements, in units of the axis `along`; points near its ends leave the
-            region by as much.
+        over: a grid whose axes span the region, from the least to the largest value on each; an
+            axis of length 1 is fixed.
+        epsilons: the displacements on the axis `along`; they may lead out of the region.
         n: random points for each ε; those of different ε are independent.
-        along: the coordinate that is moved; None means the last axis that is not fixed.
         seed: of the random points.
+        along: the coordinate that is moved; None means the last axis that is not fixed.
         settings: rtol, atol, max_steps, devices and engine, as in `sweep`.
 
     Returns:
-        `Uncertainty`, by least squares of ln f against ln ε with the binomial weights
+        `UncertaintyExponent`, by least squares of ln f against ln ε with the binomial weights
         n f/(1 − f), from which the standard errors follow.
 
     Raises:
-        ValueError: bad arguments; or an ε at which none or all of the points are uncertain, which
-            tells nothing of the exponent.
+        ValueError: bad arguments, or an ε at which none or all of the points are uncertain.
 
     Source: C. Grebogi, S. W. McDonald, E. Ott and J. A. Yorke, Final state sensitivity: an
     obstruction to predictability, Phys. Lett. A 99, 415 (1983).
@@ -184,53 +210,65 @@ def uncertainty_exponent(
         >>> def problem(w3, phi):
         ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
         >>> region = dt.Grid(w3=[0.1, 0.4], phi=[0.2, 1.4])
-        >>> found = uncertainty_exponent(problem, region, epsilons=[0.01, 0.03, 0.1], n=1000)
-        >>> bool(abs(found.exponent - 1) < 3 * found.error)
+        >>> result = uncertainty_exponent(problem, region, epsilons=[0.01, 0.03, 0.1], n=1000)
+        >>> bool(abs(result.exponent - 1) < 3 * result.error)
         True
     """
     check_settings(settings)
+    steps = _displacements(epsilons)
+    count, rng = budget("n", n), np.random.default_rng(whole("seed", seed, 0))
+    low, high, along = _region(over, along)
+    drawn = rng.random((len(low), len(steps), count, 1))
+    points = {}
+    for name, unit in zip(low, drawn, strict=True):
+        moved = steps[:, None, None] * OFFSETS * (name == along)
+        points[name] = (low[name] + (high[name] - low[name]) * unit + moved).ravel()
+    fates = fate(sweep(problem, Points(**points), value=UNCHECKED, progress=False, **settings))
+    share = _uncertain_shares(fates.reshape(len(steps), count, len(OFFSETS)), steps)
+    weights = count * share / (1 - share)
+    slope, error, _ = _fitted_slope(np.log(steps), np.log(share), weights)
+    free = sum(bool(low[name] < high[name]) for name in low)
+    return UncertaintyExponent(slope, error, free - slope, steps, share, share / np.sqrt(weights))
+
+
+def _displacements(epsilons: Any) -> Float[np.ndarray, "k"]:
     steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
     if len(np.unique(steps)) < 2 or np.any(steps <= 0):
         refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
-    count, start = budget("n", n), whole("seed", seed, 0)
-    low, high, along = _box(region, along)
-    drawn = np.random.default_rng(start).random((len(low), len(steps), count, 1))
-    points = {}
-    for name, unit in zip(low, drawn, strict=True):
-        moved = steps[:, None, None] * np.array(AROUND) * (name == along)
-        points[name] = (low[name] + (high[name] - low[name]) * unit + moved).ravel()
-    found = fate(sweep(problem, Points(**points), value=UNCHECKED, progress=False, **settings))
-    fates = found.reshape(len(steps), count, len(AROUND))
+    return steps
+
+
+def _uncertain_shares(
+    fates: Int[np.ndarray, "k n 3"], steps: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """For every ε the share of points with a companion of another fate."""
+    count = fates.shape[1]
     uncertain = np.sum(np.any(fates != fates[:, :, :1], axis=2), axis=1)
     for step, many in zip(steps.tolist(), uncertain.tolist(), strict=True):
         if many in (0, count):
             was = f"{many} of {count} are at {step:g}"
             refuse("epsilons", "leave some points uncertain and others not", was)
-    share = uncertain / count
-    weights = count * share / (1 - share)
-    slope, error, _ = _line(np.log(steps), np.log(share), weights)
-    free = sum(bool(low[name] < high[name]) for name in low)
-    return Uncertainty(slope, error, free - slope, steps, share, share / np.sqrt(weights))
+    return uncertain / count
 
 
-def _box(region: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any], str]:
+def _region(over: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any], str]:
     """The least and the largest value on every axis, and the axis to move along."""
-    if not isinstance(region, Grid):
-        refuse("region", "be a Grid", f"is {type(region).__name__}")
-    for name, values in region.axes.items():
+    if not isinstance(over, Grid):
+        refuse("over", "be a Grid", f"is {type(over).__name__}")
+    for name, values in over.axes.items():
         if values.ndim > 1:
-            refuse("region", "have axes of numbers", f"its axis {name} is made of vectors")
-    low = {name: np.min(values) for name, values in region.axes.items()}
-    high = {name: np.max(values) for name, values in region.axes.items()}
+            refuse("over", "have axes of numbers", f"its axis {name} is made of vectors")
+    low = {name: np.min(values) for name, values in over.axes.items()}
+    high = {name: np.max(values) for name, values in over.axes.items()}
     free = [name for name in low if low[name] < high[name]]
     if not free:
-        refuse("region", "have an axis that is not fixed", "has none")
+        refuse("over", "have an axis that is not fixed", "has none")
     if along is not None and along not in free:
         refuse("along", f"be one of {', '.join(free)}", f"is {along!r}")
     return low, high, along or free[-1]
 
 
-def _plane(labels: Any) -> Integer[np.ndarray, "n m"]:
+def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
     """The labels, or the fates of a basin over two axes."""
     must = "be whole numbers over two axes"
     try:
@@ -245,28 +283,21 @@ def _plane(labels: Any) -> Integer[np.ndarray, "n m"]:
     return array
 
 
-def _mean(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
-    """Mean and its standard error; NaN where there are too few values."""
-    size = len(values)
-    mean = float(np.mean(values)) if size else np.nan
-    return mean, float(np.std(values, ddof=1) / np.sqrt(size)) if size > 1 else np.nan
-
-
-def _mixed(plane: Integer[np.ndarray, "n m"]) -> Bool[np.ndarray, "n-1 m-1"]:
+def _mixed_squares(plane: Integer[np.ndarray, "n m"]) -> Bool[np.ndarray, "n-1 m-1"]:
     """Whether the four corners of each square have different labels."""
-    first, squares = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
-    return np.any([first != other for other in squares], axis=0)
+    first, others = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
+    return np.any([first != other for other in others], axis=0)
 
 
-def _count(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
-    """Boxes of this side with anything in them; those at the last rows and columns are cut."""
-    some = mixed
+def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
+    """How many boxes of this side hold a mixed square; the last row and column may be smaller."""
+    hit = mixed
     for axis, length in enumerate(mixed.shape):
-        some = np.logical_or.reduceat(some, np.arange(0, length, side), axis=axis)
-    return int(np.sum(some))
+        hit = np.logical_or.reduceat(hit, np.arange(0, length, side), axis=axis)
+    return int(np.sum(hit))
 
 
-def _line(
+def _fitted_slope(
     x: Float[np.ndarray, "k"], y: Float[np.ndarray, "k"], weights: Float[np.ndarray, "k"]
 ) -> tuple[float, float, float]:
     """Slope of y over x; its error if `weights` are inverse variances; that from the scatter."""

@@ -1,9 +1,10 @@
-"""What uncertain parameters make of a fate: a covariance or ranges, carried to ω∞ and the outcome.
+"""Uncertain parameters carried to the fate: a covariance or ranges, to ω∞ and the outcome.
 
-All runs of a question go into one sweep.
+`propagate` compares the first order, Var ω∞ ≈ gᵀCg, with random draws; `sobol` splits the variance
+over the parameters. All runs of a call go into one sweep or two.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,16 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._base.checks import finite, refuse
-from ._base.statistics import Share, wilson
-from ._base.tolerances import whole
+from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
+from ._base.deprecated import renamed_argument
+from ._base.statistics import Share, mean_and_error, wilson
+from ._base.summaries import summary
+from ._base.text import with_error
+from ._base.tolerances import check_settings, whole
 from ._base.types import Outcome
 from ._maps.basin import Basin
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
 from ._runs.classification import UNCHECKED
-from .boundary.crossings import UNDECIDED, fate
+from .boundary import Fate, fate
+
+ALSO = ("value", "progress")  # settings of `sweep` that may be given, besides those of the runs
+STORED = (*ALSO, "store", "repair")  # and those of a call that makes a single sweep
+RESAMPLES = 400  # of the bootstrap
+ASYMMETRY = 1e-10  # of a covariance, in units of the standard deviations: larger than rounding
+NEGATIVE = 1e-12  # eigenvalue that rounding may leave of 0, for each dimension
 
 
 class Estimate(NamedTuple):
@@ -29,6 +39,9 @@ class Estimate(NamedTuple):
 
     value: float
     error: float
+
+    def __repr__(self) -> str:
+        return with_error(self.value, self.error)
 
 
 class Index(NamedTuple):
@@ -38,10 +51,13 @@ class Index(NamedTuple):
     low: float
     high: float
 
+    def __repr__(self) -> str:
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
 
 @dataclass(frozen=True)
 class Propagation:
-    """What a covariance of the parameters means for ω∞ and for the outcome.
+    """The consequences of a covariance of the parameters for ω∞ and for the outcome.
 
     Attributes:
         omega_inf: ω∞ at the mean; 0 for a stop, NaN where it is not known.
@@ -49,9 +65,11 @@ class Propagation:
         linear_std: √(gᵀCg), the standard deviation of ω∞ to first order.
         shares: probability of every outcome that occurs, with 95 % intervals (Wilson).
         other: probability of another fate than that of the mean: another outcome, ω∞ of the
-            other sign, another kind of stop. One that is not known is another.
+            other sign, another kind of stop. A fate that is not known counts as another.
         mean: mean of the signed ω∞ of the draws that end RESIDUAL; NaN if none does.
         std: their standard deviation; NaN for fewer than two.
+
+    Property: `trusted`, whether `linear_std` may be used.
     """
 
     omega_inf: float
@@ -67,18 +85,21 @@ class Propagation:
         """Whether `linear_std` may be used: it is known, and no draw has another fate."""
         return bool(np.isfinite(self.linear_std)) and self.other.count == 0
 
+    def __repr__(self) -> str:
+        return summary(self)
+
 
 @dataclass(frozen=True)
 class SobolIndices:
-    """Which parameter, alone or with others, makes the variance of a fate.
+    """The shares of the variance of a fate that each parameter causes, alone or with others.
 
     Attributes:
-        target: what varies: "omega_inf" or "residual".
+        target: the number that varies: "omega_inf" or "residual".
         first: S = Var E(f | x) / Var f, by name.
         total: T = 1 − Var E(f | all but x) / Var f, by name.
         mean: E f.
         variance: Var f.
-        runs: how many.
+        runs: number of runs.
         unknown: share of them whose target is not known (UNDECIDED, FAILED).
     """
 
@@ -90,15 +111,18 @@ class SobolIndices:
     runs: int
     unknown: float
 
+    def __repr__(self) -> str:
+        return summary(self)
+
 
 def propagate(
     problem: Problem,
     mean: Mapping[str, Any],
     covariance: Any,
     *,
-    n: Any = 4096,
-    seed: Any = 0,
-    **options: Any,
+    n: int = 4096,
+    seed: int = 0,
+    **settings: Any,
 ) -> Propagation:
     """Var ω∞ ≈ gᵀCg with g = ∂ω∞/∂x, and the same without that approximation from random draws.
 
@@ -106,17 +130,18 @@ def propagate(
         problem: a function of the parameters x, by name, that gives the equation and the start.
         mean: name = value of x.
         covariance: C, shape (m, m), in the order of `mean`; it may be singular.
-        n: how many draws x ~ N(mean, C); one that the problem cannot take is FAILED.
+        n: number of draws x ~ N(mean, C); one that the problem refuses is FAILED.
         seed: of the draws; the i-th depends on (seed, i) only.
-        options: passed to `sweep`; a statistic needs no estimate of the error of each ω∞, so
-            `value` is "unchecked" if it is not given.
+        settings: rtol, atol, max_steps, devices, engine, value and progress, as in `sweep`; for
+            the draws `value` is "unchecked" unless it is given, since a statistic needs no
+            estimate of the error of each ω∞.
 
     Returns:
         A `Propagation`. Near a basin boundary, where draws have several fates, ω∞ is no linear
         function of x, and `trusted` is False.
 
     Raises:
-        ValueError: a mean that is not finite, a matrix that is no covariance, bad options.
+        ValueError: a mean that is not finite, a matrix that is no covariance, bad settings.
 
     Source: the first order of the law of propagation of uncertainty (GUM, JCGM 100), and its
         Monte Carlo supplement (JCGM 101).
@@ -127,127 +152,109 @@ def propagate(
         >>> def problem(delta, phi):
         ...     return dt.TransverseReduced(delta), dt.cylindrical(0.2, 0.2, phi)
         >>> mean = {"delta": -0.2, "phi": np.pi / 30}  # figure 2a
-        >>> found = propagate(problem, mean, np.diag([1e-6, 1e-6]), n=256)
-        >>> found.trusted, bool(abs(found.std.value / found.linear_std - 1) < 0.2)
+        >>> result = propagate(problem, mean, np.diag([1e-6, 1e-6]), n=256)
+        >>> result.trusted, bool(abs(result.std.value / result.linear_std - 1) < 0.2)
         (True, True)
     """
-    means = numbers("mean", mean)
-    names = tuple(means)
-    root = _root(covariance, len(names))
+    check_settings(settings, ALSO)
+    means = numbers_by_name("mean", mean)
+    root = _root(covariance, len(means))
+    at_mean = sweep(problem, Points(**means), derivatives=tuple(means), **settings)
+    gradient = np.array([at_mean.derivative(name)[0] for name in means])
+    with np.errstate(invalid="ignore"):  # infinity times 0 gives NaN
+        linear_std = np.linalg.norm(gradient @ np.asarray(root))
+    sample = Sample(n=n, seed=seed, draw=_normal_draw(means, root))
+    drawn = sweep(problem, sample, **{"value": UNCHECKED, **settings})
+    residual = drawn.omega_inf[drawn.outcome == Outcome.RESIDUAL]
+    return Propagation(
+        float(at_mean.omega_inf[0]),
+        dict(zip(means, gradient.tolist(), strict=True)),
+        float(linear_std),
+        drawn.fractions(),
+        _share((fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)),
+        *_mean_and_std(residual[np.isfinite(residual)]),
+    )
+
+
+def _normal_draw(
+    means: dict[str, float], root: Float[Array, "m m"]
+) -> Callable[[Array], dict[str, Array]]:
+    """From a random key to parameters from N(mean, RRᵀ)."""
     centre = jnp.asarray(list(means.values()))
 
     def draw(key: Array) -> dict[str, Array]:
         point = centre + root @ jax.random.normal(key, centre.shape, float)
-        return dict(zip(names, point, strict=True))
+        return dict(zip(means, point, strict=True))
 
-    one = sweep(problem, Points(**means), derivatives=names, **options)
-    gradient = np.array([one.derivative(name)[0] for name in names])
-    many = sweep(problem, Sample(n=n, seed=seed, draw=draw), **{"value": UNCHECKED, **options})
-    with np.errstate(invalid="ignore"):  # infinity times 0, which is said by NaN
-        linear = np.linalg.norm(gradient @ np.asarray(root))
-    values = many.omega_inf[many.outcome == Outcome.RESIDUAL]
-    mean_found, std_found = _moments(values[np.isfinite(values)])
-    return Propagation(
-        float(one.omega_inf[0]),
-        dict(zip(names, gradient.tolist(), strict=True)),
-        float(linear),
-        many.fractions(),
-        _share((fate(many) != fate(one)) | (fate(one) <= UNDECIDED)),
-        mean_found,
-        std_found,
-    )
-
-
-def numbers(name: str, values: Any) -> dict[str, float]:
-    """A dict of finite numbers, at least one."""
-    if not isinstance(values, Mapping) or not values:
-        refuse(name, "be a dict of named numbers", f"is {values!r}")
-    return {
-        key: float(finite(f"{name}[{key!r}]", value, batch=False)) for key, value in values.items()
-    }
-
-
-def box(name: str, ranges: Any) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """The lower and the upper corner of a dict of pairs (low, high)."""
-    if not isinstance(ranges, Mapping) or not ranges:
-        refuse(name, "be a dict of pairs (low, high)", f"is {ranges!r}")
-    pairs = []
-    for key, pair in ranges.items():
-        low, high = np.asarray(finite(f"{name}[{key!r}]", pair, (2,), batch=False))
-        if not low < high:
-            refuse(f"{name}[{key!r}]", "be a pair low < high", f"is {pair}")
-        pairs.append((low, high))
-    low, high = np.array(pairs).T
-    return low, high
+    return draw
 
 
 def _root(covariance: Any, m: int) -> Float[Array, "m m"]:
     """R with RRᵀ = C."""
     matrix = np.asarray(finite("covariance", covariance, (m, m), batch=False))
-    # In units of the standard deviations, so that no parameter's own unit counts.
+    # In units of the standard deviations, so that the units of the parameters do not matter.
     units = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
     values, vectors = np.linalg.eigh(matrix / np.outer(units, units))
-    must, least = "be symmetric without a negative eigenvalue", -1e-12 * m
-    if np.max(np.abs(matrix - matrix.T) / np.outer(units, units)) > 1e-10:
+    must = "be symmetric without a negative eigenvalue"
+    if np.max(np.abs(matrix - matrix.T) / np.outer(units, units)) > ASYMMETRY:
         refuse("covariance", must, "is not symmetric")
-    if np.min(values) < least:
+    if np.min(values) < -NEGATIVE * m:
         refuse("covariance", must, "has one")
     return jnp.asarray(units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _moments(values: Float[np.ndarray, "n"]) -> tuple[Estimate, Estimate]:
+def _mean_and_std(values: Float[np.ndarray, "n"]) -> tuple[Estimate, Estimate]:
     """Mean and standard deviation; var s² = (μ₄ − s⁴)/n for any distribution, n large."""
     n = len(values)
+    mean, error = mean_and_error(values)
+    estimate = Estimate(float(mean), float(error))
     if n < 2:
-        return Estimate(float(values.sum()) if n else np.nan, np.nan), Estimate(np.nan, np.nan)
-    centred = values - values.mean()
-    variance = float(np.sum(centred**2) / (n - 1))
-    spread = max(float(np.mean(centred**4)) - variance**2, 0.0)
+        return estimate, Estimate(np.nan, np.nan)
+    variance = float(np.var(values, ddof=1))
+    fourth_moment = float(np.mean((values - mean) ** 4))
     std = np.sqrt(variance)
-    error = np.sqrt(spread / n) / (2 * std) if std > 0 else 0.0
-    return (
-        Estimate(float(values.mean()), float(std / np.sqrt(n))),
-        Estimate(float(std), float(error)),
-    )
+    variance_error = np.sqrt(max(fourth_moment - variance**2, 0.0) / n)
+    return estimate, Estimate(float(std), float(variance_error / (2 * std)) if std > 0 else 0.0)
 
 
 def _share(hits: Bool[np.ndarray, "n"]) -> Share:
+    """The share of True, with its 95 % interval."""
     count, n = hits.sum(), len(hits)
     low, high = wilson(count[None], n)
     return Share(float(count / n), float(low[0]), float(high[0]), int(count))
 
 
+@renamed_argument(old="ranges", new="bounds")
 def sobol(
     problem: Problem,
-    ranges: Mapping[str, tuple[Any, Any]],
+    bounds: Mapping[str, tuple[Any, Any]],
     *,
-    n: Any = 1024,
-    seed: Any = 0,
+    n: int = 1024,
+    seed: int = 0,
     target: str = "omega_inf",
     most_unknown: float = 0.01,
-    **options: Any,
+    **settings: Any,
 ) -> SobolIndices:
     """Sᵢ = Var E(f | xᵢ) / Var f and Tᵢ = 1 − Var E(f | all but xᵢ) / Var f, x uniform in a box.
 
     Args:
         problem: a function of the parameters x, by name, that gives the equation and the start.
-        ranges: name = (low, high) of each of the m parameters, which vary independently.
+        bounds: name = (low, high) of each of the m parameters, which vary independently.
         n: a power of two; n (m + 2) runs are made, in one sweep.
         seed: of the scrambled Sobol sequence and of the bootstrap.
         target: f: "omega_inf", the signed ω∞, 0 for a stop; or "residual", 1 for residual rotation
             and 0 for a stop.
-        most_unknown: largest share of runs whose target is not known. A row of the m + 2 runs of
-            one point of the sequence that holds such a run is replaced by another row.
-        options: passed to `sweep`; a statistic needs no estimate of the error of each ω∞, so
-            `value` is "unchecked" if it is not given.
+        most_unknown: largest share of runs whose target is not known. The m + 2 runs of a point
+            of the sequence are replaced by those of another point if one of them is not known.
+        settings: rtol, atol, max_steps, devices, engine, value, progress, store and repair, as in
+            `sweep`; `value` is "unchecked" unless it is given.
 
     Returns:
-        A `SobolIndices`. The intervals come from a bootstrap over rows, as if they were random:
-        those of a Sobol sequence are closer to the truth than that.
+        A `SobolIndices`. The intervals come from a bootstrap over points, as if they were random:
+        the error of a Sobol sequence is smaller than that.
 
     Raises:
-        ValueError: n that is no power of two, an empty range, too many unknown runs, a target
-            that is the same everywhere.
+        ValueError: n that is no power of two, an empty range, too many unknown runs, a constant f.
 
     Source: Saltelli et al., Comput. Phys. Commun. 181 (2010) 259, by `scipy.stats.sobol_indices`.
 
@@ -256,42 +263,36 @@ def sobol(
         >>> from dipoletop.uncertainty import sobol
         >>> def problem(delta, phi):
         ...     return dt.TransverseReduced(delta), dt.cylindrical(0.2, 0.2, phi)
-        >>> ranges = {"delta": (-0.4, -0.1), "phi": (0.0, 3.14)}
-        >>> found = sobol(problem, ranges, n=256, target="residual")
-        >>> found.runs, found.first["delta"].value > found.first["phi"].value
+        >>> bounds = {"delta": (-0.4, -0.1), "phi": (0.0, 3.14)}
+        >>> result = sobol(problem, bounds, n=256, target="residual")
+        >>> result.runs, result.first["delta"].value > result.first["phi"].value
         (1024, True)
     """
-    low, high = box("ranges", ranges)
-    names, m = tuple(ranges), len(ranges)
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 2 or n & (n - 1):
-        refuse("n", "be a power of two", f"is {n!r}")
+    check_settings(settings, STORED)
+    low, high = corners_of_box("bounds", bounds)
+    n, seed = _power_of_two(n), whole("seed", seed, 0)
     if target not in ("omega_inf", "residual"):
         refuse("target", "be 'omega_inf' or 'residual'", f"is {target!r}")
-    n, seed = int(n), whole("seed", seed, 0)
     most_unknown = float(finite("most_unknown", most_unknown, batch=False))
-    rows = low + (high - low) * _rows(n, m, seed)
-    points = Points(**dict(zip(names, rows.reshape(-1, m).T, strict=True)))
-    found = sweep(problem, points, **{"value": UNCHECKED, **options})
-    values = _values(found, target).reshape(m + 2, n)
-    unknown, gaps = float(np.mean(np.isnan(values))), np.any(np.isnan(values), axis=0)
-    if unknown > most_unknown or gaps.all():
-        must = "be at least the share of runs whose target is not known"
-        refuse("most_unknown", must, f"that share is {unknown:.3g} (raise `max_steps`?)")
+    points = low + (high - low) * _saltelli_points(n, len(low), seed)
+    columns = dict(zip(bounds, points.reshape(-1, len(low)).T, strict=True))
+    basin = sweep(problem, Points(**columns), **{"value": UNCHECKED, **settings})
+    values = _target_values(basin, target).reshape(points.shape[:2])
+    unknown = float(np.mean(np.isnan(values)))
     generator = np.random.default_rng([seed, 1])
-    values[:, gaps] = values[:, generator.choice(np.flatnonzero(~gaps), int(gaps.sum()))]
-    first, total = _with_intervals(values, generator)
-    return SobolIndices(
-        target,
-        dict(zip(names, first, strict=True)),
-        dict(zip(names, total, strict=True)),
-        float(values[:2].mean()),
-        float(values[:2].var()),
-        values.size,
-        unknown,
-    )
+    _replace_unknown(values, most_unknown, generator)
+    first, total = _with_intervals(values, tuple(bounds), generator)
+    mean, variance = float(values[:2].mean()), float(values[:2].var())
+    return SobolIndices(target, first, total, mean, variance, values.size, unknown)
 
 
-def _rows(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
+def _power_of_two(n: Any) -> int:
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 2 or n & (n - 1):
+        refuse("n", "be a power of two", f"is {n!r}")
+    return int(n)
+
+
+def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
     """Saltelli's matrices A, B, and A with one column of B, in the unit cube."""
     from scipy.stats import qmc
 
@@ -302,34 +303,45 @@ def _rows(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
     return np.concatenate([a[None], b[None], mixed])
 
 
-def _values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
+def _target_values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
+    """The target of every run; NaN where it is not known."""
     if target == "omega_inf":
         return basin.omega_inf
     known = np.isin(basin.outcome, (Outcome.RESIDUAL, Outcome.STOP))
     return np.where(known, (basin.outcome == Outcome.RESIDUAL) * 1.0, np.nan)
 
 
+def _replace_unknown(
+    values: Float[np.ndarray, "pages n"], most_unknown: float, generator: np.random.Generator
+) -> None:
+    """Put the runs of random other points in place of those of points with an unknown run."""
+    unknown = np.isnan(values)
+    gaps = np.any(unknown, axis=0)
+    if np.mean(unknown) > most_unknown or gaps.all():
+        must = "be at least the share of runs whose target is not known"
+        was = f"that share is {np.mean(unknown):.3g} (raise `max_steps`?)"
+        refuse("most_unknown", must, was)
+    values[:, gaps] = values[:, generator.choice(np.flatnonzero(~gaps), int(gaps.sum()))]
+
+
 def _with_intervals(
-    values: Float[np.ndarray, "pages n"], generator: np.random.Generator, resamples: int = 400
-) -> tuple[list[Index], list[Index]]:
-    """First-order and total indices, each with its percentile interval."""
+    values: Float[np.ndarray, "pages n"], names: tuple[str, ...], generator: np.random.Generator
+) -> list[dict[str, Index]]:
+    """First-order and total indices, each with its percentile interval, by name."""
+    n = values.shape[1]
+    if np.ptp(values[:2]) == 0:
+        refuse("bounds", "make the target vary", f"it is {values[0, 0]:g} everywhere")
+    samples = (values[:, None, generator.integers(n, size=n)] for _ in range(RESAMPLES))
+    low, high = np.percentile([_indices(sample) for sample in samples], (2.5, 97.5), axis=0)
+    numbers = np.stack([_indices(values[:, None]), low, high], axis=-1).tolist()
+    return [{name: Index(*row) for name, row in zip(names, rows, strict=True)} for rows in numbers]
+
+
+def _indices(f: Float[np.ndarray, "pages 1 n"]) -> Float[np.ndarray, "2 m"]:
+    """First-order and total indices."""
     from scipy.stats import sobol_indices
 
-    m, n = values.shape[0] - 2, values.shape[1]
-    if np.ptp(values[:2]) == 0:
-        refuse("ranges", "make the target vary", f"it is {values[0, 0]:g} everywhere")
-
-    def indices(rows: Any) -> Float[np.ndarray, "2 m"]:
-        f = values[:, None, rows]
-        pages = f[2:] if m > 1 else np.repeat(f[2:], 2, axis=0)  # SciPy squeezes a single one
-        found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": pages}, n=n)
-        return np.reshape([found.first_order, found.total_order], (2, -1))[:, :m]
-
-    found = indices(slice(None))
-    again = [indices(generator.integers(n, size=n)) for _ in range(resamples)]
-    low, high = np.percentile(again, (2.5, 97.5), axis=0)
-    first, total = (
-        [Index(*map(float, row)) for row in zip(found[k], low[k], high[k], strict=True)]
-        for k in (0, 1)
-    )
-    return first, total
+    m = len(f) - 2
+    pages = f[2:] if m > 1 else np.repeat(f[2:], 2, axis=0)  # SciPy squeezes a single one
+    indices = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": pages}, n=f.shape[-1])
+    return np.reshape([indices.first_order, indices.total_order], (2, -1))[:, :m]

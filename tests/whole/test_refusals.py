@@ -15,7 +15,8 @@ import json, sys
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 import dipoletop as dt
-from dipoletop import adaptive, boundary, continuation, particles, planar, plots, radiation
+from dipoletop import adaptive, boundary, continuation, fitting, particles, planar, plots
+from dipoletop import radiation, uncertainty
 
 equation, start, times = dt.TransverseReduced(-0.2), jnp.array([0.2, 0.1, 0.2]), jnp.arange(3.0)
 grid = dt.Grid(w3=[0.1, 0.2], phi=[0.0, 1.0])
@@ -63,8 +64,12 @@ CASES = {
     "boundary.normal(found, None)": "`names` must be a name or a sequence of names, but is None",
     "boundary.normal(found, 'z', distance='x')": "`distance` must be a real number, but is 'x'",
     "boundary.derivative(found, 3, 'z')": "`of` must be a name, but is 3",
-    "boundary.trace(3, {})": "`start` must be a Crossings, but is 3",
+    "boundary.trace(3, {})": "`crossing` must be a Crossings, but is 3",
     "boundary.trace(found, None)": "`bounds` must be a dict of pairs .*, but is None",
+    "adaptive.refine(min, 3)": "`over` must be a Grid, but is 3",
+    "adaptive.refine(min, grid, coarse=2.5)": "`coarse` must be a positive whole number, but",
+    "fitting.design(min, {'x': (0.0, 1.0)}, seed='a')": "`seed` must be a whole number, not negat",
+    "uncertainty.propagate(min, {'x': 0.0}, [[1.0]], store=1)": "`settings` must be among rtol, .*",
     "dt.Sample(5, draw=3)": "`draw` must be a function of a random key, or None, but is 3",
     "dt.Body(3, start)": r"`inertia` must have shape \(3, 3\), .*, but has shape \(\)",
     "dt.SemiReduced(equation)": "`body` must be a Body, but is of type TransverseReduced",

@@ -1,7 +1,7 @@
 """Checks of arguments: a bad value that is known raises; one that is traced becomes NaN."""
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import equinox as eqx
@@ -251,3 +251,26 @@ def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
         also = "" if shape == (3,) else f", or {shape} for a whole state"
         refuse("omega0", f"have shape (3,){also}", f"has shape {initial.shape}")
     return initial
+
+
+def numbers_by_name(name: str, values: Any) -> dict[str, float]:
+    """A dict of finite numbers, at least one."""
+    if not isinstance(values, Mapping) or not values:
+        refuse(name, "be a dict of named numbers", f"is {values!r}")
+    return {
+        key: float(finite(f"{name}[{key!r}]", value, batch=False)) for key, value in values.items()
+    }
+
+
+def corners_of_box(name: str, bounds: Any) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """The lower and the upper corner of a box, a dict of pairs (low, high)."""
+    if not isinstance(bounds, Mapping) or not bounds:
+        refuse(name, "be a dict of pairs (low, high)", f"is {bounds!r}")
+    pairs = []
+    for key, pair in bounds.items():
+        low, high = np.asarray(finite(f"{name}[{key!r}]", pair, (2,), batch=False))
+        if not low < high:
+            refuse(f"{name}[{key!r}]", "be a pair low < high", f"is {pair}")
+        pairs.append((low, high))
+    corners = np.array(pairs)
+    return corners[:, 0], corners[:, 1]

@@ -117,11 +117,12 @@ def whole(
     return int(value)
 
 
-def check_settings(settings: dict[str, Any]) -> None:
-    """Refuse any other setting than those of runs.
+def check_settings(settings: dict[str, Any], also: tuple[str, ...] = ()) -> None:
+    """Refuse names that are no settings of the runs, nor among those that are allowed `also`.
 
-    `value` is none of them, since fates need the sign of ω∞.
+    Where the fate is wanted, `value` is no setting: the sign of ω∞ is a part of the fate.
     """
+    allowed = (*SETTINGS, *also)
     for name in settings:
-        if name not in SETTINGS:
-            refuse("settings", f"be among {', '.join(SETTINGS)}", f"hold {name!r}")
+        if name not in allowed:
+            refuse("settings", f"be among {', '.join(allowed)}", f"hold {name!r}")

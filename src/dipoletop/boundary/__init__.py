@@ -1,21 +1,24 @@
-"""The basin boundary as an object, for any problem that `sweep` takes.
+"""The basin boundary, for any problem that `sweep` takes.
 
 `fate` numbers the ways to end, `bisect` finds the boundary on segments to rounding, `normal` and
-`derivative` say how it lies and moves, `trace` follows its curve in a plane, `edge_state` the
-motion on it to its saddle, `minimal_kick` finds its distance from a start, and `residual_share`
-tells how much lies inside and how that moves.
+`derivative` give its direction and how it moves with a parameter, `trace` follows its curve in a
+plane, `edge_state` the motion on it to its saddle, `minimal_kick` finds its distance from a start,
+and `residual_share` the share of segments inside and its derivatives.
 """
 
-from .crossings import Crossings, bisect, derivative, fate, normal
-from .curves import Curve, trace
+from .crossings import Crossings, bisect, derivative, normal
+from .curves import Curve, CurveEnd, trace
 from .edge_states import Edge, edge_state
+from .fates import Fate, fate
 from .kicks import Kick, minimal_kick
 from .residual_shares import ResidualShare, residual_share
 
 __all__ = [
     "Crossings",
     "Curve",
+    "CurveEnd",
     "Edge",
+    "Fate",
     "Kick",
     "ResidualShare",
     "bisect",

@@ -1,8 +1,7 @@
 """Where segments cross a basin boundary, to rounding, and its normals and derivatives there.
 
-Starts have the same fate if they end in the same way: the same outcome, sign of ω∞ and kind of
-stop. The boundary between two fates is found from labels alone, by cutting segments into many
-parts, sweep by sweep. On its residual side ω∞ itself knows the boundary: there
+The boundary between two fates is found from labels alone: segments are divided into many parts,
+one sweep after another. On its residual side ω∞ itself determines the boundary: there
 
     |ω∞| ~ distance^α × (a smooth function),        α > 0,
 
@@ -21,64 +20,44 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._base.checks import finite, instance, names_of, refuse
+from .._base.summaries import span
 from .._base.tolerances import check_settings
-from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.grids import Points
-from .._maps.problems import check_problem
-from .._maps.sweep import Problem, sweep
+from .._maps.problems import Problem, check_problem
+from .._maps.sweep import sweep
 from .._runs.classification import UNCHECKED
+from .fates import Fate, fate, is_residual
 
-RTOL = 1e-10  # of the runs, unless the user has his own
-UNDECIDED = 0  # fates from here down are none
-POSITIVE, NEGATIVE = 1, 2  # fates with a residual rotation
-STOPPED = 3  # plus the kind of stop
-ROUNDING = 2.0**-52  # of the fraction of a segment
-TILE = 128  # points that a sweep takes at once at the same cost as one
-DISTANCE = 10.0  # from the boundary, where its normal is read off, in units of rtol
+RTOL = 1e-10  # of the runs, unless the user gives another
+ROUNDING = 2.0**-52  # width of a bracket, as a fraction of its segment, that rounding allows
+TILE = 128  # points that a sweep integrates at about the cost of one
+DISTANCE = 10.0  # from the boundary to where its normal is taken, in units of rtol
 
-
-def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
-    """How every start ends, as one number: two starts have the same fate iff theirs agree.
-
-    Args:
-        basin: what `sweep` found, with `value=True`.
-
-    Returns:
-        −1 FAILED; 0 UNDECIDED, also if the sign of ω∞ is not known; 1 or 2 RESIDUAL with ω∞ > 0
-        or ω∞ < 0; 3 + kind for STOP, the kind being a member of `Stop`. Shape of the basin.
-
-    Example:
-        >>> import dipoletop as dt
-        >>> from dipoletop.boundary import fate
-        >>> def problem(phi):
-        ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, phi)
-        >>> fate(dt.sweep(problem, dt.Points(phi=[0.1, 1.0, 3.2])))
-        array([1, 5, 2])
-    """
-    instance("basin", basin, Basin)
-    outcome, value = basin.outcome.astype(int), basin.omega_inf
-    residual = np.select([value > 0, value < 0], [POSITIVE, NEGATIVE], UNDECIDED)
-    ended = [outcome == Outcome.RESIDUAL, outcome == Outcome.STOP]
-    return np.select(ended, [residual, STOPPED + basin.stop.astype(int)], outcome)
+Coordinates = dict[str, Float[np.ndarray, "N"]]
+"""N points by the names of their coordinates, which are the arguments of a problem."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where N segments a → b cross a basin boundary; NaN where none was found.
+    """Where N segments a → b cross a basin boundary; NaN where they do not.
 
     Attributes:
         problem: the problem whose boundary it is.
         a: the coordinates of one end of each segment, name = values of shape (N,).
         b: those of the other end.
         bracket: fractions of the segments between which the fate changes, shape (N, 2).
-        fates: those at the two sides of the bracket, shape (N, 2).
-        settings: of the sweeps.
+        fates: the fates at the two sides of the bracket, shape (N, 2).
+        settings: those of the sweeps.
+
+    Properties: `found`, whether a segment is crossed; `s`, the fraction at which it is; `width` of
+    the bracket; `before` and `after`, the coordinates of its two sides; and `at(s)`, the
+    coordinates at any fractions.
     """
 
     problem: Problem
-    a: dict[str, Float[np.ndarray, "N"]]
-    b: dict[str, Float[np.ndarray, "N"]]
+    a: Coordinates
+    b: Coordinates
     bracket: Float[np.ndarray, "N 2"]
     fates: Int[np.ndarray, "N 2"]
     settings: dict[str, Any]
@@ -86,12 +65,12 @@ class Crossings:
     def at(self, s: Float[np.ndarray, "N *m"]) -> dict[str, Float[np.ndarray, "N *m"]]:
         """The coordinates at fractions s of the segments: a + s(b − a)."""
         shape = (-1,) + (1,) * (s.ndim - 1)
-        ends = {name: (x.reshape(shape), self.b[name].reshape(shape)) for name, x in self.a.items()}
-        return {name: a + s * (b - a) for name, (a, b) in ends.items()}
+        a = {name: values.reshape(shape) for name, values in self.a.items()}
+        return {name: a[name] + s * (self.b[name].reshape(shape) - a[name]) for name in a}
 
     @property
     def found(self) -> Bool[np.ndarray, "N"]:
-        """Whether the ends of the segment had different fates."""
+        """Whether the ends of the segment have different fates."""
         return np.isfinite(self.s)
 
     @property
@@ -105,14 +84,18 @@ class Crossings:
         return self.bracket[:, 1] - self.bracket[:, 0]
 
     @property
-    def before(self) -> dict[str, Float[np.ndarray, "N"]]:
+    def before(self) -> Coordinates:
         """The last point with the fate of a."""
         return self.at(self.bracket[:, 0])
 
     @property
-    def after(self) -> dict[str, Float[np.ndarray, "N"]]:
+    def after(self) -> Coordinates:
         """The first point with another fate."""
         return self.at(self.bracket[:, 1])
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.bracket)} segments, {self.found.sum()} crossed"
+        return f"Crossings({counts}, s={span(self.s)}, width={span(self.width)})"
 
 
 def bisect(
@@ -120,10 +103,10 @@ def bisect(
 ) -> Crossings:
     """The boundary between the fates of a and b on the segments a + s(b − a), to rounding.
 
-    All segments are cut at once, each into many parts, and of the parts in which the fate changes
-    the first is cut again. So the change is that nearest to a, among those that the parts showed.
-    A point inside that is undecided or failed stands for nothing: the bracket stays between the
-    last decided points, and its `width` tells.
+    All segments are divided at once, each into many parts, and of the parts in which the fate
+    changes the first is divided again. So the change is that nearest to a, among those that the
+    parts showed. A point that is undecided or failed is ignored: the bracket stays between the
+    last decided points, and its `width` shows it.
 
     Args:
         problem: a problem as for `sweep`.
@@ -143,11 +126,11 @@ def bisect(
         >>> from dipoletop.boundary import bisect
         >>> def problem(z):  # the limit of small amplitudes has its boundary at 4.25533557…
         ...     return dt.TransverseReduced(-0.2), dt.cylindrical(1e-3, z * 1e-6, 0.0)
-        >>> cross = bisect(problem, {"z": 4.0}, {"z": 4.5})
-        >>> cross.fates.tolist(), cross.before["z"].round(3).tolist()
+        >>> crossings = bisect(problem, {"z": 4.0}, {"z": 4.5})
+        >>> crossings.fates.tolist(), crossings.before["z"].round(3).tolist()
         ([[1, 5]], [4.255])
     """
-    crossings = cut(asked(problem, a, b, settings))
+    crossings = narrow(new_crossings(problem, a, b, settings))
     if not crossings.found.any():
         for end in (crossings.a, crossings.b):
             problem(**{name: x[0] for name, x in end.items()})  # says why, if it cannot be made
@@ -156,73 +139,94 @@ def bisect(
     return crossings
 
 
-def asked(
+def new_crossings(
     problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], settings: dict[str, Any]
 ) -> Crossings:
-    """Segments as a user asks for them, that nothing is known of yet."""
+    """The segments of a user, checked, before anything is known of them."""
     check_problem(problem)
-    return segments(jax.jit(problem), *columns_of_ends(a, b), settings)
+    return unsearched(jax.jit(problem), *broadcast_ends(a, b), settings)
 
 
-def columns_of_ends(
-    a: Mapping[str, Any], b: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordinates, Coordinates]:
     """Both ends as arrays of one length."""
     if not (isinstance(a, Mapping) and a):
         refuse("a", "map the names of coordinates to values", f"is {a!r}")
     if not (isinstance(b, Mapping) and set(b) == set(a)):
         names = ", ".join(map(str, a))
         refuse("b", f"name the coordinates of `a` ({names})", f"is {b!r}")
-    columns = [{name: np.asarray(finite(name, x[name])) for name in a} for x in (a, b)]
-    lengths = {x.size for column in columns for x in column.values() if x.ndim}
+    columns_a = {name: np.asarray(finite(name, a[name])) for name in a}
+    columns_b = {name: np.asarray(finite(name, b[name])) for name in a}
+    lengths = {x.size for x in [*columns_a.values(), *columns_b.values()] if x.ndim}
     if len(lengths) > 1 or 0 in lengths:
         refuse("a", "have, with `b`, one length of at least 1", f"has lengths {sorted(lengths)}")
     length = max(lengths, default=1)
-    start, end = ({k: np.broadcast_to(x, length) for k, x in column.items()} for column in columns)
-    return start, end
+    return _stretched(columns_a, length), _stretched(columns_b, length)
 
 
-def segments(problem: Problem, a: dict, b: dict, settings: dict[str, Any]) -> Crossings:
-    """Segments that nothing is known of yet."""
+def _stretched(columns: dict[str, np.ndarray], length: int) -> Coordinates:
+    return {name: np.broadcast_to(values, length) for name, values in columns.items()}
+
+
+def unsearched(
+    problem: Problem, a: Coordinates, b: Coordinates, settings: dict[str, Any]
+) -> Crossings:
+    """Segments before anything is known of them: the bracket is the whole segment."""
     check_settings(settings)
     length = len(next(iter(a.values())))
     bracket = np.tile([0.0, 1.0], (length, 1))
-    fates = np.full((length, 2), UNDECIDED)
+    fates = np.full((length, 2), Fate.UNDECIDED)
     return Crossings(problem, a, b, bracket, fates, {"rtol": RTOL} | settings)
 
 
-def _swept(crossings: Crossings, s: Float[np.ndarray, "N *m"], **options: Any) -> Basin:
-    """What becomes of the points at these fractions, in C order."""
+def unsearched_rows(crossings: Crossings, rows: Int[np.ndarray, "n"]) -> Crossings:
+    """The segments of these rows, before anything is known of them."""
+    a = {name: values[rows] for name, values in crossings.a.items()}
+    b = {name: values[rows] for name, values in crossings.b.items()}
+    return unsearched(crossings.problem, a, b, crossings.settings)
+
+
+def _sweep_at(
+    crossings: Crossings, s: Float[np.ndarray, "N *m"], derivatives: tuple[str, ...] = ()
+) -> Basin:
+    """A sweep over the points at these fractions, in C order."""
     points = Points(**{name: x.ravel() for name, x in crossings.at(s).items()})
-    # The boundary of the computed map is looked for, up to where the sign of ω∞ is not certain.
-    return sweep(crossings.problem, points, value=UNCHECKED, **crossings.settings, **options)
+    # Unchecked: near the boundary of the computed map the sign of ω∞ is not certain.
+    settings = crossings.settings | {"value": UNCHECKED, "derivatives": derivatives}
+    return sweep(crossings.problem, points, **settings)
 
 
 def fates_at(crossings: Crossings, s: Float[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
     """The fates of the points at these fractions."""
-    return fate(_swept(crossings, np.nan_to_num(s))).reshape(s.shape)
+    return fate(_sweep_at(crossings, np.nan_to_num(s))).reshape(s.shape)
 
 
-def cut(crossings: Crossings, to: float = ROUNDING, *, scan: bool = False) -> Crossings:
-    """Cut the brackets until they are as narrow; with `scan` the ends may have the same fate."""
+def narrow(
+    crossings: Crossings, width: float = ROUNDING, *, ends_may_agree: bool = False
+) -> Crossings:
+    """Divide the brackets until they are as narrow as `width`.
+
+    A segment whose ends have the same fate is not crossed, unless `ends_may_agree`: then its first
+    part with another fate counts.
+    """
     bracket, fates = crossings.bracket, crossings.fates
     parts = int(np.clip(TILE // len(bracket), 16, TILE)) - 1  # at least 4 bits a sweep, nearly
-    known = False
-    for _ in range(int(np.ceil(np.log(to) / -np.log(parts)))):
+    rows = np.arange(len(bracket))[:, None]
+    ends_known = False
+    for _ in range(int(np.ceil(np.log(width) / -np.log(parts)))):
         s = bracket[:, :1] + (bracket[:, 1:] - bracket[:, :1]) * np.linspace(0, 1, parts + 1)
         s[:, -1] = bracket[:, 1]
         seen = fates_at(crossings, s)
-        if known:
+        if ends_known:
             seen[:, [0, -1]] = fates
-        first, there = first_change(seen)
-        rows = np.arange(len(s))[:, None]
-        if not known:
-            there &= scan | ((seen[:, 0] != seen[:, -1]) & (seen[:, -1] > UNDECIDED))
-            fates = np.where(there[:, None], fates, seen[:, [0, -1]])
-        bracket = np.where(there[:, None], s[rows, first], np.nan)
-        fates = np.where(there[:, None], seen[rows, first], fates)
-        known = True
-        if not np.any(bracket[:, 1] - bracket[:, 0] > to):
+        change, crossed = first_change(seen)
+        if not ends_known:
+            end = seen[:, -1]
+            crossed &= ends_may_agree | ((seen[:, 0] != end) & (end > Fate.UNDECIDED))
+            fates = np.where(crossed[:, None], fates, seen[:, [0, -1]])
+            ends_known = True
+        bracket = np.where(crossed[:, None], s[rows, change], np.nan)
+        fates = np.where(crossed[:, None], seen[rows, change], fates)
+        if not np.any(bracket[:, 1] - bracket[:, 0] > width):
             break
     return replace(crossings, bracket=bracket, fates=fates)
 
@@ -230,8 +234,11 @@ def cut(crossings: Crossings, to: float = ROUNDING, *, scan: bool = False) -> Cr
 def first_change(
     fates: Int[np.ndarray, "N m"],
 ) -> tuple[Int[np.ndarray, "N 2"], Bool[np.ndarray, "N"]]:
-    """The first place with another fate than that of place 0, the last before; whether there is."""
-    decided = fates > UNDECIDED
+    """The first place with another fate than place 0 and the last before it; whether there is one.
+
+    Places without a fate are passed over.
+    """
+    decided = fates > Fate.UNDECIDED
     other = decided & (fates != fates[:, :1])
     after = np.argmax(other, axis=1)
     same = decided & (np.arange(fates.shape[1]) < after[:, None])
@@ -240,18 +247,18 @@ def first_change(
 
 
 def normal(
-    crossings: Crossings, names: Sequence[str], *, distance: float | None = None
+    crossings: Crossings, names: str | Sequence[str], *, distance: float | None = None
 ) -> Float[np.ndarray, "N k"]:
     """The unit normal ∇|ω∞| / |∇|ω∞|| of the boundary in these coordinates, at each crossing.
 
     It points into the side of residual rotation; between two of opposite senses, into that of a.
 
     Args:
-        crossings: what `bisect` found.
+        crossings: a result of `bisect`.
         names: coordinates of the problem, k of them, parameters such as δ among them.
         distance: from the boundary, in units of the segment, where ω∞ is differentiated; None
             means 10 rtol. The error of the direction is of this size; but nearer than rtol the
-            runs may find themselves on the other side.
+            runs may lie on the other side.
 
     Returns:
         Shape (N, k); NaN where neither side is one of residual rotation, or where that is
@@ -259,18 +266,28 @@ def normal(
 
     Raises:
         ValueError: a name that is no coordinate; a distance that is not positive.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> from dipoletop.boundary import bisect, normal
+        >>> def problem(w3, phi):
+        ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
+        >>> crossings = bisect(problem, {"w3": 0.2, "phi": 0.0}, {"w3": 0.2, "phi": 1.0})
+        >>> normal(crossings, ["w3", "phi"]).shape
+        (1, 2)
     """
     instance("crossings", crossings, Crossings)
-    if not names_of("names", names):
+    names = names_of("names", names)
+    if not names:
         refuse("names", "hold at least one name", "holds none")
-    gradient = gradient_inwards(crossings, names_of("names", names), distance)
+    gradient = residual_gradient(crossings, names, distance)
     return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
 
 
-def gradient_inwards(
-    crossings: Crossings, names: Sequence[str], distance: float | None
+def residual_gradient(
+    crossings: Crossings, names: tuple[str, ...], distance: float | None
 ) -> Float[np.ndarray, "N k"]:
-    """∇|ω∞| a little way into the side of residual rotation."""
+    """∇|ω∞| at a small distance from the boundary, on the side of residual rotation."""
     for name in names:
         if name not in crossings.a:
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
@@ -279,18 +296,18 @@ def gradient_inwards(
     distance = float(finite("distance", distance, batch=False))
     if distance <= 0:
         refuse("distance", "be positive, or None", f"is {distance:g}")
-    first = backed(crossings)
-    s = np.where(first, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)
-    basin = _swept(crossings, np.nan_to_num(s), derivatives=tuple(names))
+    at_a = residual_at_a(crossings)
+    s = np.where(at_a, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)
+    basin = _sweep_at(crossings, np.nan_to_num(s), derivatives=names)
     gradient = np.stack([basin.derivative(name) for name in names], axis=1)
-    wanted = np.where(first, crossings.fates[:, 0], crossings.fates[:, 1])
-    inside = crossings.found & np.isin(wanted, (POSITIVE, NEGATIVE)) & (fate(basin) == wanted)
+    expected = np.where(at_a, crossings.fates[:, 0], crossings.fates[:, 1])
+    inside = crossings.found & is_residual(expected) & (fate(basin) == expected)
     return np.where(inside[:, None], gradient * np.sign(basin.omega_inf)[:, None], np.nan)
 
 
-def backed(crossings: Crossings) -> Bool[np.ndarray, "N"]:
+def residual_at_a(crossings: Crossings) -> Bool[np.ndarray, "N"]:
     """Whether the side of a is one of residual rotation."""
-    return np.isin(crossings.fates[:, 0], (POSITIVE, NEGATIVE))
+    return is_residual(crossings.fates[:, 0])
 
 
 def derivative(
@@ -299,8 +316,8 @@ def derivative(
     """dx/dp = −(∂ω∞/∂p)/(∂ω∞/∂x): how the boundary moves along x = `of` with p = `by`.
 
     Args:
-        crossings: what `bisect` found; both names are among its coordinates.
-        of: the coordinate of the boundary point, the others being held.
+        crossings: a result of `bisect`; both names are among its coordinates.
+        of: the coordinate of the boundary point, the others being fixed.
         by: another coordinate or a parameter, such as "delta", or k of them.
         distance: as in `normal`.
 
@@ -318,14 +335,14 @@ def derivative(
         >>> from dipoletop.boundary import bisect, derivative
         >>> def problem(delta, z):
         ...     return dt.TransverseReduced(delta), dt.cylindrical(1e-3, z * 1e-6, 0.0)
-        >>> cross = bisect(problem, {"delta": -0.2, "z": 4.0}, {"delta": -0.2, "z": 4.5})
-        >>> derivative(cross, "z", "delta").round(2)
+        >>> ends = {"delta": -0.2, "z": 4.0}, {"delta": -0.2, "z": 4.5}
+        >>> derivative(bisect(problem, *ends), "z", "delta").round(2)
         array([32.69])
     """
     instance("of", of, str, "be a name")
     several = names_of("by", by)
     if not several or len({of, *several}) <= len(several):
         refuse("by", f"name coordinates other than {of!r}, each once", f"is {by!r}")
-    across, *along = normal(crossings, (of, *several), distance=distance).T
-    slopes = -np.stack(along, axis=1) / across[:, None]
+    normals = normal(crossings, (of, *several), distance=distance)
+    slopes = -normals[:, 1:] / normals[:, :1]
     return slopes[:, 0] if isinstance(by, str) else slopes

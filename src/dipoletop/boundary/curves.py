@@ -1,5 +1,15 @@
-"""The boundary curve in a plane of two coordinates, by pseudo-arclength continuation."""
+"""The boundary curve in a plane of two coordinates, by pseudo-arclength continuation.
 
+From a boundary point with unit normal n the next one is sought near
+
+    point + h R(β/2) t,        t ⊥ n,
+
+where h is the step, t the tangent, β the angle by which the curve turned over the last step and R
+a rotation: an arc with the last curvature. Across it, along R(β)n, the boundary is bisected between
+the same two fates. The gradient of ω∞ there gives the new normal (see `crossings`).
+"""
+
+import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -9,39 +19,71 @@ import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import finite, instance, refuse
+from .._base.deprecated import renamed_argument
+from .._base.summaries import summary
 from .._base.tolerances import budget
-from .crossings import DISTANCE, Crossings, backed, columns_of_ends, cut, gradient_inwards, segments
+from .._base.types import Equation
+from .crossings import (
+    DISTANCE,
+    Crossings,
+    broadcast_ends,
+    narrow,
+    residual_at_a,
+    residual_gradient,
+    unsearched,
+)
 
-FINE = 1e-10  # of the points of a curve, in units of the box
+PRECISION = 1e-10  # of the points of a curve, in units of the box
 GOOD_TURN, MOST_TURN = 0.35, 0.5  # radians from one point of a curve to the next
-TINY = 1e-9  # radians: as good as straight
-LEAST_STEP = 2.0**-16  # in units of the longest: else the curve is lost
+LEAST_TURN = 1e-9  # radians: as good as straight, so that a step never grows without bound
+LEAST_STEP = 2.0**-16  # in units of the longest step: with less the curve counts as lost
+GROWTH = 1.5  # largest factor from one step to the next
+REACHES = (1 / 8, 1 / 2)  # to both sides of the predicted point, in units of the step
+
+Vector = Float[np.ndarray, "2"]
+
+
+class CurveEnd(enum.StrEnum):
+    """Why a boundary curve ends."""
+
+    CLOSED = "closed"
+    """It came back to its first point."""
+    BOUNDS = "bounds"
+    """It leaves the box."""
+    POINTS = "points"
+    """It has as many points as asked for."""
+    LOST = "lost"
+    """No next point was found with the smallest step, as in a tongue that becomes too thin."""
 
 
 class Curve(NamedTuple):
     """A piece of the boundary in a plane of two coordinates."""
 
     points: Float[np.ndarray, "n 2"]
-    """Boundary points in order; a closed curve ends where it began."""
+    """Boundary points in order; a closed curve ends at its first point."""
     normals: Float[np.ndarray, "n 2"]
-    """Unit normals, from the fate of a to that of b of the start."""
+    """Unit normals, from the fate of a to that of b of the crossing."""
     shift: Float[np.ndarray, "n 2"] | None
     """How the boundary moves along its normal (in the plane scaled by `bounds`) with `by`."""
-    end: str
-    """Why it ends: "closed", "bounds", "points" (as many as asked for) or "lost"."""
+    end: CurveEnd
+    """Why it ends; each member equals its word "closed", "bounds", "points" or "lost"."""
+
+    def __repr__(self) -> str:
+        return summary(self, "normals", "shift")
 
 
 @dataclass(frozen=True)
-class _Foot:
+class _BoundaryPoint:
     """A boundary point, in coordinates of the plane that are scaled by the box."""
 
-    point: Float[np.ndarray, "2"]
-    normal: Float[np.ndarray, "2"]
-    shift: Float[np.ndarray, "2"]
+    point: Vector
+    normal: Vector
+    shift: Vector
 
 
+@renamed_argument(old="start", new="crossing")
 def trace(
-    start: Crossings,
+    crossing: Crossings,
     bounds: Mapping[str, Any],
     *,
     step: float = 0.02,
@@ -50,19 +92,19 @@ def trace(
 ) -> Curve:
     """The boundary curve through a crossing, in the plane of two coordinates, by pseudo-arclength.
 
-    From point to point: a step along the tangent, then the boundary is sought across it, between
-    the same two fates, to 1e-10 of the box. A step is halved if that fails or if the curve turns
-    by more than half a radian; so folds are passed, and tongues followed until they are too thin.
-    Where neither side is of residual rotation, the tangent is that of the last two points.
+    After a step along the tangent the boundary is sought across it, between the same two fates,
+    to 1e-10 of the box. A step is halved if that fails or if the curve turns by more than half a
+    radian; so folds are passed, and tongues followed until they are too thin. Where neither side
+    is of residual rotation, the tangent is that of the last two points.
 
     Args:
-        start: one crossing, as `bisect` finds it. All other coordinates are held.
+        crossing: one crossing, as `bisect` finds it. All other coordinates are fixed.
         bounds: the plane and its box: two coordinates, name = (least, largest).
         step: the longest step, in units of the box. For positive steps the fate of b is on the
             right (the first coordinate to the right, the second upwards); for negative, left.
         n: how many points at most.
-        by: a coordinate of the problem, such as "delta", with which the shift of the boundary is
-            asked for.
+        by: a coordinate of the problem, such as "delta": `shift` is then computed, the derivative
+            of the boundary by it.
 
     Returns:
         A `Curve`.
@@ -75,67 +117,67 @@ def trace(
         >>> from dipoletop.boundary import bisect, trace
         >>> def problem(phi, z):
         ...     return dt.TransverseReduced(-0.2), dt.cylindrical(1e-3, z * 1e-6, phi)
-        >>> start = bisect(problem, {"phi": 0.0, "z": 4.0}, {"phi": 0.0, "z": 4.5})
-        >>> curve = trace(start, {"phi": (-1.0, 1.0), "z": (0.0, 8.0)}, n=3)
-        >>> curve.points.shape, curve.end
-        ((3, 2), 'points')
+        >>> crossing = bisect(problem, {"phi": 0.0, "z": 4.0}, {"phi": 0.0, "z": 4.5})
+        >>> curve = trace(crossing, {"phi": (-1.0, 1.0), "z": (0.0, 8.0)}, n=3)
+        >>> curve.points.shape, curve.end == "points"
+        ((3, 2), True)
     """
-    low, size = _box(start, bounds)
+    low, size = _box(crossing, bounds)
     step = float(finite("step", step, batch=False))
     if step == 0:
         refuse("step", "not be 0", "is 0")
-    if by is not None and (by not in start.a or by in bounds):
+    if by is not None and (by not in crossing.a or by in bounds):
         refuse("by", "name another coordinate of the crossing", f"is {by!r}")
-    scaled = _scaled(start, tuple(bounds), size)
-    feet, end = _walk(scaled, (low, low + 1), step, budget("n", n), by)
-    points, normals, shift = (
-        np.stack([getattr(f, k) for f in feet]) for k in ("point", "normal", "shift")
-    )
-    normals = normals / size
+    scaled = _in_units_of_box(crossing, tuple(bounds), size)
+    followed, end = _follow(scaled, low, step, budget("n", n), by)
+    points = np.stack([each.point for each in followed]) * size
+    normals = np.stack([each.normal for each in followed]) / size
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Curve(points * size, normals, None if by is None else shift * size, end)
+    shift = None if by is None else np.stack([each.shift for each in followed]) * size
+    return Curve(points, normals, shift, end)
 
 
-def _walk(
-    start: Crossings, box: tuple, step: float, n: int, by: str | None
-) -> tuple[list[_Foot], str]:
-    """From foot to foot, until the curve closes, leaves the box, is lost, or has n of them."""
-    feet = [_first_foot(start, by)]
-    turn, h, bend = np.sign(step), abs(step), 0.0
-    while len(feet) < n:
-        foot = feet[-1]
-        if len(feet) > 3 and _reaches(foot, feet[0], turn, h):
-            return [*feet, feet[0]], "closed"
-        new = _next_foot(start, foot, turn * h, bend * h, by)
-        angle = np.pi if new is None else _angle(foot.normal, new.normal)
+def _follow(
+    start: Crossings, low: Vector, step: float, n: int, by: str | None
+) -> tuple[list[_BoundaryPoint], CurveEnd]:
+    """From point to point, until the curve closes, leaves the box, is lost, or has n points."""
+    points = [_first_point(start, by)]
+    side, h, curvature = np.sign(step), abs(step), 0.0
+    while len(points) < n:
+        last = points[-1]
+        if len(points) > 3 and _reaches(last, points[0], side, h):
+            return [*points, points[0]], CurveEnd.CLOSED
+        new = _next_point(start, last, side * h, curvature * h, by)
+        angle = np.pi if new is None else _angle(last.normal, new.normal)
         if new is None or abs(angle) > MOST_TURN:
             h /= 2
             if h > LEAST_STEP * abs(step):
                 continue
-            return feet, "lost"
-        if np.any((new.point < box[0]) | (new.point > box[1])):
-            return feet, "bounds"
-        feet.append(new)
-        bend = angle / h
-        h = min(abs(step), h * min(1.5, GOOD_TURN / max(abs(angle), TINY)))
-    return feet, "points"
+            return points, CurveEnd.LOST
+        if np.any((new.point < low) | (new.point > low + 1)):
+            return points, CurveEnd.BOUNDS
+        points.append(new)
+        curvature = angle / h
+        h = min(abs(step), h * min(GROWTH, GOOD_TURN / max(abs(angle), LEAST_TURN)))
+    return points, CurveEnd.POINTS
 
 
-def _reaches(foot: _Foot, goal: _Foot, turn: float, h: float) -> bool:
+def _reaches(point: _BoundaryPoint, goal: _BoundaryPoint, side: float, h: float) -> bool:
     """Whether the next step would come to the goal, along the same piece of the curve."""
-    ahead = goal.point - foot.point
-    along, across = turn * _left(foot.normal) @ ahead, foot.normal @ ahead
-    return bool(0 < along <= h and abs(across) < h * MOST_TURN and foot.normal @ goal.normal > 0)
+    ahead = goal.point - point.point
+    along, across = side * _quarter_turn(point.normal) @ ahead, point.normal @ ahead
+    same_side = point.normal @ goal.normal > 0
+    return bool(0 < along <= h and abs(across) < h * MOST_TURN and same_side)
 
 
-def _box(start: Crossings, bounds: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+def _box(crossing: Crossings, bounds: Mapping[str, Any]) -> tuple[Vector, Vector]:
     """The least corner of the box in units of its size, and that size."""
-    instance("start", start, Crossings)
+    instance("crossing", crossing, Crossings)
     instance("bounds", bounds, Mapping, "be a dict of pairs (least, largest)")
-    if len(start.s) != 1 or not start.found.all():
-        refuse("start", "be a single crossing that was found", f"holds {start.found.sum()}")
-    if len(bounds) != 2 or any(name not in start.a for name in bounds):
-        refuse("bounds", f"name two of {', '.join(start.a)}", f"names {', '.join(bounds)}")
+    if len(crossing.s) != 1 or not crossing.found.all():
+        refuse("crossing", "be a single crossing that was found", f"holds {crossing.found.sum()}")
+    if len(bounds) != 2 or any(name not in crossing.a for name in bounds):
+        refuse("bounds", f"name two of {', '.join(crossing.a)}", f"names {', '.join(bounds)}")
     corners = np.stack([np.asarray(finite(k, x, (2,), batch=False)) for k, x in bounds.items()])
     size = corners[:, 1] - corners[:, 0]
     if np.any(size <= 0):
@@ -143,67 +185,86 @@ def _box(start: Crossings, bounds: Mapping[str, Any]) -> tuple[np.ndarray, np.nd
     return corners[:, 0] / size, size
 
 
-def _scaled(start: Crossings, plane: tuple[str, ...], size: np.ndarray) -> Crossings:
+def _in_units_of_box(crossing: Crossings, plane: tuple[str, ...], size: Vector) -> Crossings:
     """The same crossing with the coordinates of the plane in front and in units of the box."""
-    scale = dict(zip(plane, size, strict=True))
-    names = [*plane, *(name for name in start.a if name not in scale)]
+    units = dict(zip(plane, size, strict=True))
+    names = [*plane, *(name for name in crossing.a if name not in units)]
 
-    def problem(**point: Any) -> Any:
-        return start.problem(**{name: x * scale.get(name, 1.0) for name, x in point.items()})
+    def problem(**point: Any) -> tuple[Equation, Any]:
+        return crossing.problem(**{name: x * units.get(name, 1.0) for name, x in point.items()})
 
-    a, b = ({k: end[k] / scale.get(k, 1.0) for k in names} for end in (start.a, start.b))
-    return replace(start, problem=jax.jit(problem), a=a, b=b)
+    a = {name: crossing.a[name] / units.get(name, 1.0) for name in names}
+    b = {name: crossing.b[name] / units.get(name, 1.0) for name in names}
+    return replace(crossing, problem=jax.jit(problem), a=a, b=b)
 
 
-def _first_foot(start: Crossings, by: str | None) -> _Foot:
-    across = np.concatenate(list(start.b.values())[:2]) - np.concatenate(list(start.a.values())[:2])
+def _in_plane(point: dict[str, np.ndarray]) -> Vector:
+    """The first two coordinates of a single point."""
+    return np.concatenate(list(point.values())[:2])
+
+
+def _first_point(start: Crossings, by: str | None) -> _BoundaryPoint:
+    across = _in_plane(start.b) - _in_plane(start.a)
     length = np.linalg.norm(across)
     if length == 0:
-        refuse("bounds", "name coordinates along which the segment of `start` lies", "it does not")
-    return _foot(start, by, across / length, length)
+        must = "name coordinates along which the segment of `crossing` lies"
+        refuse("bounds", must, "it does not")
+    return _boundary_point(start, by, across / length, length)
 
 
-def _next_foot(start: Crossings, foot: _Foot, step: Any, bend: Any, by: str | None) -> _Foot | None:
+def _next_point(
+    start: Crossings, last: _BoundaryPoint, step: Any, bend: Any, by: str | None
+) -> _BoundaryPoint | None:
     """The boundary point a step further on; None if it is not between the same fates."""
-    way = step * _left(_turned(foot.normal, bend / 2))  # an arc as curved as the last
-    normal = _turned(foot.normal, bend)
-    plane, held = list(start.a)[:2], {name: x[0] for name, x in start.at(start.s).items()}
-    for reach in (abs(step) / 8, abs(step) / 2):
-        ends = (foot.point + way - reach * normal, foot.point + way + reach * normal)
-        a, b = (held | dict(zip(plane, end, strict=True)) for end in ends)
-        found = cut(segments(start.problem, *columns_of_ends(a, b), start.settings), FINE / reach)
-        if found.found[0] and np.array_equal(found.fates, start.fates):
-            new = _foot(found, by, normal, 2 * reach)
+    ahead = last.point + step * _quarter_turn(_rotated(last.normal, bend / 2))
+    normal = _rotated(last.normal, bend)
+    fixed = {name: x[0] for name, x in start.at(start.s).items()}
+    first, second, *_ = start.a
+    for reach in (fraction * abs(step) for fraction in REACHES):
+        low, high = ahead - reach * normal, ahead + reach * normal
+        a = fixed | {first: low[0], second: low[1]}
+        b = fixed | {first: high[0], second: high[1]}
+        segment = unsearched(start.problem, *broadcast_ends(a, b), start.settings)
+        crossing = narrow(segment, PRECISION / reach)
+        if crossing.found[0] and np.array_equal(crossing.fates, start.fates):
+            new = _boundary_point(crossing, by, normal, 2 * reach)
             if not np.any(np.isnan(new.shift)):
                 return new
-            chord = new.point - foot.point
-            return replace(new, normal=-np.sign(step) * _left(chord / np.linalg.norm(chord)))
+            chord = new.point - last.point
+            normal = -np.sign(step) * _quarter_turn(chord / np.linalg.norm(chord))
+            return replace(new, normal=normal)
     return None
 
 
-def _foot(found: Crossings, by: str | None, across: np.ndarray, length: Any) -> _Foot:
-    """Position, normal and shift at a crossing whose segment has this direction and length."""
-    names = (*list(found.a)[:2], *(() if by is None else (by,)))
-    distance = DISTANCE * float(found.settings["rtol"]) / length
-    gradient = gradient_inwards(found, names, distance)[0]
-    point = np.concatenate(list(found.at(found.s).values())[:2])
-    steep = np.linalg.norm(gradient[:2])
-    if not steep > 0:
-        return _Foot(point, across, np.full(2, np.nan))
-    normal = gradient[:2] / steep * (-1 if backed(found)[0] else 1)
-    speed = 0.0 if by is None else gradient[2] / steep**2
-    return _Foot(point, normal, -speed * gradient[:2])
+def _boundary_point(
+    crossing: Crossings, by: str | None, across: Vector, length: Any
+) -> _BoundaryPoint:
+    """Position, normal and shift at a crossing whose segment has this direction and length.
+
+    Without a gradient, that is, without a side of residual rotation, the direction of the segment
+    stands for the normal, and the shift is NaN.
+    """
+    names = (*list(crossing.a)[:2], *(() if by is None else (by,)))
+    distance = DISTANCE * float(crossing.settings["rtol"]) / length
+    gradient = residual_gradient(crossing, names, distance)[0]
+    point = _in_plane(crossing.at(crossing.s))
+    steepness = np.linalg.norm(gradient[:2])
+    if not steepness > 0:
+        return _BoundaryPoint(point, across, np.full(2, np.nan))
+    normal = gradient[:2] / steepness * (-1 if residual_at_a(crossing)[0] else 1)
+    speed = 0.0 if by is None else gradient[2] / steepness**2
+    return _BoundaryPoint(point, normal, -speed * gradient[:2])
 
 
-def _left(v: np.ndarray) -> np.ndarray:
-    """A quarter turn."""
+def _quarter_turn(v: Vector) -> Vector:
+    """Rotation by π/2, to the left."""
     return np.array([-v[1], v[0]])
 
 
-def _turned(v: np.ndarray, angle: Any) -> np.ndarray:
-    return np.cos(angle) * v + np.sin(angle) * _left(v)
+def _rotated(v: Vector, angle: Any) -> Vector:
+    return np.cos(angle) * v + np.sin(angle) * _quarter_turn(v)
 
 
-def _angle(v: np.ndarray, w: np.ndarray) -> Any:
+def _angle(v: Vector, w: Vector) -> Any:
     """From v to w, in (−π, π]."""
-    return np.arctan2(_left(v) @ w, v @ w)
+    return np.arctan2(_quarter_turn(v) @ w, v @ w)

@@ -1,4 +1,12 @@
-"""Edge tracking: the motion on the basin boundary, to the saddle where it ends."""
+"""Edge tracking: the motion on the basin boundary, to the saddle where it ends.
+
+Two neighbours on both sides of the boundary are integrated until they have parted, then the
+boundary between them is bisected again. The neighbours part along the unstable direction only;
+along all others the motion on the boundary approaches the edge state.
+
+Source: J. D. Skufca, J. A. Yorke and B. Eckhardt, Edge of chaos in a parallel shear flow, Phys.
+Rev. Lett. 96, 174101 (2006).
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -10,42 +18,56 @@ import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import check_single, check_verdict, finite
+from .._base.deprecated import renamed_argument
+from .._base.summaries import summary
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
-from .._branch import march as manifold
 from .._engines.interface import Limits
 from .._engines.on_device import lifted
 from .._engines.select import select_engine
-from .crossings import Crossings, bisect, cut, fates_at, segments
+from .._maps.problems import Problem
+from ..equations._common import physical
+from .crossings import Coordinates, Crossings, bisect, fates_at, narrow, unsearched, unsearched_rows
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
-PARTS = 8  # times at which two neighbours are looked at before they are brought together again
-NEIGHBOURS = 10.0  # their distance to begin with, in units of rtol·|ω|
-APART = 1e-5  # their largest distance, in units of |ω|
-WIDER = 10.0 ** np.arange(8)  # factors by which a segment is made longer until it is crossed
-ENCLOSED = 1e-7  # of the segment between them: how closely the boundary is then enclosed
-SPAN = 4.0  # a motion is settled if its shape is the same after so many times the time
+PARTS = 8  # times at which the distance of two neighbours is measured between bisections
+NEIGHBOURS = 10.0
+"""Their first distance, in units of rtol·|ω|: with less, errors could put both on one side."""
+APART = 1e-5
+"""Their largest distance, in units of |ω|: their middle leaves a curved boundary like APART²."""
+WIDER = 10.0 ** np.arange(8)
+"""Factors by which the segment through both is made longer until it crosses the boundary."""
+ENCLOSED = 1e-7
+"""Width of the bracket on that segment: ENCLOSED·APART is far below NEIGHBOURS·rtol."""
+SPAN = 4.0
+"""Factor of τ over which a settled shape stays the same: ω decays as a power of τ, so that equal
+factors of τ, not equal times, are equal progress."""
+
+Shape = Callable[[Float[np.ndarray, "3"]], Any]
+"""From ω to the numbers that settle on the way to the edge state."""
+Pair = Float[np.ndarray, "2 3"]
+"""Two neighbours on the two sides of the boundary."""
 
 
-def starts_of(equation: Equation) -> Callable[..., Any]:
+def problem_of_starts(equation: Equation) -> Problem:
     """The problem whose coordinates are the components of ω₀."""
     check_verdict(equation)
     check_single(equation)
     return jax.jit(lambda w1, w2, w3: (equation, jnp.stack([w1, w2, w3])))
 
 
-def to_coordinates(omegas: Float[np.ndarray, "N 3"]) -> dict[str, Float[np.ndarray, "N"]]:
+def to_coordinates(omegas: Float[np.ndarray, "N 3"]) -> Coordinates:
     """Starts as the coordinates of a problem."""
     return dict(zip(NAMES, omegas.T, strict=True))
 
 
 def to_array(point: dict[str, Float[np.ndarray, "*n"]]) -> Float[np.ndarray, "*n 3"]:
-    """The starts at such coordinates."""
+    """The starts with these coordinates."""
     return np.stack([point[name] for name in NAMES], axis=-1)
 
 
 def planar_shape(omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
-    """(φ, z) = (atan2(ω₂, ω₁), ω₃/ω⊥²): what the planar system moves, free of the amplitude."""
+    """(φ, z) = (atan2(ω₂, ω₁), ω₃/ω⊥²): the variables of the planar system."""
     w1, w2, w3 = omega
     return np.array([np.arctan2(w2, w1), w3 / (w1**2 + w2**2)])
 
@@ -56,7 +78,7 @@ class Edge(NamedTuple):
     ts: Float[np.ndarray, "T"]
     """Times τ, in units of τ₀."""
     omega: Float[np.ndarray, "T 3"]
-    """ω in the middle between the neighbours of different fates."""
+    """ω in the middle between the neighbours of different fates, in units of 1/τ₀."""
     shape: Float[np.ndarray, "T k"]
     """The shape of the motion; of a top with transverse dipole (φ, z)."""
     width: Float[np.ndarray, "T"]
@@ -64,30 +86,35 @@ class Edge(NamedTuple):
     settled: bool
     """Whether the last of `shape` is where the motion ends: the edge state."""
 
+    def __repr__(self) -> str:
+        return summary(self)
 
+
+@renamed_argument(old="tol", new="shape_tol")
 def edge_state(
     equation: Equation,
     a: Any,
     b: Any,
     *,
-    shape: Callable[[Float[np.ndarray, "3"]], Any] = planar_shape,
-    tol: float = 1e-6,
+    shape: Shape = planar_shape,
+    shape_tol: float = 1e-6,
     rounds: int = 100,
     **settings: Any,
 ) -> Edge:
     """Follow dω/dτ = equation(ω) along the basin boundary between a and b to its saddle.
 
     Neighbours on both sides of the boundary are integrated until they have parted, then the
-    boundary is found again between them, and so on: what parts them is only the unstable
-    direction, and along all others the motion comes to the edge state.
+    boundary is found again between them, and so on. They part along the unstable direction only;
+    along all others the motion approaches the edge state.
 
     Args:
         equation: an equation of motion with a `verdict`.
         a: a start, shape (3,), dimensionless, body axes.
         b: one with another fate.
-        shape: what of ω is to settle, since ω itself dies away; the default is (φ, z) of the
-            transverse top, which `planar.saddle` gives for small amplitudes.
-        tol: settled means: changed by less than this while τ became four times larger.
+        shape: a function of ω whose value settles, since ω itself decays; the default is (φ, z) of
+            the transverse top, which `planar.saddle` gives for small amplitudes.
+        shape_tol: settled means: `shape` changed by less than this while τ became four times
+            larger.
         rounds: how often the boundary is found again at most.
         settings: of the sweeps, as in `bisect`.
 
@@ -101,77 +128,93 @@ def edge_state(
         >>> import dipoletop as dt
         >>> from dipoletop.boundary import edge_state
         >>> a, b = dt.cylindrical(0.1, 0.0, 0.0), dt.cylindrical(0.1, 0.1, 0.0)
-        >>> edge = edge_state(dt.TransverseReduced(-0.2), a, b, tol=1e-4)
+        >>> edge = edge_state(dt.TransverseReduced(-0.2), a, b, shape_tol=1e-4)
         >>> edge.settled, edge.shape[-1].round(3).tolist()
         (True, [0.615, 2.357])
     """
-    problem, settling = starts_of(equation), float(tolerance("tol", tol))
-    ends = (np.asarray(finite(k, x, (3,), batch=False)) for k, x in (("a", a), ("b", b)))
-    found = bisect(problem, *(to_coordinates(end[None]) for end in ends), **settings)
-    track, settled = _follow(equation, found, lambda w: np.asarray(shape(w)), settling, rounds)
-    pairs = np.stack([pair for _, pair in track])
+    problem, tol = problem_of_starts(equation), float(tolerance("shape_tol", shape_tol))
+    start_a = to_coordinates(np.asarray(finite("a", a, (3,), batch=False))[None])
+    start_b = to_coordinates(np.asarray(finite("b", b, (3,), batch=False))[None])
+    crossing = bisect(problem, start_a, start_b, **settings)
+    times, pairs, settled = _follow(equation, crossing, shape, tol, budget("rounds", rounds))
     omega = pairs.mean(axis=1)
     width = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1) / np.linalg.norm(omega, axis=1)
     shapes = np.stack([np.asarray(shape(w)) for w in omega])
-    return Edge(np.array([t for t, _ in track]), omega, shapes, width, settled)
+    return Edge(times, omega, shapes, width, settled)
 
 
-def _follow(equation, found: Crossings, shape: Any, tol: float, rounds: int) -> tuple[list, bool]:
-    """The neighbours at every time at which the boundary was found between them."""
-    now, pair = 0.0, _pair(found)
-    track = [(now, pair)]
-    span = 2 / np.sum(pair[0] ** 2)  # braking times
-    landmark, before = span, shape(pair.mean(axis=0))
-    for _ in range(budget("rounds", rounds)):
-        ts = span * np.arange(1, PARTS + 1) / PARTS
-        later = _after(equation, pair, ts, found.settings)
-        apart = np.linalg.norm(later[:, 1] - later[:, 0], axis=1)
-        near = np.cumprod(apart <= APART * np.linalg.norm(later[:, 0], axis=1))
-        if not near[0]:
-            span /= PARTS
+def _follow(
+    equation: Equation, crossing: Crossings, shape: Shape, tol: float, rounds: int
+) -> tuple[Float[np.ndarray, "T"], Float[np.ndarray, "T 2 3"], bool]:
+    """Times at which the boundary was found again, the neighbours then, and whether it settled."""
+    now, pair = 0.0, _neighbours(crossing)
+    times, pairs = [now], [pair]
+    interval = 2 / np.sum(pair[0] ** 2)  # twice the time of braking, 1/ω²
+    landmark, shape_then = interval, _shape_of(shape, pair)
+    settled = False
+    for _ in range(rounds):
+        ts = interval * np.arange(1, PARTS + 1) / PARTS
+        later = _states_at(equation, pair, ts, crossing.settings)
+        together = _still_together(later)
+        if not together:
+            interval /= PARTS
             continue
-        last = int(near.sum()) - 1
-        crossed = _between(found, later[last])
-        if crossed is None:
+        new = _between(crossing, later[together - 1])
+        if new is None:
             break
-        now, pair = now + ts[last], _pair(crossed)
-        track.append((now, pair))
-        span *= 2.0 if last == PARTS - 1 else 1.0
+        now, pair = now + ts[together - 1], _neighbours(new)
+        times.append(now)
+        pairs.append(pair)
+        interval *= 2.0 if together == PARTS else 1.0
         if now >= SPAN * landmark:
-            change = np.abs(shape(pair.mean(axis=0)) - before)
-            if np.all(change <= tol):
-                return track, True
-            landmark, before = now, shape(pair.mean(axis=0))
-    return track, False
+            shape_now = _shape_of(shape, pair)
+            settled = bool(np.all(np.abs(shape_now - shape_then) <= tol))
+            if settled:
+                break
+            landmark, shape_then = now, shape_now
+    return np.array(times), np.stack(pairs), settled
 
 
-def _pair(found: Crossings) -> Float[np.ndarray, "2 3"]:
-    """Neighbours on both sides of a single crossing, as near as errors leave them different."""
-    a, b = to_array(found.a)[0], to_array(found.b)[0]
-    gap = NEIGHBOURS * found.settings["rtol"] * np.linalg.norm(a) / np.linalg.norm(b - a)
-    return to_array(found.at(found.s[:, None] + gap * np.array([[-0.5, 0.5]])))[0]
+def _shape_of(shape: Shape, pair: Pair) -> np.ndarray:
+    """The shape in the middle between two neighbours."""
+    return np.asarray(shape(pair.mean(axis=0)))
 
 
-def _between(found: Crossings, pair: Float[np.ndarray, "2 3"]) -> Crossings | None:
-    """The boundary between the same two fates, near two states that errors may have moved."""
+def _still_together(pairs: Float[np.ndarray, "T 2 3"]) -> int:
+    """At how many of the times, from the first on, the two are still neighbours."""
+    distance = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
+    near = distance <= APART * np.linalg.norm(pairs[:, 0], axis=1)
+    return int(np.cumprod(near).sum())
+
+
+def _neighbours(crossing: Crossings) -> Pair:
+    """Two states on both sides of a single crossing, as near as errors leave them different."""
+    a, b = to_array(crossing.a)[0], to_array(crossing.b)[0]
+    gap = NEIGHBOURS * crossing.settings["rtol"] * np.linalg.norm(a) / np.linalg.norm(b - a)
+    fractions = crossing.s[:, None] + gap * np.array([[-0.5, 0.5]])
+    return to_array(crossing.at(fractions))[0]
+
+
+def _between(crossing: Crossings, pair: Pair) -> Crossings | None:
+    """The boundary between the same two fates, near two states that errors may have moved.
+
+    None if no segment through both, up to 10⁷ times longer, has ends of these fates.
+    """
     half = (pair[1] - pair[0]) / 2 * WIDER[:, None]
     middle = pair.mean(axis=0)
     a, b = to_coordinates(middle - half), to_coordinates(middle + half)
-    tried = segments(found.problem, a, b, found.settings)
-    same = np.all(fates_at(tried, tried.bracket) == found.fates, axis=1)
-    if not same.any():
-        return None
-    first = slice(int(np.argmax(same)), int(np.argmax(same)) + 1)
-    a, b = ({name: x[first] for name, x in end.items()} for end in (a, b))
-    return cut(segments(found.problem, a, b, found.settings), ENCLOSED)
+    segments = unsearched(crossing.problem, a, b, crossing.settings)
+    same = np.all(fates_at(segments, segments.bracket) == crossing.fates, axis=1)
+    first = unsearched_rows(segments, np.flatnonzero(same)[:1])
+    return narrow(first, ENCLOSED) if same.any() else None
 
 
-def _after(
-    equation: Equation, pair: Float[np.ndarray, "2 3"], ts: Float[np.ndarray, "T"], settings: Any
+def _states_at(
+    equation: Equation, pair: Pair, ts: Float[np.ndarray, "T"], settings: dict[str, Any]
 ) -> Float[np.ndarray, "T 2 3"]:
-    """Where two starts are at several times, each a lane of its own."""
+    """ω of two starts at several times; each start and time is a lane of its own."""
     omegas = jnp.asarray(np.tile(pair, (len(ts), 1)).T)
-    arrays, rest = eqx.partition(manifold.physical(equation), eqx.is_array)
+    arrays, rest = eqx.partition(physical(equation), eqx.is_array)
     count = omegas.shape[1]
     arrays = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count)), arrays)
     block = eqx.combine(arrays, rest)

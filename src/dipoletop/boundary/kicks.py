@@ -1,4 +1,13 @@
-"""The smallest kick that changes how a start ends: its distance to the basin boundary."""
+"""The smallest kick that changes how a start ends: its distance to the basin boundary.
+
+Rays in many directions are searched in one sweep. From the nearest crossings the distance r along
+a direction v is minimised by Newton's method. With n the normal of the boundary, E a basis of the
+plane across the unit vector d, and directions v = d + qE of that plane, log r has the gradient
+
+    ∂ log r/∂q = −(n·E)/(n·v) + q/(1 + q²),
+
+the second term because |v| > 1; its differences give the matrix of second derivatives.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,21 +17,31 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._base.checks import finite, refuse
+from .._base.deprecated import renamed_argument
+from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
-from .crossings import UNDECIDED, Crossings, cut, fates_at, first_change, normal, segments
-from .edge_states import NAMES, starts_of, to_array, to_coordinates
+from .._maps.problems import Problem
+from .crossings import Crossings, fates_at, first_change, narrow, normal, unsearched
+from .edge_states import NAMES, problem_of_starts, to_array, to_coordinates
+from .fates import Fate
 
-SHORTLIST, COARSE = 64, 1e-4  # rays whose distances are compared, and their precision
-BEST, ALIKE = 6, np.cos(0.3)  # of these the best go on, so far apart
-REACH = 1.5  # rays are looked along up to this multiple of the distance known
-FINE = 1e-12  # of the distances, in units of that
+SHORTLIST, COARSE = 64, 1e-4  # nearest rays that are bisected, and the width of their brackets
+BEST, ALIKE = 6, np.cos(0.3)  # directions that Newton's method starts from, and how far apart
+REACH = 1.5  # rays are searched up to this multiple of the distance known
+FINE = 1e-12  # width of their brackets then
 NEWTON = 12  # steps of Newton's method at most
 PROBE = 1e-4  # radians, for second derivatives
-FLATTEST = 1e-3  # least curvature of log r that is believed
+FLATTEST = 1e-3  # least curvature of log r: with less, a step would be too long
 LONGEST = 0.5  # radians in a step
 FRACTIONS = np.array([1.0, 0.5, 0.125, 1 / 64])  # of a step that are tried
-SETTLED = 1e-8  # radians
+SETTLED = 1e-8  # radians: a shorter step ends the search
+
+Directions = Float[np.ndarray, "n m"]
+"""Unit vectors in the m components of ω₀ that may be changed."""
+Lengths = Float[np.ndarray, "n"]
+Chosen = tuple[Float[np.ndarray, "chosen m"], Float[np.ndarray, "chosen"]]
+"""Some of the directions, and the distances of the boundary there."""
 
 
 class Kick(NamedTuple):
@@ -33,12 +52,16 @@ class Kick(NamedTuple):
     size: float
     """|kick|: the distance of ω₀ from the boundary; inf if no other fate was met."""
     fates: Int[np.ndarray, "2"]
-    """Those of ω₀ and of ω₀ + kick, as `fate` numbers them; 0 if no other fate was met."""
+    """Fates of ω₀ and of ω₀ + kick, members of `Fate`; UNDECIDED if no other fate was met."""
     defect: float
     """The sine of the angle between the kick and the normal of the boundary, 0 at a minimum; NaN
     if neither side is of residual rotation."""
 
+    def __repr__(self) -> str:
+        return summary(self)
 
+
+@renamed_argument(old="along", new="components")
 def minimal_kick(
     equation: Equation,
     omega0: Any,
@@ -46,24 +69,24 @@ def minimal_kick(
     largest: Any = None,
     directions: int = 512,
     radii: int = 32,
-    along: Sequence[int] = (1, 2, 3),
+    components: Sequence[int] = (1, 2, 3),
     **settings: Any,
 ) -> Kick:
     """The smallest |κ| such that ω₀ + κ has another fate than ω₀: its distance to the boundary.
 
-    Rays in many directions are looked along, all in one sweep, for the first change of fate. From
-    the nearest of them the distance r(direction) is minimised by Newton's method with the
-    gradient −r n_⊥/(n·direction), n being the normal of the boundary. So it is the global minimum
-    but for what lies between the rays, such as a tongue that is thinner than their spacing.
+    Rays in many directions are searched, all in one sweep, for the first change of fate. From the
+    nearest of them the distance r(direction) is minimised by Newton's method with the gradient
+    −r n_⊥/(n·direction), n being the normal of the boundary. So it is the global minimum, except
+    for what lies between the rays, such as a tongue that is thinner than their spacing.
 
     Args:
         equation: an equation of motion with a `verdict`.
         omega0: the start ω₀, shape (3,), dimensionless, body axes.
-        largest: the largest kick that is looked at; None means |ω₀|, which can stop any top if
-            all components may be changed.
+        largest: the largest kick that is tried; None means |ω₀|, which can stop any top if all
+            components may be changed.
         directions: how many rays.
         radii: how many points on each.
-        along: numbers of the components of ω₀ that may be changed.
+        components: numbers of the components of ω₀ that may be changed, among 1, 2 and 3.
         settings: of the sweeps, as in `bisect`.
 
     Returns:
@@ -75,50 +98,55 @@ def minimal_kick(
     Example:
         >>> import dipoletop as dt
         >>> from dipoletop.boundary import minimal_kick
-        >>> start = dt.cylindrical(0.2, 0.1, 0.0)
-        >>> found = minimal_kick(dt.TransverseReduced(-0.2), start, directions=100, radii=9)
-        >>> bool(found.size < 0.2), found.fates.tolist()
+        >>> omega0 = dt.cylindrical(0.2, 0.1, 0.0)
+        >>> kick = minimal_kick(dt.TransverseReduced(-0.2), omega0, directions=100, radii=9)
+        >>> bool(kick.size < 0.2), kick.fates.tolist()
         (True, [1, 5])
     """
-    rays = _Rays(starts_of(equation), *_checked(omega0, largest, along), settings)
+    rays = _Rays(problem_of_starts(equation), *_checked(omega0, largest, components), settings)
     spread = _directions(len(rays.basis), budget("directions", directions))
     d, r = rays.nearest(spread, budget("radii", radii))
     if not len(r):
-        return Kick(np.full(3, np.nan), np.inf, np.full(2, UNDECIDED), np.nan)
+        return Kick(np.full(3, np.nan), np.inf, np.full(2, Fate.UNDECIDED), np.nan)
     for _ in range(NEWTON):
-        d, r, moved = _distinct(*_improved(rays, d, r))
-        if not np.any(moved > SETTLED):
+        d, r, angles = _newton_step(rays, d, r)
+        distinct = _distinct(d, r)
+        d, r, angles = d[distinct], r[distinct], angles[distinct]
+        if not np.any(angles > SETTLED):
             break
-    best = np.argmin(r)
-    found, across = rays.look(d[best][None], r[best : best + 1])
-    kick = to_array(found.after)[0] - rays.omega0
-    tangential = across[0] - (across[0] @ d[best]) * d[best]
-    return Kick(
-        kick, float(np.linalg.norm(kick)), found.fates[0], float(np.linalg.norm(tangential))
-    )
+    return _kick(rays, d[np.argmin(r)], np.min(r, keepdims=True))
+
+
+def _kick(rays: "_Rays", direction: Float[np.ndarray, "m"], r: Float[np.ndarray, "1"]) -> Kick:
+    """The kick to the boundary in this direction, near this distance."""
+    crossing, normals = rays.crossings_and_normals(direction[None], r)
+    kick = to_array(crossing.after)[0] - rays.omega0
+    tangential = normals[0] - (normals[0] @ direction) * direction
+    defect = float(np.linalg.norm(tangential))
+    return Kick(kick, float(np.linalg.norm(kick)), crossing.fates[0], defect)
 
 
 def _checked(
-    omega0: Any, largest: Any, along: Sequence[int]
+    omega0: Any, largest: Any, components: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The start, the unit vectors of the components that may change, and the largest kick."""
     start = np.asarray(finite("omega0", omega0, (3,), batch=False))
-    some = isinstance(along, Sequence) and len(along) > 0
-    if not (some and len(set(along)) == len(along) and set(along) <= {1, 2, 3}):
-        refuse("along", "hold different numbers among 1, 2 and 3", f"is {along!r}")
+    filled = isinstance(components, Sequence) and len(components) > 0
+    if not (filled and len(set(components)) == len(components) and set(components) <= {1, 2, 3}):
+        refuse("components", "hold different numbers among 1, 2 and 3", f"is {components!r}")
     size = np.linalg.norm(start) if largest is None else finite("largest", largest, batch=False)
     if not size > 0:
         refuse("largest", "be positive", f"is {float(size):g}")
-    return start, np.eye(3)[np.array(along) - 1], np.asarray(size)
+    return start, np.eye(3)[np.array(components) - 1], np.asarray(size)
 
 
-def _directions(m: int, count: int) -> Float[np.ndarray, "n m"]:
+def _directions(m: int, count: int) -> Directions:
     """Unit vectors spread evenly: on a line, a circle or a sphere (a Fibonacci spiral)."""
     if m == 1:
         return np.array([[1.0], [-1.0]])
     k = np.arange(count) + 0.5
-    turn = 2 * np.pi * (k / count if m == 2 else k * (np.sqrt(5.0) - 1) / 2)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    angle = 2 * np.pi * (k / count if m == 2 else k * (np.sqrt(5.0) - 1) / 2)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if m == 2:
         return circle
     height = 1 - 2 * k[:, None] / count
@@ -127,87 +155,103 @@ def _directions(m: int, count: int) -> Float[np.ndarray, "n m"]:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays from a start; their directions v are in the components that may change."""
+    """Rays from a start; their directions are in the components that may change."""
 
-    problem: Any
+    problem: Problem
     omega0: Float[np.ndarray, "3"]
     basis: Float[np.ndarray, "m 3"]
     largest: Float[np.ndarray, ""]
     settings: dict[str, Any]
 
-    def to(self, kicks: Float[np.ndarray, "n m"]) -> Crossings:
+    def segments(self, kicks: Directions) -> Crossings:
         """Segments from ω₀ to ω₀ + kick."""
         ends = self.omega0 + kicks @ self.basis
         starts = np.broadcast_to(self.omega0, ends.shape)
-        return segments(self.problem, to_coordinates(starts), to_coordinates(ends), self.settings)
+        return unsearched(self.problem, to_coordinates(starts), to_coordinates(ends), self.settings)
 
-    def nearest(self, d: Float[np.ndarray, "n m"], radii: int) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, d: Directions, radii: int) -> Chosen:
         """Directions, well apart, in which the boundary is near, and its distances there."""
-        rays = self.to(self.largest * d)
         s = np.tile(np.linspace(0, 1, radii + 1), (len(d), 1))
-        fates = fates_at(rays, s)
-        if fates[0, 0] <= UNDECIDED:
+        fates = fates_at(self.segments(self.largest * d), s)
+        if fates[0, 0] <= Fate.UNDECIDED:
             refuse("omega0", "be a start whose fate is decided", "its fate is not")
-        first, there = first_change(fates)
-        order = np.argsort(np.where(there, first[:, 1], radii + 1), kind="stable")
-        some = order[: min(SHORTLIST, there.sum())]
-        if not len(some):
-            return d[some], np.zeros(0)
-        bracket = np.take_along_axis(s, first, axis=1)[some]
-        found = cut(replace(self.to(self.largest * d[some]), bracket=bracket), COARSE)
-        d, r = d[some], found.s * self.largest
-        d, r, _ = _distinct(d, r, r)
-        return d[:BEST], r[:BEST]
+        change, crossed = first_change(fates)
+        order = np.argsort(np.where(crossed, change[:, 1], radii + 1), kind="stable")
+        chosen = order[: min(SHORTLIST, crossed.sum())]
+        if not len(chosen):
+            return d[chosen], np.zeros(0)
+        d = d[chosen]
+        bracket = np.take_along_axis(s, change, axis=1)[chosen]
+        crossings = narrow(replace(self.segments(self.largest * d), bracket=bracket), COARSE)
+        r = crossings.s * self.largest
+        distinct = _distinct(d, r)[:BEST]
+        return d[distinct], r[distinct]
 
-    def look(self, v: Any, r: Any) -> tuple[Crossings, Any]:
-        """The first crossing in the directions v near the distances r, and its unit normals."""
-        found = cut(self.to(REACH * r[:, None] * v), FINE, scan=True)
-        across = normal(found, NAMES) @ self.basis.T
-        return found, across / np.linalg.norm(across, axis=1, keepdims=True)
+    def crossings(self, v: Directions, r: Lengths) -> Crossings:
+        """The first crossings in the directions v, near the distances r."""
+        return narrow(self.segments(REACH * r[:, None] * v), FINE, ends_may_agree=True)
 
-    def distance(self, v: Float[np.ndarray, "n m"], r: Float[np.ndarray, "n"]) -> np.ndarray:
+    def crossings_and_normals(self, v: Directions, r: Lengths) -> tuple[Crossings, Directions]:
+        """The same, and the unit normals there in the components that may change."""
+        crossings = self.crossings(v, r)
+        normals = normal(crossings, NAMES) @ self.basis.T
+        return crossings, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def distances(self, v: Directions, r: Lengths) -> Lengths:
         """Distances of the boundary in the directions v, near r; inf where it is not met."""
-        found = cut(self.to(REACH * r[:, None] * v), FINE, scan=True)
-        return np.where(found.found, found.s * REACH * r, np.inf)
+        crossings = self.crossings(v, r)
+        return np.where(crossings.found, crossings.s * REACH * r, np.inf)
 
 
-def _distinct(d: Any, r: Any, moved: Any) -> tuple[Any, Any, Any]:
-    """The nearest first, without those beside a nearer one."""
+def _distinct(d: Directions, r: Lengths) -> list[int]:
+    """The nearest first, without those whose direction is like that of a nearer one."""
     chosen: list[int] = []
-    for i in np.argsort(r):
+    for i in np.argsort(r).tolist():
         if np.all(d[chosen] @ d[i] < ALIKE):
-            chosen.append(int(i))
-    return d[chosen], r[chosen], moved[chosen]
+            chosen.append(i)
+    return chosen
 
 
-def _improved(rays: _Rays, d: Any, r: Any) -> tuple[Any, Any, Any]:
-    """One step of Newton's method for every direction, not longer than it makes r smaller.
+def _newton_step(rays: _Rays, d: Directions, r: Lengths) -> tuple[Directions, Lengths, Lengths]:
+    """One step of Newton's method for every direction; new directions, distances and angles.
 
-    In the plane v = d + qE that touches the sphere, log r has the gradient
-    −(n·E)/(n·v) + q/(1 + q²); its differences give the second derivatives.
+    Of a step and its fractions that is taken which makes r smallest, if any makes it smaller.
     """
-    (count, m), free = d.shape, d.shape[1] - 1
-    if free == 0:
-        return d, r, np.zeros(count)
-    plane = np.linalg.svd(d[:, None, :])[2][:, 1:]  # (K, free, m), across d
+    if d.shape[1] == 1:
+        return d, r, np.zeros(len(d))
+    plane = np.linalg.svd(d[:, None, :])[2][:, 1:]  # across d: shape (n, m − 1, m)
+    step = _step_in_plane(*_derivatives(rays, d, r, plane))
+    trials = d[:, None] + FRACTIONS[:, None] * np.einsum("kf,kfm->km", step, plane)[:, None]
+    trials /= np.linalg.norm(trials, axis=2, keepdims=True)
+    shape = trials.shape[:2]
+    distances = rays.distances(trials.reshape(-1, d.shape[1]), np.repeat(r, len(FRACTIONS)))
+    distances = distances.reshape(shape)
+    best, rows = np.argmin(distances, axis=1), np.arange(len(d))
+    nearer = distances[rows, best] < r
+    angles = np.where(nearer, FRACTIONS[best] * np.linalg.norm(step, axis=1), 0.0)
+    d = np.where(nearer[:, None], trials[rows, best], d)
+    return d, np.where(nearer, distances[rows, best], r), angles
+
+
+def _derivatives(
+    rays: _Rays, d: Directions, r: Lengths, plane: Float[np.ndarray, "n f m"]
+) -> tuple[Float[np.ndarray, "n f"], Float[np.ndarray, "n f f"]]:
+    """Gradient and second derivatives of log r at q = 0, for directions v = d + q·plane."""
+    free, m = plane.shape[1:]
     q = np.concatenate([np.zeros((1, free)), PROBE * np.eye(free)])
     v = d[:, None] + q @ plane
-    _, n = rays.look(v.reshape(-1, m), np.repeat(r, m))
-    n = n.reshape(v.shape)
+    _, normals = rays.crossings_and_normals(v.reshape(-1, m), np.repeat(r, m))
+    n = normals.reshape(v.shape)
     across = np.einsum("kpm,kfm->kpf", n, plane) / np.sum(n * v, axis=2, keepdims=True)
-    slope = np.nan_to_num(q / (1 + np.sum(q**2, axis=1, keepdims=True)) - across)
-    curvature = (slope[:, 1:] - slope[:, :1]) / PROBE
-    size, axes = np.linalg.eigh((curvature + np.swapaxes(curvature, 1, 2)) / 2)
-    part = np.einsum("kfi,kf->ki", axes, slope[:, 0]) / np.maximum(np.abs(size), FLATTEST)
-    step = -np.einsum("kfi,ki->kf", axes, part)
-    step /= np.maximum(1, np.linalg.norm(step, axis=1, keepdims=True) / LONGEST)
-    trial = d[:, None] + FRACTIONS[:, None] * np.einsum("kf,kfm->km", step, plane)[:, None]
-    trial /= np.linalg.norm(trial, axis=2, keepdims=True)
-    size = len(FRACTIONS)
-    found = rays.distance(trial.reshape(-1, m), np.repeat(r, size)).reshape(count, size)
-    best = np.argmin(found, axis=1)
-    rows = np.arange(count)
-    nearer = found[rows, best] < r
-    moved = np.where(nearer, FRACTIONS[best] * np.linalg.norm(step, axis=1), 0.0)
-    d = np.where(nearer[:, None], trial[rows, best], d)
-    return d, np.where(nearer, found[rows, best], r), moved
+    gradient = np.nan_to_num(q / (1 + np.sum(q**2, axis=1, keepdims=True)) - across)
+    return gradient[:, 0], (gradient[:, 1:] - gradient[:, :1]) / PROBE
+
+
+def _step_in_plane(
+    gradient: Float[np.ndarray, "n f"], second: Float[np.ndarray, "n f f"]
+) -> Float[np.ndarray, "n f"]:
+    """Newton's step downhill, at most `LONGEST`, with curvatures made positive."""
+    curvatures, axes = np.linalg.eigh((second + np.swapaxes(second, 1, 2)) / 2)
+    parts = np.einsum("kfi,kf->ki", axes, gradient) / np.maximum(np.abs(curvatures), FLATTEST)
+    step = -np.einsum("kfi,ki->kf", axes, parts)
+    return step / np.maximum(1, np.linalg.norm(step, axis=1, keepdims=True) / LONGEST)

@@ -1,40 +1,48 @@
-"""How much of a segment ends in residual rotation, and how that moves: by the boundary."""
+"""The share of a segment that ends in residual rotation, and its derivatives, by the boundary.
+
+The fates at equally spaced points of a segment show between which of them residual rotation begins
+or ends; each such place s_j is then bisected to rounding. The share of the segment is the sum of
+± s_j, and the implicit function theorem gives the derivative of each s_j (see `crossings`).
+"""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._base.checks import refuse
+from .._base.summaries import summary
 from .._base.tolerances import budget
-from .._maps.sweep import Problem
+from .._maps.problems import Problem
 from .crossings import (
-    NEGATIVE,
-    POSITIVE,
-    UNDECIDED,
     Crossings,
-    asked,
-    cut,
     fates_at,
-    gradient_inwards,
-    segments,
+    narrow,
+    new_crossings,
+    residual_gradient,
+    unsearched_rows,
 )
+from .fates import Fate, is_residual
 
 
 class ResidualShare(NamedTuple):
-    """The mean share of segments from which tops keep rotating, and its derivatives."""
+    """The mean share of segments that ends in residual rotation, and its derivatives."""
 
     share: float
     error: float
-    """Standard error of `share` if the segments are independent random ones; NaN of one alone."""
+    """Standard error of `share` if the segments are independent random ones; NaN for one."""
     slopes: dict[str, float]
     """∂share/∂p for each p of `by`; NaN if a normal of the boundary is not known."""
     errors: dict[str, float]
     """Standard errors of `slopes`, likewise."""
     undecided: float
-    """Share of the points looked at that are undecided or failed. Each counts as the one before;
-    if a segment has no others, nothing is known, and all but this is NaN."""
+    """Share of the points that are undecided or failed. Each counts as the last one before it that
+    is decided; if a segment has no decided point, all numbers but this are NaN."""
+
+    def __repr__(self) -> str:
+        return summary(self, share="error", slopes="errors")
 
 
 def residual_share(
@@ -48,7 +56,7 @@ def residual_share(
 ) -> ResidualShare:
     """How much of the segments a + s(b − a), 0 ≤ s ≤ 1, ends in residual rotation, and ∂/∂p of it.
 
-    The share of a segment is made of the places s_j where it crosses the boundary of residual
+    The share of a segment follows from the places s_j where it crosses the boundary of residual
     rotation, which are found to rounding; so its derivative is that of these places,
 
         ∂share/∂p = Σ_j ± ∂s_j/∂p,        ∂s_j/∂p = −(∂ω∞/∂p)/(∂ω∞/∂s),
@@ -80,67 +88,66 @@ def residual_share(
         >>> def problem(delta, phi):
         ...     return dt.TransverseReduced(delta), dt.cylindrical(0.2, 0.2, phi)
         >>> ends = {"delta": -0.2, "phi": 0.0}, {"delta": -0.2, "phi": np.pi}
-        >>> found = residual_share(problem, *ends, by="delta", parts=16)
-        >>> round(found.share, 3), round(found.slopes["delta"], 3)
+        >>> result = residual_share(problem, *ends, by="delta", parts=16)
+        >>> round(result.share, 3), round(result.slopes["delta"], 3)
         (0.515, 4.745)
     """
-    whole = asked(problem, a, b, settings)
+    segments = new_crossings(problem, a, b, settings)
     names = (by,) if isinstance(by, str) else tuple(by)
-    if not set(names) <= set(whole.a) or len(set(names)) < len(names):
-        refuse("by", f"name coordinates among {', '.join(whole.a)}, each once", f"is {by!r}")
-    s = np.tile(np.linspace(0, 1, budget("parts", parts) + 1), (len(whole.bracket), 1))
-    fates = fates_at(whole, s)
-    known = fates > UNDECIDED
+    if not set(names) <= set(segments.a) or len(set(names)) < len(names):
+        refuse("by", f"name coordinates among {', '.join(segments.a)}, each once", f"is {by!r}")
+    rows = _shares_and_slopes(segments, names, budget("parts", parts))
+    return _averaged(*rows, names)
+
+
+def _shares_and_slopes(
+    segments: Crossings, names: tuple[str, ...], parts: int
+) -> tuple[Float[np.ndarray, "N columns"], float]:
+    """The share of each segment and its derivatives, in columns; the share of unknown points."""
+    s = np.tile(np.linspace(0, 1, parts + 1), (len(segments.bracket), 1))
+    fates = fates_at(segments, s)
+    known = fates > Fate.UNDECIDED
     last = _last_known(known)
-    residual = np.take_along_axis(np.isin(fates, (POSITIVE, NEGATIVE)), last, axis=1)
+    residual = np.take_along_axis(is_residual(fates), last, axis=1)
     rows, places = np.nonzero(residual[:, 1:] != residual[:, :-1])
     share, slopes = residual[:, -1].astype(float), np.zeros((len(s), len(names)))
     if len(rows):
-        found = cut(_between(whole, rows, s[rows, last[rows, places]], s[rows, places + 1]))
+        bracket = np.stack([s[rows, last[rows, places]], s[rows, places + 1]], axis=1)
+        crossings = narrow(replace(unsearched_rows(segments, rows), bracket=bracket))
         sign = np.where(residual[rows, places], 1.0, -1.0)
-        np.add.at(share, rows, sign * found.s)
-        np.add.at(slopes, rows, sign[:, None] * _moves(found, names))
+        np.add.at(share, rows, sign * crossings.s)
+        np.add.at(slopes, rows, sign[:, None] * _slopes_of_s(crossings, names))
     unknown = ~known.any(axis=1)
     share[unknown], slopes[unknown] = np.nan, np.nan
-    (mean, *means), (error, *errors) = _means(np.column_stack([share, slopes]))
-    return ResidualShare(
-        mean,
-        error,
-        dict(zip(names, means, strict=True)),
-        dict(zip(names, errors, strict=True)),
-        float(np.mean(fates <= UNDECIDED)),
-    )
+    return np.column_stack([share, slopes]), float(np.mean(~known))
+
+
+def _averaged(
+    rows: Float[np.ndarray, "N columns"], undecided: float, names: tuple[str, ...]
+) -> ResidualShare:
+    """The means over the segments, with their standard errors."""
+    n = len(rows)
+    deviations = np.std(rows, axis=0, ddof=1) if n > 1 else np.full(rows.shape[1], np.nan)
+    share, *slopes = np.mean(rows, axis=0).tolist()
+    error, *errors = (deviations / n**0.5).tolist()
+    slopes_by_name = dict(zip(names, slopes, strict=True))
+    errors_by_name = dict(zip(names, errors, strict=True))
+    return ResidualShare(share, error, slopes_by_name, errors_by_name, undecided)
 
 
 def _last_known(known: Bool[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
-    """For each place that itself or the last known one before it; before the first, that one."""
+    """The last known place up to each place; for those before the first known one, that one."""
     first = np.argmax(known, axis=1)[:, None]
     return np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), first), axis=1)
 
 
-def _between(
-    whole: Crossings, rows: np.ndarray, low: Float[np.ndarray, "n"], high: Float[np.ndarray, "n"]
-) -> Crossings:
-    """The segments of these rows, with brackets to begin with."""
-    a, b = ({name: x[rows] for name, x in end.items()} for end in (whole.a, whole.b))
-    fresh = segments(whole.problem, a, b, whole.settings)
-    fresh.bracket[:] = np.stack([low, high], axis=1)
-    return fresh
-
-
-def _moves(found: Crossings, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
+def _slopes_of_s(crossings: Crossings, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
     """∂s/∂p of the crossings, by the implicit function theorem."""
     if not names:
-        return np.zeros((len(found.bracket), 0))
-    moving = tuple(name for name in found.a if np.any(found.a[name] != found.b[name]))
-    every = (*dict.fromkeys(moving + names),)
-    slope = dict(zip(every, gradient_inwards(found, every, None).T, strict=True))
-    along = sum(slope[name] * (found.b[name] - found.a[name]) for name in moving)
-    return -np.stack([slope[name] for name in names], axis=1) / np.asarray(along)[:, None]
-
-
-def _means(values: Float[np.ndarray, "N k"]) -> tuple[list[float], list[float]]:
-    """The mean of each column, and its standard error."""
-    size = len(values)
-    spread = np.std(values, axis=0, ddof=1) if size > 1 else np.full(values.shape[1], np.nan)
-    return np.mean(values, axis=0).tolist(), (spread / size**0.5).tolist()
+        return np.zeros((len(crossings.bracket), 0))
+    a, b = crossings.a, crossings.b
+    moving = tuple(name for name in a if np.any(a[name] != b[name]))
+    needed = tuple(dict.fromkeys(moving + names))
+    gradient = dict(zip(needed, residual_gradient(crossings, needed, None).T, strict=True))
+    along = sum(gradient[name] * (b[name] - a[name]) for name in moving)
+    return -np.stack([gradient[name] for name in names], axis=1) / np.asarray(along)[:, None]

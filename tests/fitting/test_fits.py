@@ -1,15 +1,11 @@
-"""Fits against series from an independent integrator; designs against closed forms."""
+"""Fits against series from an independent integrator."""
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 import dipoletop as dt
-from dipoletop.fitting import design, fit
+from dipoletop.fitting import Fit, FitEnd, fit
 
 TIMES = np.linspace(0.0, 60.0, 25)
 TRUTH = {"delta": -0.2, "w3": 0.25, "phi": 0.7}
@@ -103,12 +99,14 @@ def test_without_sigma_the_residuals_give_it():
 
 
 def test_an_end_that_is_no_minimum_is_said_to_be_none():
-    short = fit(top, TIMES, CLEAN, GUESS, max_steps=3)
+    short = fit(top, TIMES, CLEAN, GUESS, max_trajectories=3)
     assert not short.success
+    assert short.end is FitEnd.BUDGET
     assert short.message == "No minimum within 3 trajectories."
     assert short.steps == 3
     beyond = fit(top, TIMES, measured(-1.2, 0.25, 0.7), GUESS | {"delta": -0.9})
     assert not beyond.success
+    assert beyond.end is FitEnd.REFUSED
     assert "refuses" in beyond.message
     assert -1 <= beyond.parameters["delta"] < -0.99
 
@@ -138,7 +136,7 @@ def test_a_series_that_says_nothing_has_no_covariance():
         ({"guess": {"delta": 0.0}}, r"`guess` must name the arguments of `problem`"),
         ({"guess": GUESS | {"w3": np.inf}}, r"`guess\['w3'\]` must be finite"),
         ({"rtol": 2.0}, r"`rtol` must lie between"),
-        ({"max_steps": 0}, r"`max_steps` must be a positive whole number"),
+        ({"max_trajectories": 0}, r"`max_trajectories` must be a positive whole number"),
     ],
 )
 def test_fit_refuses(change, match):
@@ -147,69 +145,14 @@ def test_fit_refuses(change, match):
         fit(top, **given)
 
 
-class Decay(eqx.Module):
-    """ω₁′ = −a ω₁ω₂², ω₂′ = −ω₂: ω₁ → ω₁ exp(−aω₂²/2); where ω₃ ≤ 0 it is called a stop."""
-
-    a: jax.Array
-
-    def __call__(self, t, y, args=None):
-        return jnp.stack([-self.a * y[0] * y[1] ** 2, -y[1], 0 * y[2]])
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
-
-    def verdict(self, y):
-        outcome = jnp.where(y[2] <= 0, 2, jnp.where(jnp.abs(y[1]) < 0.1, 1, 0))
-        value = jnp.where(y[2] <= 0, 0.0, y[0] * jnp.exp(-self.a * y[1] ** 2 / 2))
-        return outcome, value, outcome > 0
+def test_the_old_name_of_the_budget_works():
+    with (
+        pytest.warns(DeprecationWarning, match=r"use `fit\(max_trajectories=...\)`"),
+        pytest.raises(ValueError, match="`max_trajectories` must be"),
+    ):
+        fit(top, TIMES, CLEAN, GUESS, max_steps=0)
 
 
-def decay(x, s):
-    """ω∞ = x exp(−xs²/2) where x + s < 3.6."""
-    return Decay(x), jnp.stack([x, s, 3.6 - x - s])
-
-
-BOX = {"x": (0.5, 4.0), "s": (1.0, 2.0)}
-
-
-def test_a_design_ends_at_the_maximum():
-    found = design(decay, BOX, n=128, starts=2)
-    assert found.success
-    assert found.parameters["s"] == 1.0  # a bound
-    assert abs(found.parameters["x"] - 2) < 1e-6
-    assert abs(found.value - 2 / np.e) < 1e-9
-    assert found.omega_inf == found.value
-    assert found.defect < 1e-6
-    assert 128 < found.runs < 128 + 2 * 30
-    x, s = np.meshgrid(np.linspace(*BOX["x"], 701), np.linspace(*BOX["s"], 201))
-    grid = np.where(x + s < 3.6, x * np.exp(-x * s**2 / 2), 0.0)
-    assert abs(found.value - grid.max()) < 1e-9
-
-
-def test_a_design_of_ones_own():
-    """ω∞ − x²/10, whose slope at s = 1 is (1 − x/2) exp(−x/2) − x/5."""
-    found = design(decay, BOX, n=128, starts=1, objective=lambda w, at: w - at["x"] ** 2 / 10)
-    best = brentq(lambda x: (1 - x / 2) * np.exp(-x / 2) - x / 5, 0.5, 2)
-    assert found.success
-    assert abs(found.parameters["x"] - best) < 1e-6
-    assert abs(found.value - (best * np.exp(-best / 2) - best**2 / 10)) < 1e-9
-    assert abs(found.omega_inf - best * np.exp(-best / 2)) < 1e-8
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"bounds": {}}, r"`bounds` must be a dict of pairs"),
-        ({"bounds": BOX | {"s": (2.0, 1.0)}}, r"`bounds\['s'\]` must be a pair low < high"),
-        ({"n": 0}, r"`n` must be a positive whole number"),
-        ({"starts": 0}, r"`starts` must be a positive whole number"),
-        ({"seed": "a"}, r"`seed` must be a whole number, not negative"),
-        ({"n": 8, "max_steps": 1}, r"`bounds` must hold parameters whose fate is known"),
-    ],
-)
-def test_design_refuses(change, match):
-    given = {"bounds": {"x": (0.5, 1.0), "s": (1.0, 2.0)}} | change
-    with pytest.raises(ValueError, match=match):
-        design(decay, given.pop("bounds"), **given)
+def test_a_summary_has_the_parameters_with_their_errors():
+    best = Fit({"a": 2.0}, np.array([[0.01]]), 9.5, 10, 7, True, "", FitEnd.MINIMUM)
+    assert repr(best) == "Fit(parameters={a: 2 ± 0.1}, chi2=9.5, dof=10, steps=7, end=MINIMUM)"

@@ -1,0 +1,50 @@
+"""The `repr` of results: numbers with their errors, arrays by their shape and range."""
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .text import with_error
+
+FEW = 4  # numbers that are all shown
+
+
+def summary(result: Any, *omit: str, **errors: str) -> str:
+    """`Name(field=value, …)` for a dataclass or a named tuple.
+
+    Args:
+        result: the result.
+        omit: fields that are not shown.
+        errors: field = the attribute that holds its error: it is shown as value ± error.
+    """
+    fields = getattr(result, "_fields", None) or [x.name for x in dataclasses.fields(result)]
+    names = [name for name in fields if name not in (*omit, *errors.values())]
+    values = ((getattr(result, x), getattr(result, errors.get(x, ""), None)) for x in names)
+    texts = (f"{name}={_text(*value)}" for name, value in zip(names, values, strict=True))
+    return f"{type(result).__name__}({', '.join(texts)})"
+
+
+def span(values: Any) -> str:
+    """The range of an array, and how many of its values are NaN."""
+    array = np.asarray(values)
+    known = array[~np.isnan(array)]
+    unknown = f"{array.size - known.size} NaN" if known.size < array.size else ""
+    ends = dict.fromkeys(f"{end:.6g}" for end in (known.min(), known.max())) if known.size else ()
+    return " and ".join(filter(None, (" to ".join(ends), unknown))) or "none"
+
+
+def _text(value: Any, error: Any = None) -> str:
+    """A value in a few words."""
+    if isinstance(value, Mapping):
+        parts = (f"{key}: {_text(x, error and error[key])}" for key, x in value.items())
+        return f"{{{', '.join(parts)}}}"
+    if isinstance(value, np.ndarray) and value.size > FEW:
+        return f"<{' × '.join(map(str, value.shape))}: {span(value)}>"
+    if isinstance(value, np.ndarray):
+        return f"[{', '.join(f'{x:.6g}' for x in value.ravel())}]"
+    if isinstance(value, float):
+        return f"{value:.6g}" if error is None else with_error(value, error)
+    return value.name if isinstance(value, enum.Enum) else str(value)

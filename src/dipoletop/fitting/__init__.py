@@ -1,0 +1,21 @@
+"""Inverse problems: the parameters that fit a series, and those that make an objective largest.
+
+Both `fit` and `design` take a problem as `sweep` does: from named parameters to an equation and a
+start.
+"""
+
+from .designs import Design, DesignEnd, Objective, design, speed
+from .fits import Fit, FitEnd, Observe, fit, velocity
+
+__all__ = [
+    "Design",
+    "DesignEnd",
+    "Fit",
+    "FitEnd",
+    "Objective",
+    "Observe",
+    "design",
+    "fit",
+    "speed",
+    "velocity",
+]

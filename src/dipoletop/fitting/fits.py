@@ -1,0 +1,285 @@
+"""The parameters that fit a series best: Gauss–Newton steps in a trust region.
+
+The Jacobian comes from forward differentiation of the trajectory.
+"""
+
+import enum
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._base.checks import finite, numbers_by_name, refuse, where_valid
+from .._base.deprecated import renamed_argument
+from .._base.summaries import summary
+from .._base.tolerances import budget, tolerance
+from .._maps.problems import Problem
+from .._runs.trajectory import Trajectory, simulate
+from ..equations._common import is_full, physical
+
+LEAST_GAIN = 1e-6  # share of chi2 that a Gauss–Newton step would remove: less is a minimum
+LEAST_STEP = 1e-8  # of a Gauss–Newton step, in units of the parameters: less is a minimum
+FTOL, XTOL = 1e-10, 1e-14  # where `least_squares` stops: relative changes of chi2 and of p
+
+Observe = Callable[[Trajectory], Float[Array, "..."]]
+"""From a trajectory to the measured quantity, in the shape of the series."""
+Residuals = Callable[[tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
+"""From parameters to the residuals in one row, and their Jacobian."""
+
+
+class FitEnd(enum.StrEnum):
+    """Why a fit ended, in one sentence."""
+
+    MINIMUM = "A minimum: no step makes chi2 smaller."
+    UNDETERMINED = "The series does not determine the parameters: others fit it as well."
+    REFUSED = (
+        "No minimum: chi2 still falls towards parameters that the problem or its solver refuses."
+    )
+    BUDGET = "No minimum within {} trajectories."
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The parameters that fit a series best.
+
+    Attributes:
+        parameters: the best values, by name.
+        covariance: of the parameters, in the order of `parameters`, shape (m, m); NaN where the
+            series does not determine them.
+        chi2: Σ((observed − series)/sigma)²; with sigma = 1 where none is known.
+        dof: number of values less number of parameters.
+        steps: how often the trajectory was computed.
+        success: whether the search ended at a minimum that determines every parameter. It may be
+            a local one: see whether `chi2` is about `dof`.
+        message: why it ended, one sentence.
+        end: why it ended, a member of `FitEnd`.
+
+    Property: `errors`, the standard errors of the parameters.
+    """
+
+    parameters: dict[str, float]
+    covariance: Float[np.ndarray, "m m"]
+    chi2: float
+    dof: int
+    steps: int
+    success: bool
+    message: str
+    end: FitEnd
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the parameters."""
+        roots = np.sqrt(np.diag(self.covariance)).tolist()
+        return dict(zip(self.parameters, roots, strict=True))
+
+    def __repr__(self) -> str:
+        return summary(self, "covariance", "success", "message", parameters="errors")
+
+
+def velocity(trajectory: Trajectory) -> Float[Array, "T 3"]:
+    """ω(τ), the series by default."""
+    return trajectory.omega
+
+
+@renamed_argument(old="max_steps", new="max_trajectories")
+def fit(
+    problem: Problem,
+    ts: Any,
+    series: Any,
+    guess: Mapping[str, Any],
+    *,
+    sigma: Any = None,
+    observe: Observe = velocity,
+    rtol: float = 1e-10,
+    max_trajectories: int = 100,
+) -> Fit:
+    """χ²(p) = Σ((observe(trajectory of p) − series)/σ)² → min, with the covariance C = (JᵀJ)⁻¹.
+
+    J is the Jacobian of the residuals (observe − series)/σ at the minimum. A trial p that the
+    problem refuses, such as δ ≥ 1, is rejected by the search, which then takes a shorter step.
+
+    Args:
+        problem: a function of the parameters p, by name, that gives the equation and the start.
+        ts: times, shape (T,), increasing; the first is that of the start.
+        series: the measured values, finite: ω(τ), shape (T, 3), or the shape of `observe`.
+        guess: name = first value; the minimum found is the one downhill from here.
+        sigma: standard error of the series, a number or an array that broadcasts to it. For None
+            one common value is estimated: C is scaled by χ²/dof.
+        observe: from a `Trajectory` to the series, such as `lambda run: run.omega[:, 0]`.
+        rtol: relative tolerance of the trajectory.
+        max_trajectories: budget of trajectories.
+
+    Returns:
+        A `Fit`.
+
+    Raises:
+        ValueError: a series of another shape than the observed one, or not finite, or without
+            more values than parameters; a guess that the problem or the solver refuses.
+
+    Source: Gauss–Newton steps in a trust region, `scipy.optimize.least_squares`.
+
+    Example:
+        >>> import jax.numpy as jnp, numpy as np, dipoletop as dt
+        >>> from dipoletop.fitting import fit
+        >>> def problem(delta, speed):
+        ...     return dt.TransverseSemi(delta), speed * jnp.array([0.8, 0.0, 0.6])
+        >>> ts = np.linspace(0.0, 50.0, 20)
+        >>> series = dt.simulate(*problem(-0.2, 0.3), ts).omega[:, 0]
+        >>> guess = {"delta": -0.1, "speed": 0.25}
+        >>> result = fit(problem, ts, series, guess, observe=lambda run: run.omega[:, 0])
+        >>> result.success, {name: round(value, 6) for name, value in result.parameters.items()}
+        (True, {'delta': -0.2, 'speed': 0.3})
+    """
+    first = numbers_by_name("guess", guess)
+    model = _Model(problem, tuple(first), observe, float(tolerance("rtol", rtol)))
+    times = finite("ts", ts, (-1,), batch=False)
+    times = where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
+    data = _series(model, first, times, series)
+    residuals = _residuals(model, first, times, data, _weight(sigma, data.shape))
+    most = budget("max_trajectories", max_trajectories)
+    result = _least_squares(residuals, list(first.values()), most)
+    return _fit(model, result, estimate_sigma=sigma is None)
+
+
+class _Model(NamedTuple):
+    """The function that is fitted; compiled once for all series of one shape."""
+
+    problem: Problem
+    names: tuple[str, ...]
+    observe: Observe
+    rtol: float
+
+    def equation_and_start(self, p: Float[Array, "m"]) -> tuple[Any, Any]:
+        """The run of these parameters."""
+        return self.problem(**dict(zip(self.names, p, strict=True)))
+
+    def observed(
+        self, p: Float[Array, "m"], safe: Float[Array, "m"], times: Float[Array, "T"]
+    ) -> Float[Array, "..."]:
+        """The series that the parameters predict; not finite if their run fails."""
+        arrays = jax.tree.leaves(eqx.filter(self.equation_and_start(p), eqx.is_inexact_array))
+        valid = functools.reduce(jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in arrays])
+        # A run from NaN would use up its whole budget of steps.
+        equation, start = self.equation_and_start(jnp.where(valid, p, safe))
+        options: dict[str, Any] = {"rtol": self.rtol, "throw": False}
+        if not is_full(physical(equation)):  # which diffrax does not integrate
+            options["adjoint"] = diffrax.ForwardMode()
+        run = simulate(equation, start, times, **options)
+        return jnp.where(valid, self.observe(run), jnp.nan)
+
+
+@eqx.filter_jit
+def _linearised(
+    model: _Model, p: Float[Array, "m"], safe: Float[Array, "m"], times: Float[Array, "T"]
+) -> tuple[Float[Array, "*s"], Float[Array, "*s m"]]:
+    """The predicted series, and its Jacobian, with the parameters on the last axis."""
+
+    def with_copy(p: Float[Array, "m"]) -> tuple[Array, Array]:
+        series = model.observed(p, safe, times)
+        return series, series
+
+    jacobian, series = jax.jacfwd(with_copy, has_aux=True)(p)
+    return series, jacobian
+
+
+def _residuals(
+    model: _Model, first: dict[str, float], times: Array, data: np.ndarray, weight: np.ndarray
+) -> Residuals:
+    """(observed − series)/σ with its Jacobian."""
+    safe = jnp.asarray(list(first.values()))
+
+    @functools.lru_cache(maxsize=1)  # the Jacobian is asked for where the residuals were last
+    def residuals_at(p: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        series, slope = map(np.asarray, _linearised(model, jnp.asarray(p), safe, times))
+        rows = (slope * weight[..., None]).reshape(-1, len(p))
+        return ((series - data) * weight).ravel(), rows
+
+    if not all(np.all(np.isfinite(x)) for x in residuals_at(tuple(first.values()))):
+        must = "start a run that can be followed, with its derivatives, to the last of `ts`"
+        refuse("guess", must, "its run fails")
+    return residuals_at
+
+
+def _series(
+    model: _Model, first: dict[str, float], times: Float[Array, "T"], series: Any
+) -> np.ndarray:
+    """The series, if it has the observed shape and more values than parameters."""
+    try:
+        model.problem(**first)  # known values: a bad one is refused by its own name
+    except TypeError as error:
+        refuse("guess", "name the arguments of `problem`", f"has {', '.join(first)} ({error})")
+    p = jnp.asarray(list(first.values()))
+    shape = jax.eval_shape(model.observed, p, p, times).shape
+    data = np.asarray(finite("series", series, shape, batch=False))
+    if data.size <= len(first):
+        must = f"hold more than {len(first)} values, one for each parameter"
+        refuse("series", must, f"holds {data.size}")
+    return data
+
+
+def _weight(sigma: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """1/σ in the shape of the series."""
+    if sigma is None:
+        return np.ones(shape)
+    errors = np.asarray(finite("sigma", sigma, np.shape(sigma), batch=False))
+    if np.any(errors <= 0):
+        refuse("sigma", "be positive", f"has {errors[errors <= 0].flat[0]:g}")
+    try:
+        return np.broadcast_to(1 / errors, shape)
+    except ValueError:
+        refuse("sigma", f"broadcast to the series, shape {shape}", f"has shape {errors.shape}")
+
+
+def _least_squares(residuals: Residuals, first: list[float], most: int) -> Any:
+    """The result of `least_squares`, downhill from the guess."""
+    from scipy.optimize import least_squares
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a singular Jacobian
+        return least_squares(
+            lambda p: residuals(tuple(p.tolist()))[0],
+            first,
+            lambda p: residuals(tuple(p.tolist()))[1],  # pyright: ignore[reportArgumentType]
+            x_scale="jac",
+            ftol=FTOL,
+            xtol=XTOL,
+            gtol=None,  # pyright: ignore[reportArgumentType]
+            max_nfev=most,
+        )
+
+
+def _fit(model: _Model, result: Any, estimate_sigma: bool) -> Fit:
+    """A `Fit` from the result of `least_squares`."""
+    size, m = result.jac.shape
+    chi2, dof = 2 * float(result.cost), size - m
+    units = np.linalg.norm(result.jac, axis=0)
+    left, values, rows = np.linalg.svd(result.jac / np.where(units > 0, units, 1.0), False)
+    # A singular value below the error of the Jacobian carries no information.
+    determined = np.all(values > 100 * model.rtol * values[0]) and np.all(units > 0)
+    root = rows.T / values / units[:, None] if determined else np.full((m, m), np.nan)
+    # If refused parameters stopped the search, the Gauss–Newton step is still large.
+    gain = left.T @ result.fun
+    small_step = np.linalg.norm(root @ gain) <= LEAST_STEP * np.linalg.norm(result.x)
+    if not determined:
+        end = FitEnd.UNDETERMINED
+    elif result.status == 0:
+        end = FitEnd.BUDGET
+    else:
+        at_minimum = gain @ gain <= LEAST_GAIN * chi2 or small_step
+        end = FitEnd.MINIMUM if at_minimum else FitEnd.REFUSED
+    return Fit(
+        dict(zip(model.names, result.x.tolist(), strict=True)),
+        root @ root.T * (chi2 / dof if estimate_sigma else 1.0),
+        chi2,
+        dof,
+        int(result.nfev),
+        end is FitEnd.MINIMUM,
+        end.format(result.nfev),
+        end,
+    )

@@ -1,0 +1,65 @@
+"""The smallest kick against many random smaller ones, and against a bisection."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from slow_tops import DELTA, RESIDUAL, ROTATING
+
+import dipoletop as dt
+from dipoletop import boundary
+
+
+def test_no_smaller_kick_changes_the_fate():
+    equation, start = dt.TransverseReduced(DELTA), np.array([0.15, 0.1, 0.12])
+    least = boundary.minimal_kick(equation, start, directions=60, radii=12)
+    assert tuple(least.fates) == (ROTATING, RESIDUAL)
+    assert least.defect < 1e-6
+    rng = np.random.default_rng(5)
+    d = rng.normal(size=(500, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    size = least.size * np.where(np.arange(500) < 400, 0.999, rng.uniform(size=500))
+    kicks = np.concatenate([d * size[:, None], [0.999 * least.kick, least.kick]])
+    w1, w2, w3 = (start + kicks).T
+
+    def problem(w1, w2, w3):
+        return equation, jnp.stack([w1, w2, w3])
+
+    points = dt.Points(w1=w1, w2=w2, w3=w3)
+    basin = dt.sweep(problem, points, rtol=1e-10, value="unchecked")
+    np.testing.assert_array_equal(boundary.fate(basin), [ROTATING] * 501 + [RESIDUAL])
+
+
+def test_a_kick_along_one_component_is_a_bisection():
+    equation, start = dt.TransverseReduced(DELTA), np.array([0.15, 0.1, 0.12])
+    kick = boundary.minimal_kick(equation, start, components=[3], radii=12)
+    found = boundary.bisect(
+        lambda w3: (equation, jnp.stack([0.15, 0.1, w3])), {"w3": 0.12}, {"w3": 0.06}
+    )
+    np.testing.assert_allclose(kick.kick, [0.0, 0.0, found.after["w3"][0] - 0.12], rtol=1e-9)
+    assert kick.defect == 0
+
+
+def test_bad_input_is_one_sentence():
+    start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
+    several = dt.TransverseReduced(jnp.array([DELTA, 0.1]))
+    for call, words in [
+        (lambda: boundary.minimal_kick(equation, start, components=[4]), "`components` must hold"),
+        (lambda: boundary.minimal_kick(several, start), "`equation` must be a single one"),
+        (lambda: boundary.minimal_kick(equation, start, largest=-1.0), "`largest` must be"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_the_old_name_of_the_components_works():
+    start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
+    with (
+        pytest.warns(DeprecationWarning, match=r"use `minimal_kick\(components=...\)`"),
+        pytest.raises(ValueError, match="`components` must hold"),
+    ):
+        boundary.minimal_kick(equation, start, along=[4])
+
+
+def test_a_summary_of_a_kick_has_its_numbers():
+    kick = boundary.Kick(np.array([0.0, 0.0, 0.05]), 0.05, np.array([1, 5]), 1e-9)
+    assert repr(kick) == ("Kick(kick=[0, 0, 0.05], size=0.05, fates=[1, 5], defect=1e-09)")
