@@ -1,7 +1,6 @@
 """What the figures show, before it is drawn: shares of ends, motions, eigenvalues, maps."""
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -10,22 +9,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from .. import planar
+from .._base.types import Equation
 from .._maps.basin import Basin, wilson
 from .._maps.grids import Grid
 from .._maps.sweep import sweep
 from .._runs.trajectory import Trajectory, simulate
-from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from ..equations.levels import Level
+from ..equations.transverse import cylindrical, equation_at
 from ..plots.plane import CLASSES
 from ..stability import spectrum
 
 AMPLITUDE = 0.2
 DELTA = -0.2  # of figure 2 and of the map
-LEVELS: dict[str, Callable[[Any], Any]] = {
-    "order 1": TransverseReduced,
-    "order 2": lambda delta: TransverseReduced(delta, 2),
-    "semi-reduced": TransverseSemi,
-    "full": TransverseFull,
-}
 
 
 def even_starts(n: int) -> Float[np.ndarray, "n 3"]:
@@ -40,11 +35,11 @@ def even_starts(n: int) -> Float[np.ndarray, "n 3"]:
     return AMPLITUDE * np.column_stack([across * np.cos(turn), across * np.sin(turn), cos])
 
 
-def ends(level: str, deltas: Any, starts: Float[Any, "n 3"], **settings: Any) -> Basin:
+def ends(level: Level, deltas: Any, starts: Float[Any, "n 3"], **settings: Any) -> Basin:
     """Outcomes of every start at every δ, over the axes (delta, omega)."""
 
-    def problem(delta: Array, omega: Array) -> tuple[Any, Array]:
-        return LEVELS[level](delta), omega
+    def problem(delta: Array, omega: Array) -> tuple[Equation, Array]:
+        return equation_at(level, delta), omega
 
     return sweep(problem, Grid(delta=deltas, omega=starts), value=False, **settings)
 
@@ -69,17 +64,17 @@ def shares(basin: Basin) -> list[Share]:
     return found
 
 
-def motion(level: str, phi: float, times: Float[Any, "T"]) -> Trajectory:
+def motion(level: Level, phi: float, times: Float[Any, "T"]) -> Trajectory:
     """Figure 2: δ = −1/5, ω⊥ = ω₃ = 1/5, from φ₀ at τ = 0."""
     start = cylindrical(AMPLITUDE, AMPLITUDE, phi)
-    return simulate(LEVELS[level](DELTA), start, jnp.asarray(times))
+    return simulate(equation_at(level, DELTA), start, jnp.asarray(times))
 
 
-def eigenvalues(level: str, deltas: Float[Any, "d"], w: float) -> Complex[np.ndarray, "d 2"]:
+def eigenvalues(level: Level, deltas: Float[Any, "d"], w: float) -> Complex[np.ndarray, "d 2"]:
     """λ/w² of the motions across the dipole at {w, 0, 0}."""
 
     def slow(delta: Array) -> Array:
-        return spectrum(LEVELS[level](delta), jnp.array([w, 0.0, 0.0])).slow[1:]
+        return spectrum(equation_at(level, delta), jnp.array([w, 0.0, 0.0])).slow[1:]
 
     found = np.asarray(jax.vmap(slow)(jnp.asarray(deltas)))
     return found / w**2
@@ -108,15 +103,15 @@ def maps(size: int, every: int, w3_max: float) -> Maps:
     """
     w3, phi = np.linspace(0, w3_max, size), np.linspace(0, np.pi, size)
 
-    def outcomes(level: str, step: int) -> Basin:
-        def problem(w3: Array, phi: Array) -> tuple[Any, Array]:
-            return LEVELS[level](DELTA), cylindrical(AMPLITUDE, w3, phi)
+    def outcomes(level: Level, step: int) -> Basin:
+        def problem(w3: Array, phi: Array) -> tuple[Equation, Array]:
+            return equation_at(level, DELTA), cylindrical(AMPLITUDE, w3, phi)
 
         return sweep(problem, Grid(w3=w3[::step], phi=phi[::step]), value=False)
 
-    semi = outcomes("semi-reduced", 1)
-    order_1 = outcomes("order 1", 1).outcome != semi.outcome
-    full = outcomes("full", every).outcome != semi.outcome[::every, ::every]
+    semi = outcomes(Level.SEMI, 1)
+    order_1 = outcomes(Level.ORDER_1, 1).outcome != semi.outcome
+    full = outcomes(Level.FULL, every).outcome != semi.outcome[::every, ::every]
     return Maps(semi, order_1, full)
 
 

@@ -6,7 +6,6 @@ the same bytes each time.
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -24,29 +23,24 @@ from .. import planar, plots
 from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.grids import Sample
+from .._runs.trajectory import Trajectory
+from ..equations.levels import Level
 from ..equations.rotator import RotatorFull, closed_manifold, critical_manifold, separatrix
-from ..plots import basins
-from ..plots.plane import percent
+from ..equations.transverse import TransverseReduced, equation_at
+from ..plots.style import BLUE, GREEN, MM, NARROW, ORANGE, STYLE, WIDE, YELLOW, hatch
+from ..plots.style import save as save
+from ..plots.wording import percent
 from ..stability import threshold
-from . import figure_data as data
+from . import figure_data
 
-MM = 1 / 25.4
-WIDE, NARROW = 180 * MM, 85 * MM  # two columns of a journal, and one
-STYLE: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "left",
-    "figure.titlesize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.2,
-    "pdf.fonttype": 42,
-    "svg.hashsalt": "dipoletop",
-}
-DATES = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-BLUE, ORANGE, GREEN, YELLOW = "#0072b2", "#d55e00", "#009e73", "#f0c419"
 COMPONENTS = ((BLUE, r"$\omega_1$"), (ORANGE, r"$\omega_2$"), (GREEN, r"$\omega_3$"))
+SHORT = {
+    Level.ORDER_1: "order 1",
+    Level.ORDER_2: "order 2",
+    Level.SEMI: "semi-reduced",
+    Level.FULL: "full",
+}
+"""Short names of the levels that are shown."""
 SHAPES = (-0.94, -0.5, 0.0, 0.5, 0.9)  # δ of the little bodies
 
 NEEDLE = 0.99  # the largest δ
@@ -65,23 +59,11 @@ def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
     return styled
 
 
-def save(figure: Figure, path: Any) -> None:
-    """Write a figure, without dates.
-
-    Args:
-        figure: one of `FIGURES`.
-        path: the file; its format is that of its name: pdf, png or svg.
-    """
-    suffix = Path(path).suffix[1:]
-    with mpl.rc_context(STYLE):
-        figure.savefig(path, dpi=300, metadata=DATES.get(suffix))
-
-
 @_styled
 def ends_order_1() -> Figure:
     """Shares of the ends over the shape δ, at order 1: stop, both, residual rotation."""
-    critical = threshold(data.LEVELS["order 1"], 0.05, -0.9, 0.5)
-    basin = data.ends("order 1", _shapes(), data.even_starts(STARTS))
+    critical = threshold(TransverseReduced, 0.05, -0.9, 0.5)
+    basin = figure_data.ends(Level.ORDER_1, _shapes(), figure_data.even_starts(STARTS))
     figure, ax, strip = _over_shapes()
     _stack(ax, basin)
     _mark(ax, {critical: rf"$\delta = {critical:.1f}$", 0.0: r"$\delta = 0$"})
@@ -98,9 +80,9 @@ def ends_full() -> Figure:
     At |ω| = 0.2 the tested regions decide the full equation's ends for all starts up to δ = 0.3.
     """
     critical = [planar.critical_delta(prolate=prolate) for prolate in (False, True)]
-    basin = data.ends("semi-reduced", _shapes(), data.even_starts(STARTS))
-    sample = Sample(128, data.AMPLITUDE, seed=1).points(np.arange(128))
-    full = data.ends("full", [-0.9, -0.6, -0.3, -0.1, 0.3], sample)
+    basin = figure_data.ends(Level.SEMI, _shapes(), figure_data.even_starts(STARTS))
+    sample = Sample(128, figure_data.AMPLITUDE, seed=1).points(np.arange(128))
+    full = figure_data.ends(Level.FULL, [-0.9, -0.6, -0.3, -0.1, 0.3], sample)
     figure, ax, strip = _over_shapes()
     _stack(ax, basin)
     _dots(ax, full)
@@ -149,21 +131,27 @@ def _body(delta: float) -> AnnotationBbox:
 
 
 def _stack(ax: Axes, basin: Basin) -> None:
-    found = data.shares(basin)
-    colours = [one.colour for one in found]
-    labels = [f"{one.label} ({basin.level.split(' (')[0]})" for one in found]
-    deltas = basin.coords["delta"]
-    ax.stackplot(deltas, *(one.share for one in found), colors=colours, labels=labels, lw=0)
+    """The shares of all outcomes, one above the other."""
+    shares = figure_data.shares(basin)
+    level = basin.level.split(" (")[0]
+    ax.stackplot(
+        basin.coords["delta"],
+        *(outcome.share for outcome in shares),
+        colors=[outcome.colour for outcome in shares],
+        labels=[f"{outcome.label} ({level})" for outcome in shares],
+        lw=0,
+    )
 
 
 def _dots(ax: Axes, basin: Basin) -> None:
     """Share of residual rotation by random starts, with 95 % intervals."""
-    (one,) = (one for one in data.shares(basin) if one.label.startswith("residual"))
-    bars = np.abs(np.stack([one.low, one.high]) - one.share)
+    shares = {outcome.label: outcome for outcome in figure_data.shares(basin)}
+    residual = shares["residual rotation"]
+    bars = np.abs(np.stack([residual.low, residual.high]) - residual.share)
     label = f"residual, full equation: {basin.shape[1]} random starts, 95 % interval, not certified"
     style: dict[str, Any] = {"fmt": "o", "ms": 4, "capsize": 2, "clip_on": False, "zorder": 5}
     colours: Any = {"color": "white", "mfc": ORANGE, "ecolor": ORANGE}
-    ax.errorbar(basin.coords["delta"], one.share, bars, **style, **colours, label=label)
+    ax.errorbar(basin.coords["delta"], residual.share, bars, **style, **colours, label=label)
 
 
 def _mark(ax: Axes, places: dict[float, str]) -> None:
@@ -193,8 +181,8 @@ def two_starts() -> Figure:
     )
     for ax, phi, title in zip(panels, (np.pi / 30, np.pi / 3), titles, strict=True):
         ax.axhline(0, color="0.8", lw=0.6)
-        for level in ("order 1", "full"):
-            _motion(ax, level, data.motion(level, phi, times))
+        for level in (Level.ORDER_1, Level.FULL):
+            _motion(ax, level, figure_data.motion(level, phi, times))
         ax.set(xscale="log", xlim=(1, times[-1]), xlabel=r"$\tau = t/\tau_0$")
         ax.set_title(title)
     panels[0].set_ylabel(r"$\omega = \tau_0\Omega$")
@@ -206,21 +194,21 @@ def two_starts() -> Figure:
     return figure
 
 
-def _motion(ax: Axes, level: str, found: Any) -> None:
-    width, dash = (1.4, "-") if level == "order 1" else (0.9, (0, (4, 1.5)))
+def _motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
+    """The components of ω, and ω∞ of a residual rotation."""
+    full = level is Level.FULL
+    width, dash = (0.9, (0, (4, 1.5))) if full else (1.4, "-")
     for k, (colour, _) in enumerate(COMPONENTS):
-        ax.plot(found.ts, found.omega[:, k], color=colour, lw=width, ls=dash)
-    verdict = found.equation.verdict(found.ys[-1])
+        ax.plot(trajectory.ts, trajectory.omega[:, k], color=colour, lw=width, ls=dash)
+    verdict = trajectory.equation.verdict(trajectory.ys[-1])
     if verdict.outcome == Outcome.RESIDUAL:
         value = float(verdict.omega_inf)
         ax.axhline(value, color="0.3", lw=0.9, ls=":")
-        up = level == "full"
-        text = rf"$\omega_\infty$ = {value:.4f} ({level})"
-        place: Any = {"va": "bottom" if up else "top", "ha": "right"}
+        place: Any = {"va": "bottom" if full else "top", "ha": "right"}
         ax.annotate(
-            text,
+            rf"$\omega_\infty$ = {value:.4f} ({SHORT[level]})",
             (1, value),
-            (-3, 2 if up else -3),
+            (-3, 2 if full else -3),
             ("axes fraction", "data"),
             textcoords="offset points",
             **place,
@@ -293,18 +281,18 @@ def spectra() -> Figure:
     figure = Figure((WIDE, 85 * MM), layout="constrained")
     real, imaginary = figure.subplots(1, 2, sharex=True)
     styles = {
-        "order 1": (ORANGE, 1.8, "-"),
-        "order 2": ("#8fd1bb", 4.2, "-"),
-        "semi-reduced": (BLUE, 2.2, "-"),
-        "full": (YELLOW, 1.6, (0, (4, 3))),
+        Level.ORDER_1: (ORANGE, 1.8, "-"),
+        Level.ORDER_2: ("#8fd1bb", 4.2, "-"),
+        Level.SEMI: (BLUE, 2.2, "-"),
+        Level.FULL: (YELLOW, 1.6, (0, (4, 3))),
     }
     for level, (colour, width, dash) in styles.items():
-        found = data.eigenvalues(level, deltas, w)
-        for k, label in enumerate((level, None)):
+        rates = figure_data.eigenvalues(level, deltas, w)
+        for k, label in enumerate((SHORT[level], None)):
             line: dict[str, Any] = {"color": colour, "lw": width, "ls": dash, "label": label}
-            real.plot(deltas, np.real(found[:, k]), **line)
-            imaginary.plot(deltas, np.imag(found[:, k]), **line)
-    limit = data.small_w(deltas)
+            real.plot(deltas, np.real(rates[:, k]), **line)
+            imaginary.plot(deltas, np.imag(rates[:, k]), **line)
+    limit = figure_data.small_w(deltas)
     for k, label in enumerate((r"limit $w \to 0$, all but order 1", None)):
         real.plot(deltas, np.real(limit[:, k]), color="black", lw=0.6, label=label)
         imaginary.plot(deltas, np.imag(limit[:, k]), color="black", lw=0.6)
@@ -321,51 +309,45 @@ def spectra() -> Figure:
 
 
 def _thresholds(ax: Axes, w: float) -> None:
-    """Where the line loses its stability: order 1, and order 2 beyond its use."""
-    for level, bracket in (("order 1", (-0.9, 0.5)), ("order 2", (0.5, 0.999))):
-        delta = threshold(data.LEVELS[level], w, *bracket)
+    """Where the line loses its stability: order 1, and order 2 beyond its range of validity."""
+    for level, bracket in ((Level.ORDER_1, (-0.9, 0.5)), (Level.ORDER_2, (0.5, 0.999))):
+        delta = threshold(lambda d, level=level: equation_at(level, d), w, *bracket)
         ax.plot(delta, 0, "o", color="white", mec="black", ms=5, zorder=5)
         place: Any = {"ha": "center", "va": "bottom", "textcoords": "offset points"}
-        text = rf"{level}: $\delta = {delta:.3g}$"
+        text = rf"{SHORT[level]}: $\delta = {delta:.3g}$"
         ax.annotate(text, (delta, 0), (20 if delta < 0 else -45, 8), **place)
 
 
 @_styled
 def levels() -> Figure:
     """Where the end depends on the level: a map over φ and ω₃ at δ = −0.2, ω⊥ = 0.2."""
-    found = data.maps(FINE, EVERY, 0.4)
+    maps = figure_data.maps(FINE, EVERY, 0.4)
     figure = Figure((WIDE, 105 * MM), layout="constrained")
     ax = figure.subplots()
-    plots.basin(found.semi, ax=ax, shade=None)
+    plots.basin(maps.semi, ax=ax, shade=None)
     legend: Any = ax.get_legend()
     legend.remove()
-    handles: list[Any] = [*legend.legend_handles, _hatching(ax, found)]
-    rows, columns = EVERY * np.array(np.nonzero(found.full))
-    places = found.semi.coords["phi"][columns], found.semi.coords["w3"][rows]
-    label = f"full equation differs ({rows.size} of {found.full.size} starts)"
-    handles += ax.plot(
-        *places, "o", color="white", mec="black", ms=4, ls="", clip_on=False, label=label
-    )
+    handles: list[Any] = [*legend.legend_handles]
+    label = f"order 1 differs ({percent(float(np.mean(maps.order_1)))})"
+    phi, w3 = maps.semi.coords["phi"], maps.semi.coords["w3"]
+    handles.append(hatch(ax, phi, w3, maps.order_1, label))
+    rows, columns = EVERY * np.array(np.nonzero(maps.full))
+    label = f"full equation differs ({rows.size} of {maps.full.size} starts)"
+    dots: dict[str, Any] = {"color": "white", "mec": "black", "ms": 4, "ls": "", "clip_on": False}
+    handles += ax.plot(phi[columns], w3[rows], "o", **dots, label=label)
     turns = np.linspace(0, np.pi, 1201)
     for corrected, colour in ((False, ORANGE), (True, YELLOW)):
         kind = "all other levels" if corrected else "order 1"
         label = rf"$z_s(\varphi)\,\omega_\perp^2$, limit of small $\omega$: {kind}"
-        curve = data.small_boundary(corrected, turns)
+        curve = figure_data.small_boundary(corrected, turns)
         handles += ax.plot(turns, curve, color=colour, lw=1.6, label=label)
-    share = percent(float(np.mean(found.semi.certified)))
+    share = percent(float(np.mean(maps.semi.certified)))
     certified = f"{share} of the outcomes certified for this level"
-    where = rf"$\delta = {data.DELTA}$, $\omega_\perp = {data.AMPLITUDE}$"
+    where = rf"$\delta = {figure_data.DELTA}$, $\omega_\perp = {figure_data.AMPLITUDE}$"
     ax.set_title(f"Semi-reduced equation, {where}; {certified}")
-    ax.set(xlim=(0, np.pi), ylim=(0, found.semi.coords["w3"][-1]))
+    ax.set(xlim=(0, np.pi), ylim=(0, w3[-1]))
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
-
-
-def _hatching(ax: Axes, found: data.Maps) -> Any:
-    phi, w3 = (found.semi.coords[name] for name in ("phi", "w3"))
-    handle = basins._hatch(ax, phi, w3, found.order_1)
-    handle.set_label(f"order 1 differs ({percent(float(np.mean(found.order_1)))})")
-    return handle
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
