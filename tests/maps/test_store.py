@@ -584,7 +584,7 @@ def test_verify_lists_damaged_tiles_and_repair_mends_them(good, tmp_path, monkey
     def invoke(*arguments):
         return CliRunner().invoke(cli.main, [str(x) for x in arguments])
 
-    monkeypatch.setattr(cli, "_draw", lambda *_: None)
+    monkeypatch.setattr(cli.commands, "_draw", lambda *_: None)
 
     made = invoke("map", "--level", "order-1", "--size", "12", "--output", tmp_path / "m.png")
     assert made.exit_code == 0, made.output
