@@ -132,7 +132,7 @@ def test_results_are_shown_with_their_numbers(found):
     branches = follow_spectrum(DELTAS, 0.1, levels="order-1")
     assert repr(branches) == (
         "Branches(delta from -0.9 to 0.76, 10 values, w = 0.1; largest Re λ/w²:\n"
-        "  order-1: from -1 to 0.4211, stable at 8 values)"
+        "  order-1: from -1 to 0.4211, stable at 8)"
     )
     row = Threshold(Level.SEMI, "stops end", Outcome.STOP, 0.0, (-0.05, 0.3), 0.0005)
     assert "semi: stops end at delta = 0; STOP in the sample changes between -0.05" in repr(row)

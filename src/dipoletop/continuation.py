@@ -78,17 +78,14 @@ class Continuation:
         return self.basins[0].shape[-1]
 
     def __repr__(self) -> str:
-        shares = self.fractions(Outcome.RESIDUAL).share
-        first, last = self.values[0], self.values[-1]
+        shares, values = self.fractions(Outcome.RESIDUAL).share, self.values
+        head = f"Continuation({self.parameter} from {values[0]:g} to {values[-1]:g}, "
+        head += f"{len(values)} values, {self.n} starts at each; share of residual rotation:"
         lines = [
-            f"Continuation({self.parameter} from {first:g} to {last:g}, {len(self.values)} values, "
-            f"{self.n} starts at each; share of residual rotation:"
-        ]
-        lines += [
-            f"  {level}: from {share[0]:.4g} to {share[-1]:.4g}, at most {np.max(share):.4g}"
+            f"  {level}: from {share[0]:.4g} to {share[-1]:.4g}, at most {max(share):.4g}"
             for level, share in zip(self.levels, shares, strict=True)
         ]
-        return "\n".join(lines) + ")"
+        return "\n".join([head, *lines]) + ")"
 
     def fractions(self, outcome: Outcome, stop: Stop | None = None) -> Fractions:
         """The shares of the starts with an outcome, with 95 % intervals (Wilson).
@@ -196,22 +193,13 @@ class Branches(NamedTuple):
     """Whether the line attracts: growth < 0."""
 
     def __repr__(self) -> str:
-        first, last = self.delta[0], self.delta[-1]
+        n, first, last = len(self.delta), self.delta[0], self.delta[-1]
+        head = f"Branches(delta from {first:g} to {last:g}, {n} values, w = {self.w:g}; "
         lines = [
-            f"Branches(delta from {first:g} to {last:g}, {len(self.delta)} values, "
-            f"w = {self.w:g}; largest Re λ/w²:"
+            f"  {level}: from {min(growth):.4g} to {max(growth):.4g}, stable at {sum(growth < 0)}"
+            for level, growth in zip(self.levels, self.growth / self.w**2, strict=True)
         ]
-        lines += [
-            f"  {level}: from {low:.4g} to {high:.4g}, stable at {np.sum(stable)} values"
-            for level, low, high, stable in zip(
-                self.levels,
-                np.min(self.growth, axis=1) / self.w**2,
-                np.max(self.growth, axis=1) / self.w**2,
-                self.stable,
-                strict=True,
-            )
-        ]
-        return "\n".join(lines) + ")"
+        return "\n".join([f"{head}largest Re λ/w²:", *lines]) + ")"
 
 
 def follow_spectrum(delta: Values, w: ArrayLike = DEFAULT_W, *, levels: Levels = USUAL) -> Branches:

@@ -27,7 +27,9 @@ def test_starts_are_isotropic():
 
 @pytest.fixture(scope="module")
 def oblate():
-    return figure_data.ends(Level.ORDER_1, [-0.7, -0.4, -0.2, 0.0], figure_data.even_starts(256))
+    return figure_data.outcomes_by_shape(
+        Level.ORDER_1, [-0.7, -0.4, -0.2, 0.0], figure_data.even_starts(256)
+    )
 
 
 def test_shares_at_order_1_are_the_known_ones(oblate):
@@ -89,10 +91,10 @@ def test_maps_compare_every_fifth_start(monkeypatch):
         return TransverseReduced(-0.3 if level is Level.SEMI else delta)
 
     monkeypatch.setattr(figure_data, "equation_at", order_1)
-    found = figure_data.maps(16, 5, 0.4)
+    found = figure_data.level_maps(16, 5, 0.4)
     assert found.semi.shape == (16, 16)
-    assert 0 < np.mean(found.order_1) < 0.4
-    np.testing.assert_array_equal(found.full, found.order_1[::5, ::5])
+    assert 0 < np.mean(found.order_1_differs) < 0.4
+    np.testing.assert_array_equal(found.full_differs, found.order_1_differs[::5, ::5])
     at = {name: found.semi.coords[name] for name in ("w3", "phi")}
     np.testing.assert_allclose([at["w3"][[0, -1]], at["phi"][[0, -1]]], [[0, 0.4], [0, np.pi]])
 

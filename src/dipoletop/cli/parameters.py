@@ -3,9 +3,12 @@
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import click
+
+Parameter: TypeAlias = click.Parameter | None
+Context: TypeAlias = click.Context | None
 
 
 class Number(click.ParamType):
@@ -14,9 +17,7 @@ class Number(click.ParamType):
     name = "number"
     WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> float:
         """The number that a text stands for."""
         try:
             number = self._read(str(value))
@@ -39,9 +40,7 @@ class Size(click.ParamType):
 
     name = "N or NXxNY"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> tuple[int, int]:
         """The numbers of starts on x and on y."""
         if isinstance(value, tuple):
             return value
@@ -60,7 +59,7 @@ class Word(click.ParamType):
         self.values = values
         self.words = click.Choice(list(values))
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> Any:
         """The value that a word stands for."""
         return self.values[self.words.convert(value, param, ctx)]
 

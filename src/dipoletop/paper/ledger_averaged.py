@@ -55,7 +55,7 @@ class Orbit(NamedTuple):
 
 def integrated(field: Callable) -> list[Orbit]:
     """The motions ORBITS."""
-    found = []
+    orbits = []
     for delta, (*start, span) in ORBITS.items():
         run = solve_ivp(
             lambda t, y, d=delta: np.asarray(field(d, y)),
@@ -66,8 +66,8 @@ def integrated(field: Callable) -> list[Orbit]:
             rtol=1e-13,
             atol=1e-15,
         )
-        found.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
-    return found
+        orbits.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
+    return orbits
 
 
 def orbits() -> Iterator[Entry]:
@@ -120,8 +120,8 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
     since = [quadrature(o) for o in runs]
     residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
     # The braces are negative along the whole first orbit: one power of −1 is all that they change.
-    turned = complex(-1) ** (-p_right(runs[0].delta) - 1)
-    printed = min(abs(turned - 1), abs(turned + 1))
+    power_of_minus_1 = complex(-1) ** (-p_right(runs[0].delta) - 1)
+    printed = min(abs(power_of_minus_1 - 1), abs(power_of_minus_1 + 1))
     claim = "τ − τᵢ = ((1−δ)/C)|∫ξ^{q−1}|(1+2δ)ξ + 1+δ³|^{−p−1}dξ|"
     wrong = "{(1+2δ)ξ + 1+δ³}^{−p−1}, which is not real for {…} < 0"
     edge = (1 + 2 * runs[0].delta) * runs[0].xi + 1 + runs[0].delta ** 3
@@ -136,8 +136,8 @@ def exponents(runs: list[Orbit]) -> Iterator[Entry]:
     deltas = np.asarray(shapes())
     deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # elsewhere p has a limit only
     xi = np.array([1e-14, 0.3, 2.0, 40.0, 1e3])[:, None]
-    one = np.ones_like(xi * deltas)
-    y = jnp.stack([np.sqrt(xi) * one, one, 0 * one])
+    ones = np.ones_like(xi * deltas)
+    y = jnp.stack([np.sqrt(xi) * ones, ones, 0 * ones])
     rate = np.asarray(jax.vmap(lambda y: TransverseAveraged(deltas)(0.0, y), 1, 1)(y))
     fall = 2 * rate[1]  # of ln v, at v = 1
     slope = fall / (2 * rate[0] / np.sqrt(xi) - fall)
@@ -145,13 +145,13 @@ def exponents(runs: list[Orbit]) -> Iterator[Entry]:
     near = slope[:1], -q_printed(deltas)[None]
     yield Entry("(4.19)", "q = 2/(1+δ³)", gap(*near), 1e-11)
 
-    def lack(p: Exponent) -> float:
+    def off_the_slope(p: Exponent) -> float:
         law = -q_printed(deltas) + p(deltas) * edge / (edge + 1 + deltas**3)
         return float(np.max(np.abs(slope / law - 1)))
 
     claim = "p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]"
     wrong = "p = δ(1−δ)(3+3δ+δ³)/[(1+2δ)(1+δ)]"
-    residual = max(lack(p_right), *(off_the_orbit(o, p_right) for o in runs))
+    residual = max(off_the_slope(p_right), *(off_the_orbit(o, p_right) for o in runs))
     printed = min(off_the_orbit(o, p_printed) for o in runs)
     yield Entry("(4.19)", claim, residual, 1e-10, wrong, printed)
 
@@ -159,18 +159,18 @@ def exponents(runs: list[Orbit]) -> Iterator[Entry]:
 def limits() -> Iterator[Entry]:
     """`exact.averaged`, which has the limits δ = −1, −1/2 and 0, too."""
     solution = jax.jit(exact.averaged)
-    start, at = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
+    start, times = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
 
-    def lack(delta: float) -> float:
+    def residual_at(delta: float) -> float:
         equation = TransverseAveraged(delta)
 
         def field(t: float, omega: jnp.ndarray) -> jnp.ndarray:
             y = equation.lift(omega)
             return jax.jvp(equation.omega, (y,), (equation(t, y),))[1]
 
-        return unsolved(field, lambda t: solution(delta, start, t), at)
+        return unsolved(field, lambda t: solution(delta, start, t), times)
 
-    residual = max(lack(delta) for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6))
+    residual = max(residual_at(delta) for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6))
     claim = "their limits at δ = −1, −1/2 and 0 solve (4.13)–(4.15), too"
     yield Entry("(4.16)–(4.19)", claim, residual, 1e-11)
 
@@ -185,7 +185,7 @@ class Late(NamedTuple):
     """τω₃²."""
     phi: np.ndarray
     """φ̄ − φ̄ᵢ."""
-    turn: np.ndarray
+    phi_rate: np.ndarray
     """dφ̄/d ln τ."""
 
 
@@ -194,14 +194,14 @@ def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
 
     def rate(s: float, y: np.ndarray) -> np.ndarray:
         w, w3 = np.exp(y[:2] / 2)
-        across, along, turn = np.asarray(field(delta, np.array([w, w3, 0.0])))
-        return np.array([1 + 2 * across / w, 1 + 2 * along / w3, turn * np.exp(s / 2)])
+        across, along, phi_rate = np.asarray(field(delta, np.array([w, w3, 0.0])))
+        return np.array([1 + 2 * across / w, 1 + 2 * along / w3, phi_rate * np.exp(s / 2)])
 
     late = np.log(10.0) * np.array(DECADES[delta])
     y0 = [2 * np.log(start[0]), 2 * np.log(start[1]), 0.0]
     run = solve_ivp(rate, (0, late[-1]), y0, method="DOP853", t_eval=late, rtol=1e-11, atol=1e-11)
-    turn = np.array([rate(s, y)[2] for s, y in zip(late, run.y.T, strict=True)])
-    return Late(late, np.exp(run.y[0]), np.exp(run.y[1]), run.y[2], turn)
+    phi_rate = np.array([rate(s, y)[2] for s, y in zip(late, run.y.T, strict=True)])
+    return Late(late, np.exp(run.y[0]), np.exp(run.y[1]), run.y[2], phi_rate)
 
 
 def late() -> Iterator[Entry]:
@@ -237,7 +237,7 @@ def angles(runs: dict[float, Late]) -> Iterator[Entry]:
 
     def grows(delta: float, power: float) -> float:
         """How far d ln|φ̄ − φ̄ᵢ|/d ln τ is from a power."""
-        return abs(float(runs[delta].turn[1] / runs[delta].phi[1]) / power - 1)
+        return abs(float(runs[delta].phi_rate[1] / runs[delta].phi[1]) / power - 1)
 
     residual = max(grows(-1.0, 0.5), grows(-0.8, 0.5))
     yield Entry("(4.20)", "|φ̄| ~ τ^{1/2} for −1 ≤ δ < −1/2", residual, 1e-3)
@@ -249,8 +249,9 @@ def angles(runs: dict[float, Late]) -> Iterator[Entry]:
     power = {d: -3 * d / (2 * (1 - d)) for d in (-0.3, 0.3)}
     claim = "|φ̄| ~ τ^{−3δ/(2(1−δ))} for −1/2 < δ < 0"
     yield Entry("(4.21)", claim, grows(-0.3, power[-0.3]), 1e-6)
-    some = runs[0.3]
-    residual = abs(float(some.turn[0] / (some.phi[0] - some.phi[1])) / power[0.3] - 1)
+    settling = runs[0.3]
+    remaining = settling.phi[0] - settling.phi[1]
+    residual = abs(float(settling.phi_rate[0] / remaining) / power[0.3] - 1)
     claim = "φ̄ → φ̄∞, |φ̄ − φ̄∞| ~ τ^{−3δ/(2(1−δ))} for δ > 0"
     printed = "|φ̄| ~ τ^{−3δ/(2(1−δ))}"
     yield Entry("(4.21)", claim, residual, 1e-3, printed, grows(0.3, power[0.3]))

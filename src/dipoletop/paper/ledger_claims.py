@@ -18,7 +18,7 @@ from ..validation import RESIDUAL_ROTATION, figure_2
 from .ledger_entry import Entry, gap, share
 
 SHAPES = (-1.0, -0.7, -0.5, -0.4, -0.2, -0.05, 0.0, 0.3, 0.6)
-EACH = 256  # starts
+STARTS = 256  # isotropic starts of every body
 SPECIAL = (
     (0.3, (0.0, 0.0, 0.2)),  # ω⊥ = 0
     (0.3, (0.0, 0.2, 0.0)),  # ω₁ = ω₃ = 0
@@ -55,7 +55,7 @@ def figures() -> Iterator[Entry]:
     yield Entry("figure 2a", claim, abs(true / 0.1193 - 1), 5e-4, printed, abs(first / true - 1))
     times = np.array([0.0, 60.0, 12_000.0])
     runs = [simulate(TransverseFull(-0.2), start, times, balance=True) for start in starts]
-    error = max(gap(run.omega[1], at) for run, at in zip(runs, (FULL_A, FULL_B), strict=True))
+    error = max(gap(run.omega[1], known) for run, known in zip(runs, (FULL_A, FULL_B), strict=True))
     claim = "the full equation at τ = 60, against a shooting method"
     yield Entry("figure 2", claim, error, 1e-8)
     error = max(float(jnp.max(jnp.abs(run.balance_defect))) for run in runs)
@@ -63,10 +63,10 @@ def figures() -> Iterator[Entry]:
 
 
 def first_order() -> Classification:
-    """At order 1: EACH isotropic starts of every shape, then the special ones."""
-    omegas = Sample(len(SHAPES) * EACH, amplitude=0.2, seed=6)
-    starts = np.asarray(omegas.points(np.arange(len(SHAPES) * EACH)))
-    deltas = np.append(np.repeat(SHAPES, EACH), [delta for delta, _ in SPECIAL])
+    """At order 1: STARTS isotropic starts of every shape, then the special ones."""
+    omegas = Sample(len(SHAPES) * STARTS, amplitude=0.2, seed=6)
+    starts = np.asarray(omegas.points(np.arange(len(SHAPES) * STARTS)))
+    deltas = np.append(np.repeat(SHAPES, STARTS), [delta for delta, _ in SPECIAL])
     return classify_many(
         TransverseReduced(jnp.asarray(deltas)),
         jnp.asarray(np.concatenate([starts, [omega for _, omega in SPECIAL]])),
@@ -75,10 +75,10 @@ def first_order() -> Classification:
 
 def outcomes() -> Iterator[Entry]:
     """Figure 1 and section 4.2 at order 1."""
-    found = first_order()
-    outcome, value = np.asarray(found.outcome), np.asarray(found.omega_inf)
-    kept = (outcome[: -len(SPECIAL)] == Outcome.RESIDUAL).reshape(-1, EACH)
-    stop = (outcome[: -len(SPECIAL)] == Outcome.STOP).reshape(-1, EACH)
+    runs = first_order()
+    outcome, value = np.asarray(runs.outcome), np.asarray(runs.omega_inf)
+    kept = (outcome[: -len(SPECIAL)] == Outcome.RESIDUAL).reshape(-1, STARTS)
+    stop = (outcome[: -len(SPECIAL)] == Outcome.STOP).reshape(-1, STARTS)
     shapes, special = np.array(SHAPES), outcome[-len(SPECIAL) :]
     oblate, prolate = shapes <= -0.5, shapes >= 0
     both = kept[~oblate & ~prolate].any(axis=1) & stop[~oblate & ~prolate].any(axis=1)
@@ -129,8 +129,8 @@ def exceptions() -> Iterator[Entry]:
     wrong = share([not stops, int(first.outcome) != Outcome.RESIDUAL])
     claim = "a needle (δ = 0.9) that stops wobbling, where order 1 keeps it"
     yield Entry("section 4.2, 1", claim, wrong, 0.0, "residual", float(stops))
-    beside = cylindrical(0.05, 0.5 * 0.05**2, np.pi / 2 + 0.7)
-    full = classify(TransverseFull(0.85), beside)
+    start = cylindrical(0.05, 0.5 * 0.05**2, np.pi / 2 + 0.7)
+    full = classify(TransverseFull(0.85), start)
     stops = int(full.stop) == Stop.WOBBLING
     claim = "the same (δ = 0.85) by the full equation, on its physical branch"
     yield Entry("section 4.2, 1", claim, float(not stops), 0.0, "residual", float(stops))
@@ -147,23 +147,22 @@ def asymmetric() -> Iterator[Entry]:
         rows.append((moments, Body(np.diag(moments), np.eye(3)[axis])))
     rows.append(((0.6, 1.0, 1.2), TILTED))
     kept, stop, stable = [], [], []
-    omegas = Sample(EACH, amplitude=0.1, seed=7).points(np.arange(EACH))
+    omegas = Sample(STARTS, amplitude=0.1, seed=7).points(np.arange(STARTS))
     for _, body in rows:
-        found = np.asarray(classify_many(Reduced(body), omegas, value=False).outcome)
-        kept.append(found == Outcome.RESIDUAL)
-        stop.append(found == Outcome.STOP)
-        line = np.asarray(equilibria(Reduced(body)).direction)
-        fixed = bool(np.all(np.isfinite(line)))
-        stable.append(fixed and bool(spectrum(Reduced(body), 0.1 * line).stable))
+        outcome = np.asarray(classify_many(Reduced(body), omegas, value=False).outcome)
+        kept.append(outcome == Outcome.RESIDUAL)
+        stop.append(outcome == Outcome.STOP)
+        direction = np.asarray(equilibria(Reduced(body)).direction)
+        exists = bool(np.all(np.isfinite(direction)))
+        stable.append(exists and bool(spectrum(Reduced(body), 0.1 * direction).stable))
     claim = "J = (0.6, 1, 1.2), dipole about the largest: stable, and residual"
     wrong = share([~kept[0], not stable[0]])
     yield Entry("closing statement", claim, wrong, 0.0)
     for name, i in (("the middle", 1), ("no principal axis", 3)):
         claim = f"J = (0.6, 1, 1.2), dipole about {name}: not stable, and stop"
         yield Entry("closing statement", claim, share([~stop[i]]) + stable[i], 0.01)
-    lasting = float(np.mean(kept[2]))
-    claim = (
-        f"J = (1, 1.3, 2.2), dipole about the smallest: stable, residual in a basin, {lasting:.0%}"
-    )
+    kept_share = float(np.mean(kept[2]))
+    claim = "J = (1, 1.3, 2.2), dipole about the smallest: stable, residual in a basin, "
+    claim += f"{kept_share:.0%}"
     wrong = share([not stable[2], not kept[2].any(), not stop[2].any()])
-    yield Entry("closing statement", claim, wrong, 0.0, "stable, so residual", 1 - lasting)
+    yield Entry("closing statement", claim, wrong, 0.0, "stable, so residual", 1 - kept_share)

@@ -53,15 +53,15 @@ def printed(silica: particles.Row, dast: particles.Row) -> Iterator[Entry]:
     radius = 50e-9
     spin = silica.moment * SPEED / hbar
     rim = radius * SPEED / c
-    for name, found, number, text, digits in (
+    for name, value, number, text, digits in (
         ("silica sphere: d = eR", silica.debye, 2400.0, "2400 D", 1e-3),
         ("silica sphere: τ₀", silica.tau0, 1e-35, "~ 1e-35 s", 0.5),
         ("silica sphere: T", silica.braking_time, 2e15, "~ 2e15 s", 0.25),
         ("silica sphere: T in years", silica.braking_time / year, 0.5e8, "0.5e8", 0.2),
         ("DAST about the long axis: T in years", dast.braking_time / year, 0.3, "0.3", 1 / 6),
     ):
-        claim = f"{name} = {found:.4g} (printed: {text})"
-        yield Entry("conclusions", claim, abs(found / number - 1), digits)
+        claim = f"{name} = {value:.4g} (printed: {text})"
+        yield Entry("conclusions", claim, abs(value / number - 1), digits)
     claim = f"silica sphere: angular momentum {spin:.2g} ħ (printed: ≳ 1e10 ħ)"
     yield Entry("conclusions", claim, 1e10 / spin, 1.0)
     claim = f"silica sphere: rim speed v/c = {rim:.2e} at 1 GHz (printed: ≤ 1e-6)"

@@ -1,11 +1,14 @@
 """One line of the ledger, and how residuals are measured."""
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+
+Values = ArrayLike | Sequence[float]
 
 LANES = 32
 
@@ -44,19 +47,19 @@ class Entry(NamedTuple):
         return "corrected" if self.printed else "confirmed"
 
 
-def gap(found: Any, expected: Any) -> float:
+def gap(values: Values, expected: Values) -> float:
     """Largest difference over the largest of the expected numbers; NaN counts as infinite."""
-    got, wanted = np.asarray(found), np.asarray(expected)
-    worst = np.max(np.abs(got - wanted)) / np.max(np.abs(wanted))
+    known = np.asarray(expected)
+    worst = np.max(np.abs(np.asarray(values) - known)) / np.max(np.abs(known))
     return float(worst) if np.isfinite(worst) else np.inf
 
 
-def share(failures: Iterable[Any]) -> float:
+def share(failures: Iterable[ArrayLike]) -> float:
     """The share of cases in which a claim fails."""
     return float(np.mean(np.concatenate([np.ravel(np.asarray(x, bool)) for x in failures])))
 
 
-def unsolved(equation: Any, solution: Any, times: Any) -> float:
+def unsolved(equation: Callable, solution: Callable, times: np.ndarray) -> float:
     """How far dω/dτ of a solution (T, n) is from what an equation says, over the largest rate."""
     t = jnp.asarray(times)
     value, rate = jax.jvp(solution, (t,), (jnp.ones_like(t),))
@@ -70,5 +73,5 @@ def states(components: int, seed: int = 0) -> jnp.ndarray:
 
 def shapes() -> jnp.ndarray:
     """As many shapes δ, the disc, δ = −1/2 and the sphere among them."""
-    some = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
-    return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], some]))
+    others = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
+    return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], others]))

@@ -29,19 +29,19 @@ def equations() -> Iterator[Entry]:
     """(4.2)–(4.15)."""
     deltas, omega, rates = shapes(), states(3), states(2, 2)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
-    found = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
+    special = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
     whole = jnp.concatenate([omega, jnp.zeros((1, LANES)), rates])
     expected = Full(bodies)(0.0, whole)[jnp.array([0, 1, 2, 4, 5])]
     claim = "the full equation (3.3) of such a top, closed"
-    yield Entry("section 4", claim, gap(found, expected), 1e-12)
+    yield Entry("section 4", claim, gap(special, expected), 1e-12)
     first, general = TransverseReduced(deltas), Reduced(bodies)(0.0, omega)
     residual = gap(first(0.0, omega), general)
     yield Entry("(4.2)–(4.4)", "(3.4) of a top with a transverse dipole", residual, 1e-13)
     yield from exact_motions()
-    round_ = TransverseCylindrical(deltas)
+    cylindrical = TransverseCylindrical(deltas)
     y = jnp.stack([jnp.abs(omega[0]), omega[2], omega[1]])
-    found = jax.jvp(round_.omega, (y,), (round_(0.0, y),))[1]
-    residual = gap(found, Reduced(bodies)(0.0, round_.omega(y)))
+    rate = jax.jvp(cylindrical.omega, (y,), (cylindrical(0.0, y),))[1]
+    residual = gap(rate, Reduced(bodies)(0.0, cylindrical.omega(y)))
     yield Entry("(4.9)–(4.11)", "the same in ω⊥, ω₃, φ", residual, 1e-13)
     yield from monotony()
     angles = jnp.linspace(0, 2 * jnp.pi, 16, endpoint=False)
@@ -117,13 +117,13 @@ def fixed_points() -> Iterator[Entry]:
         for delta in (-1.0, -0.7, -0.5, d, 0.0, 0.4)
     }
     residual = max(
-        gap(found, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
-        for delta, found in rates.items()
+        gap(scaled, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
+        for delta, scaled in rates.items()
     )
     claim = "rates 0, −w², −(1+2δ)/(1−δ) w² beside (w, 0, 0), at order 1"
     yield Entry("section 4.1", claim, residual, 1e-12)
     claim = "unstable for δ < −1/2; at δ = −1/2 the linear approximation says nothing"
-    unstable = {delta: np.sum(found > 1e-9) > 0 for delta, found in rates.items()}
+    unstable = {delta: np.sum(scaled > 1e-9) > 0 for delta, scaled in rates.items()}
     wrong = share([unstable[delta] != (delta < -0.5) for delta in rates])
     printed = share([unstable[delta] != (delta <= -0.5) for delta in rates])
     yield Entry("section 4.1", claim, wrong, 0.0, "unstable for δ ≤ −1/2", printed)
@@ -141,32 +141,33 @@ def elsewhere() -> float:
         """|ω| between 0.1 and 3, and the direction of ω."""
         return 3 * 30 ** ((np.sin(x[0]) - 1) / 2), x[1:] / np.linalg.norm(x[1:])
 
-    def lack(x: np.ndarray, delta: float) -> np.ndarray:
+    def scaled_field(x: np.ndarray, delta: float) -> np.ndarray:
         r, n = polar(x)
         return np.append(np.asarray(field(delta, r * n)) / r**3, np.sum(x[1:] ** 2) - 1)
 
     for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.3, 0.8):
         for _ in range(12):
-            found = least_squares(lack, draw.normal(size=4), args=(delta,), xtol=1e-15, ftol=1e-15)
-            if np.max(np.abs(found.fun)) < 1e-9:
-                distances.append(np.hypot(*polar(found.x)[1][1:]))
+            guess = draw.normal(size=4)
+            root = least_squares(scaled_field, guess, args=(delta,), xtol=1e-15, ftol=1e-15)
+            if np.max(np.abs(root.fun)) < 1e-9:
+                distances.append(np.hypot(*polar(root.x)[1][1:]))
     return float(np.mean(np.array(distances) > 1e-3)) if distances else np.inf
 
 
 def slowest(state: jnp.ndarray) -> Entry:
     """How fast the residual rotation (w, 0, 0) is reached."""
     deltas, square = (-0.3, 0.4), float(state[0]) ** 2
-    found = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
+    rates = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
     axial = np.array([3 / (1 - d) - 2 for d in deltas])
     claim = "1/T = τ₀Ω∞² min(1, 3I₁/I₃ − 2), the slowest rate"
-    residual = gap(found, square * np.minimum(1, axial))
+    residual = gap(rates, square * np.minimum(1, axial))
     printed = "1/T = (3I₁/I₃ − 2)τ₀Ω∞²"
-    return Entry("section 4.2, 1", claim, residual, 1e-12, printed, gap(square * axial, found))
+    return Entry("section 4.2, 1", claim, residual, 1e-12, printed, gap(square * axial, rates))
 
 
 def no_threshold(state: jnp.ndarray) -> Entry:
     """Where order 1 and the consistent levels have a residual rotation that is stable."""
-    at = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
+    delta = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
     consistent = np.linspace(-0.99, 0.95, 9)
     stable = np.array(
         [
@@ -174,7 +175,7 @@ def no_threshold(state: jnp.ndarray) -> Entry:
             for level in (TransverseSemi, TransverseFull)
         ]
     )
-    residual = abs(at + 0.5) + share([~stable])
+    residual = abs(delta + 0.5) + share([~stable])
     claim = "the threshold I₃ = 3/2 I₁ is order 1's: by the full equation all are stable"
     printed = share([stable[:, consistent < -0.5]])
     return Entry("section 4.2", claim, residual, 1e-12, "I₃ > 3/2 I₁ is unstable", printed)
