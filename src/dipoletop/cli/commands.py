@@ -41,15 +41,16 @@ Levels of the equation of motion:
   order-1    the paper's reduced equation (4.2)-(4.4). For this top it lacks a leading
              term of the full equation: some outcomes, and its threshold at δ = -1/2,
              are not those of the full equation
-  order-2 … order-4   the same reduction carried to higher order, without that defect
-  semi       semi-reduced: only the second derivative of ω is replaced; without it too,
-             and as cheap as order 1: for outcomes and maps
-  full       the full equation along its physical branch (not for maps: slow)
+  order-2 … order-4   the same reduction to higher order, which has that term
+  semi       semi-reduced: only the second derivative of ω is replaced. It has that
+             term and is as cheap as order 1: use it for outcomes and maps
+  full       the full equation on its physical branch (too slow for maps)
 
 \b
-Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (out of
-steps), failed (not a number). Certified: decided in a region that is proven to decide
-for this level of the equation; how far the level is from the full equation is not in it."""
+Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (the budget
+of steps ran out), failed (not a number). Certified: the run entered a region that is
+proven to decide for this level of the equation; the difference between this level and
+the full equation is not taken into account."""
 
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -91,7 +92,7 @@ def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Pat
     type=AXIS,
     metavar="AXIS",
     default="phi",
-    help="Horizontal axis; phi always, in comparisons.",
+    help="Horizontal axis; in comparisons always phi.",
 )
 @click.option("--y", type=AXIS, metavar="AXIS", default="w3", help="Vertical axis.")
 @click.option(
@@ -100,7 +101,7 @@ def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Pat
     type=(AXIS, NUMBER, NUMBER),
     multiple=True,
     metavar="AXIS LOW HIGH",
-    help="Range of an axis; one for each, if wanted.",
+    help="Range of an axis; may be given for each axis.",
 )
 @quantity_options
 @click.option("--size", type=Size(), metavar="N[xM]", default="512", help="Starts on x [and on y].")
@@ -109,30 +110,32 @@ def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Pat
 @click.option(
     "--confirm", type=NUMBER, metavar="RTOL", help="Run all again at this tolerance and compare."
 )
-@click.option("--device", type=click.Choice(["cpu", "gpu"]), help="[default: all there is]")
+@click.option(
+    "--device", type=click.Choice(["cpu", "gpu"]), help="Kind of devices.  [default: all]"
+)
 @click.option(
     "--engine",
     type=click.Choice(["auto", "jax", "native"]),
     default="auto",
-    help="native is machine code (it needs numba), auto the fastest that can run.",
+    help="native is machine code (needs numba); auto takes the fastest that can run.",
 )
 @click.option(
-    "--output", default="dipoletop-map", help="Folder, or beginning of the names of all files."
+    "--output", default="dipoletop-map", help="Folder, or first part of the names of all files."
 )
-@click.option("--format", "suffix", type=FORMATS, help="Of the picture.  [default: png]")
+@click.option("--format", "suffix", type=FORMATS, help="Format of the picture.  [default: png]")
 @click.option(
     "--store/--no-store",
     default=True,
-    help="Keep the data, in OUTPUT-LEVEL.zarr; the same command goes on where it was stopped.",
+    help="Keep the data in OUTPUT-LEVEL.zarr; the same command resumes a stopped sweep.",
 )
-@click.option("--repair", is_flag=True, help="Compute damaged data of the store again.")
+@click.option("--repair", is_flag=True, help="Recompute damaged data of the store.")
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @computing
 def map_command(**options: Any) -> None:
     """Map which starts keep rotating and which stop, over any two quantities.
 
     Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
-    equation (order 1) and by the semi-reduced one, with the starts hatched whose outcome differs.
+    equation (order 1) and by the semi-reduced one. Starts whose outcomes differ are hatched.
     """
     levels, axes = options["level"], (options["x"], options["y"])
     if len(set(levels)) != len(levels) or len(levels) > 2:
@@ -193,7 +196,7 @@ def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:
     figure.savefig(picture, dpi=150)
 
 
-@main.command("simulate", epilog=TERMS, short_help="One top: its motion and its end.")
+@main.command("simulate", epilog=TERMS, short_help="One top: its motion and its outcome.")
 @click.option(
     "--level",
     type=LEVEL,
@@ -207,12 +210,12 @@ def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:
 @click.option("--rtol", type=NUMBER, default="1e-10", help="Relative tolerance.")
 @click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of the run.")
 @click.option(
-    "--output", default="dipoletop-trajectory", help="Folder, or beginning of the file names."
+    "--output", default="dipoletop-trajectory", help="Folder, or first part of the file names."
 )
-@click.option("--format", "suffix", type=FORMATS, help="Of the picture.  [default: png]")
+@click.option("--format", "suffix", type=FORMATS, help="Format of the picture.  [default: png]")
 @computing
 def simulate_command(**options: Any) -> None:
-    """Follow one top, and say how it ends.
+    """Integrate the motion of one top, and report its outcome.
 
     Without options: the start of figure 2a of the paper (δ = -1/5, ω⊥ = ω₃ = 1/5, φ = π/30) by
     the semi-reduced equation; with --level order-1 the paper's own curves.
@@ -251,19 +254,19 @@ def simulate_command(**options: Any) -> None:
     type=FORMATS,
     multiple=True,
     default=("pdf", "png"),
-    help="Of the figures; may be given several times.",
+    help="Format of the figures; may be given several times.",
 )
 @computing
 def figures_command(**options: Any) -> None:
     r"""Compute and draw the figures of the paper, and three that it does not have.
 
     \b
-    1        which ends are possible for which shape δ, at order 1
+    1        which outcomes are possible for which shape δ, at order 1
     1-full   the same by the semi-reduced and the full equation
     2        ω₁, ω₂, ω₃ against τ: a residual rotation and a stop, order 1 and full
     3        phase plane of the plane rotator, with its runaways
-    spectra  how motions beside a residual rotation decay, at every level
-    levels   which starts end otherwise at another level
+    spectra  how perturbations of a residual rotation decay, at every level
+    levels   which starts have another outcome at another level
 
     Without names: all of them, in about two minutes.
     """
@@ -279,7 +282,9 @@ def figures_command(**options: Any) -> None:
             click.echo(f"Figure: {path}")
 
 
-@main.command("spectrum", epilog=TERMS, short_help="How motions beside a residual rotation decay.")
+@main.command(
+    "spectrum", epilog=TERMS, short_help="How perturbations of a residual rotation decay."
+)
 @click.option("--delta", type=NUMBER, default=-0.2, help="δ = 1 − I₃/I₁.")
 @click.option("-w", "--w", type=NUMBER, default=0.1, help="ω of the residual rotation.")
 @click.option(
@@ -292,9 +297,9 @@ def figures_command(**options: Any) -> None:
 )
 @computing
 def spectrum_command(delta: float, w: float, level: tuple[Level, ...]) -> None:
-    """Eigenvalues at ω = (w, 0, 0), rotation about the dipole, in units of 1/τ₀.
+    """Eigenvalues at the equilibrium ω = (w, 0, 0), rotation about the dipole, in units of 1/τ₀.
 
-    The slow ones belong to physical motions, those of runaways to the full equation only.
+    The slow eigenvalues are those of physical motions. The full equation has others, of runaways.
     """
     for line in _spectra(level, delta, w):
         click.echo(line)
@@ -318,14 +323,14 @@ def _spectra(levels: Iterable[Level], delta: float, w: float) -> list[str]:
 @click.option(
     "--paper",
     is_flag=True,
-    help="Try every equation, claim, figure and number of the paper instead: which are "
-    "confirmed, which corrected, and the residuals. Takes about two minutes.",
+    help="Check every equation, claim, figure and number of the paper instead, and print which "
+    "are confirmed or corrected, with residuals. Takes about two minutes.",
 )
 @computing
 def validate_command(paper: bool) -> None:
-    """Check this installation against exact solutions, identities and reference digits.
+    """Check this installation against exact solutions, identities and reference values.
 
-    Takes under a minute; the exit status is 1 if a check fails.
+    This takes less than a minute; the exit status is 1 if a check fails.
     """
     click.echo(validation.environment())
     failed = 0

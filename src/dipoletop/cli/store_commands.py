@@ -1,4 +1,4 @@
-"""`dipoletop store`: are the data on disk what was written, and if not, compute them again."""
+"""`dipoletop store`: verify the data of a sweep on disk, and recompute what is damaged."""
 
 import sys
 
@@ -15,14 +15,14 @@ def store() -> None:
     """Verify and repair the data that `dipoletop map` and `dipoletop.sweep` keep in a folder."""
 
 
-@store.command("verify", short_help="Is every bit what was written?")
+@store.command("verify", short_help="Check that the data are what was written.")
 @click.argument("path")
 @computing
 def verify_command(path: str) -> None:
     """Read all data of the store PATH and list the tiles that are damaged.
 
-    The exit status is 1 if there is damage. A tile that a sweep has not come to is none: the same
-    sweep goes on with it.
+    The exit status is 1 if there is damage. A tile that a sweep has not computed yet is not
+    damaged; the same sweep computes it when it is resumed.
     """
     try:
         report = verify(path)
@@ -38,15 +38,15 @@ def verify_command(path: str) -> None:
     raise SystemExit(1 if report.damaged else 0)
 
 
-@store.command("repair", short_help="Compute damaged tiles of a map again.")
+@store.command("repair", short_help="Recompute damaged tiles of a map.")
 @click.argument("path")
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @computing
 def repair_command(path: str, progress: bool | None) -> None:
-    """Compute the damaged tiles of a map again, and those that are missing.
+    """Recompute the damaged and the missing tiles of a map.
 
-    PATH is the store of one level, as `dipoletop map` names it; it holds all that is needed, if
-    its metadata are sound. If they are not, `dipoletop map --repair` with the options of the map
+    PATH is the store of one level, as `dipoletop map` names it. If its metadata are sound, it holds
+    all that is needed. If they are damaged, `dipoletop map --repair` with the options of the map
     writes them anew. The store of another sweep is repaired by that sweep: dt.sweep(...,
     repair=True).
     """

@@ -96,7 +96,7 @@ def outcomes() -> Iterator[Entry]:
     yield Entry("section 4.2, 1", claim, wrong, 0.0, "for δ ≥ 0", share([stopped[2:4]]))
     yield capture()
     wrong = max(gap(value[-2:], np.array([0.1, 0.1])), share([~stop[oblate]]))
-    claim = "δ ≤ −1/2: stop, but for ω₃ = 0, where ω₁ is constant"
+    claim = "δ ≤ −1/2: stop, except for ω₃ = 0, where ω₁ is constant"
     printed = share([~stopped[-2:]])
     yield Entry("section 4.2, 2", claim, wrong, 1e-12, "reaches Ω = 0", printed)
 
@@ -119,7 +119,7 @@ def capture() -> Entry:
 def exceptions() -> Iterator[Entry]:
     """What the full equation has for needles, which order 1 misses."""
     residual = abs(planar.critical_delta() / 0.7532357993909 - 1)
-    claim = "at small amplitude a wobbling stop besides, for δ > δ_c = 0.7532357993909"
+    claim = "at small amplitude also a wobbling stop, for δ > δ_c = 0.7532357993909"
     needle, start = 0.9, jnp.array([0.02, 0.1, 0.0])
     semi = classify(TransverseSemi(needle), start, value=False)
     stops = int(semi.stop) == Stop.WOBBLING

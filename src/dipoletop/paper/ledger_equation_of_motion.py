@@ -41,7 +41,7 @@ def motion() -> Iterator[Entry]:
     charges = np.array([0.7, -1.2, 0.2, 0.9])
     centred = positions - masses @ positions / masses.sum()
     residual = gap(from_charges(masses, positions, charges).dipole, charges @ centred)
-    claim = "d = Σ qρ, ρ from the centre of mass (but for a misprint)"
+    claim = "d = Σ qρ, ρ from the centre of mass (except for a misprint)"
     yield Entry("after (3.3)", claim, residual, 1e-14)
     yield from balance()
     free_rate = -matvec(inverse(BODY.inertia), radiation.gyroscopic_torque(BODY, omega))
@@ -49,7 +49,7 @@ def motion() -> Iterator[Entry]:
     torque = cross(omega, radiation.gyroscopic_torque(BODY, omega)) + cross(momentum, free_rate)
     free = free_rotation(BODY, omega)
     residual = max(gap(free[0], free_rate), gap(free[1], matvec(inverse(BODY.inertia), torque)))
-    claim = "Ω̇ₜ = −I⁻¹N, Ω̈ₜ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (but for a stray bracket)"
+    claim = "Ω̇ₜ = −I⁻¹N, Ω̈ₜ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (except for a stray bracket)"
     yield Entry("(3.4)", claim, residual, 1e-13)
 
 

@@ -120,7 +120,7 @@ def fixed_points() -> Iterator[Entry]:
         gap(scaled, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
         for delta, scaled in rates.items()
     )
-    claim = "rates 0, −w², −(1+2δ)/(1−δ) w² beside (w, 0, 0), at order 1"
+    claim = "rates 0, −w², −(1+2δ)/(1−δ) w² near (w, 0, 0), at order 1"
     yield Entry("section 4.1", claim, residual, 1e-12)
     claim = "unstable for δ < −1/2; at δ = −1/2 the linear approximation says nothing"
     unstable = {delta: np.sum(scaled > 1e-9) > 0 for delta, scaled in rates.items()}
@@ -188,6 +188,6 @@ def lost_term(delta: float) -> Entry:
     rate = slow_manifold(TransverseFull(delta), omega)[2]
     first = TransverseReduced(delta)(0.0, omega)[2]
     lost = -2 * omega[0] * omega[1] * jnp.sum(omega**2) / (1 - delta)
-    claim = "where ω₃ ~ ω⊥², (3.3) has −2ω₁ω₂ω²/(1−δ) in ω₃′ besides, of leading order"
+    claim = "where ω₃ ~ ω⊥², (3.3) has another term of leading order in ω₃′, −2ω₁ω₂ω²/(1−δ)"
     residual, printed = (abs(float(x / rate) - 1) for x in (first + lost, first))
     return Entry("(4.4)", claim, residual, 1e-2, "ω₃′ without that term", printed)
