@@ -1,9 +1,10 @@
-"""Outcomes and stability followed through the shape δ, or through the amplitude |ω₀|.
+"""Outcomes and stability as functions of the shape δ, or of the amplitude |ω₀|.
 
-The share of the starts that end in residual rotation is computed at every value of the parameter
-and at every level of the equation, always of the same isotropic starts (common random numbers):
-so curves differ by physics, not by chance. `thresholds` tells where this share leaves 0 or reaches
-1, by the theory and by the sample. `plots.continuation` and `plots.diagram` draw the results.
+`continuation` computes the share of every outcome at every value of the parameter and at every
+level of the equation. It takes the same isotropic starts everywhere (common random numbers), so
+that curves differ by physics, not by chance. `follow_spectrum` computes the eigenvalues of the
+residual line against δ, and `thresholds` the values of δ at which an outcome appears or disappears.
+`plots.continuation` and `plots.diagram` draw the results.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,7 +41,7 @@ USUAL = (Level.ORDER_1, Level.SEMI)
 DEFAULT_W = 0.05
 """Angular velocity w at which stability is computed by default; λ/w² hardly depends on w."""
 STEPS = 16
-"""Steps between neighbouring values of δ: so few values still show whether eigenvalues cross."""
+"""Steps between neighbouring values of δ, so that crossings of eigenvalues are resolved."""
 
 
 class Fractions(NamedTuple):
@@ -110,7 +111,7 @@ class Continuation:
 
 
 def _counts(basin: Basin, outcome: Outcome, stop: Stop | None) -> Int[np.ndarray, "values"]:
-    """How many starts end so, at each value of the parameter."""
+    """The number of starts with an outcome, at each value of the parameter."""
     members = basin.outcome == outcome
     if stop is not None:
         members &= basin.stop == stop
@@ -265,18 +266,18 @@ def _continuous(
 
 
 class Threshold(NamedTuple):
-    """A δ at which an outcome sets in or dies out: by the theory, and by the sample."""
+    """A δ at which an outcome appears or disappears: by the theory, and by the sample."""
 
     level: Level
     event: str
     outcome: Outcome
-    """The outcome that occurs on one side only."""
+    """The outcome that occurs on one side of δ only."""
     delta: float
-    """The δ of the theory."""
+    """δ by the theory."""
     bracket: tuple[float, float]
     """Neighbouring values of the sample, one with the outcome and one without, or NaN."""
     hidden: float
-    """The largest share of the outcome where the sample has none (95 %)."""
+    """Upper 95 % limit of the share of an outcome that no start of the sample has."""
 
     def __repr__(self) -> str:
         low, high = self.bracket
@@ -289,19 +290,17 @@ class Threshold(NamedTuple):
 
 @renamed_argument(old="found", new="continuation")
 def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Threshold]:
-    """Values of δ where an outcome sets in or dies out: roots of the theory, and by the sample.
+    """Values of δ at which an outcome appears or disappears, by the theory and by the sample.
 
-    | event | where |
+    | event | δ |
     |---|---|
-    | line changes stability | the residual line {w, 0, 0}: at order 1 at δ = −1/2; semi-reduced and
-      full never; at orders 2–4 where w is no longer well below 1 − δ |
-    | stops end | δ = 0, where precession changes its sense |
-    | wobbling stops begin | δ_c2 = 0.7532… (`planar.critical_delta`); not at order 1 |
+    | line changes stability | order 1: −1/2; orders 2–4: where w ≪ 1 − δ fails; others: none |
+    | stops end | 0, where precession changes its sense |
+    | wobbling stops begin | δ_c2 = 0.7532… (`planar.critical_delta`); order 1: none |
 
-    The interval of a fraction excludes 0 as soon as one start has the outcome. A fraction that
-    grows continuously from 0 may stay unseen while it is below `hidden`: then both ends of the
-    bracket lie on the side of δ where the outcome occurs. At δ_c2 the fraction jumps, and the
-    bracket contains δ.
+    The line is that of residual rotation, {w, 0, 0}. A share that grows continuously from 0 is not
+    seen in the sample while it is below `hidden`; then both ends of the bracket lie on the side of
+    δ where the outcome occurs. At δ_c2 the share jumps, and the bracket contains δ.
 
     Args:
         continuation: a continuation in delta.
@@ -339,13 +338,13 @@ def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Thr
 def _events(
     level: Level, branches: Branches, stable: Bool[np.ndarray, "values"]
 ) -> Iterator[tuple[str, Outcome, float]]:
-    """Name, outcome and δ of every event that the theory knows at a level."""
+    """Name, outcome and δ of every event at a level, by the theory."""
     yield "stops end", Outcome.STOP, 0.0
     if level.consistent:
         yield "wobbling stops begin", Outcome.STOP, planar.critical_delta()
     for k in np.flatnonzero(np.diff(stable)):
         low, high = branches.delta[k : k + 2]
-        # A value of the grid may be the root itself, up to rounding: search a little beyond.
+        # The root may be a value of the grid, up to rounding: so extend the bracket a little.
         margin = (high - low) / 1000
         low, high = np.clip([low - margin, high + margin], *branches.delta[[0, -1]]).tolist()
         delta = threshold(lambda d: equation_at(level, d), branches.w, low, high)

@@ -1,7 +1,7 @@
-"""Does this installation give what is known exactly? What `dipoletop validate` runs.
+"""Checks of an installation against known values, as `dipoletop validate` runs them.
 
-Every expected value is a closed form, an identity, a second route to the same number, or comes
-from an integration in extended precision.
+Every expected value is a closed form, an identity, the result of an independent method, or the
+result of an integration in extended precision.
 """
 
 import platform
@@ -27,10 +27,10 @@ Values = ArrayLike | Sequence[float]
 
 RTOL = 1e-12
 TIMES = np.array([0.0, 10.0, 100.0, 1000.0, 10_000.0])
-STATES = 64  # random states of an identity
-MANY = 4096  # starts through the engine: always as many, so that it compiles once
+STATES = 64  # random states at which an identity is checked
+MANY = 4096  # starts of every batch: with equal sizes the engine compiles once
 
-# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at the times above (the start apart).
+# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at `TIMES` after the first.
 RESIDUAL_ORBIT = (
     (0.185555686561096036045, 0.05743298900673097677, 0.130962297180287836067),
     (0.1209087994924958206313, 0.05090107187023380722, 0.02679120426570824635),
@@ -48,13 +48,13 @@ RESIDUAL_SHARE = 0.5197
 
 
 class Check(NamedTuple):
-    """One number against what it must be."""
+    """One computed number and its expected value."""
 
     name: str
     expected: float
     found: float
     scale: float
-    """What the error is measured against."""
+    """The size to which the error is relative."""
     tolerance: float
 
     @property
@@ -64,12 +64,12 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the error is allowed; never, if it is not a number."""
+        """Whether the error is within the tolerance; False if it is NaN."""
         return self.error <= self.tolerance
 
 
 def environment() -> str:
-    """Versions and devices."""
+    """Versions of Python and packages, and JAX's devices, in one line."""
     names = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy")
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     devices = ", ".join(f"{device.platform}:{device.id}" for device in jax.devices())
@@ -77,11 +77,11 @@ def environment() -> str:
 
 
 def run() -> Iterator[Check]:
-    """All checks, one by one; one that breaks down is a failed check with its reason."""
+    """All checks, one by one; one that raises an exception is a failed check with its message."""
     for check in CHECKS:
         try:
             yield from check()
-        except Exception as error:
+        except Exception as error:  # whatever it is, the check shows it
             reason = str(error).strip().splitlines()
             name = f"{check.__name__}: {reason[0] if reason else type(error).__name__}"
             yield Check(name, np.nan, np.nan, 1.0, 0.0)
@@ -95,7 +95,7 @@ def _worst(name: str, expected: Values, found: Values, *, scale: float, toleranc
 
 
 def float64() -> list[Check]:
-    """Arithmetic in double precision."""
+    """Arithmetic is in double precision."""
     spacing = float(jnp.asarray(1.0) + 2.0**-52) - 1
     return [Check("double precision: (1 + 2⁻⁵²) − 1", 2.0**-52, spacing, 2.0**-52, 0.0)]
 
@@ -113,14 +113,14 @@ def figure_2() -> list[Check]:
 
 
 def residual_rotation() -> list[Check]:
-    """ω∞ of figure 2a."""
+    """ω∞ of the run of figure 2a."""
     result = classify(TransverseReduced(-0.2), cylindrical(0.2, 0.2, np.pi / 30), rtol=RTOL)
     expected, name = RESIDUAL_ROTATION, "figure 2a, residual rotation ω∞"
     return [Check(name, expected, float(result.omega_inf), expected, 1e-9)]
 
 
 def exact_solutions() -> list[Check]:
-    """Motions that can be written down."""
+    """Motions with closed forms."""
     order_1, semi = TransverseReduced, TransverseSemi
     cases = (
         ("rotator (2.4), order 1", order_1, 0.3, (0.0, 0.5, 0.0)),
@@ -200,7 +200,7 @@ def energy_balance() -> list[Check]:
 
 
 def engine() -> list[Check]:
-    """The engine of the maps against one run after the other through diffrax."""
+    """The engine that computes maps, against single runs through diffrax."""
     few = slice(0, MANY, 32)
     starts, deltas = _starts(2), jnp.linspace(-0.45, 0.2, MANY)
     many = jax.tree.map(lambda x: x[few], classify_many(TransverseReduced(deltas), starts))
@@ -213,7 +213,7 @@ def engine() -> list[Check]:
 
 
 def residual_share() -> list[Check]:
-    """The share of random starts that keep rotating: within four standard errors."""
+    """The share of residual rotation, which must agree within four standard errors."""
     outcome = classify_many(TransverseReduced(-0.2), _starts(3)).outcome
     share = float(np.mean(outcome == Outcome.RESIDUAL))
     spread = np.sqrt(RESIDUAL_SHARE * (1 - RESIDUAL_SHARE) * (1 / MANY + 1 / 200_000))

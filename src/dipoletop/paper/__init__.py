@@ -1,6 +1,7 @@
-"""The ledger of the source paper: what of it is confirmed, and what is corrected.
+"""The ledger of the source paper: which of its statements are confirmed, and which corrected.
 
-Every equation, claim, figure and number is tried when it is run; nothing is looked up.
+Every equation, claim, figure and number is checked by a computation when the ledger runs; no
+result is stored.
 """
 
 from collections.abc import Iterator
@@ -43,10 +44,10 @@ PARTS = (
 
 
 def ledger() -> Iterator[Entry]:
-    """The lines of the ledger, in the paper's order; a part that breaks down is a failed line."""
+    """The lines of the ledger, in the paper's order; a part that raises is a failed line."""
     for part in PARTS:
         try:
             yield from part()
-        except Exception as error:
+        except Exception as error:  # whatever it is, the line shows it
             reason = str(error).strip().splitlines()
             yield Entry(part.__name__, reason[0] if reason else type(error).__name__, np.inf, 0.0)

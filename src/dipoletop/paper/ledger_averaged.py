@@ -1,4 +1,4 @@
-"""(4.16)–(4.21): the averaged transverse top, against integrations of (4.13)–(4.15)."""
+"""(4.16)–(4.21): solutions for the averaged top, against integrations of (4.13)–(4.15)."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -14,32 +14,32 @@ from .ledger_entry import Entry, gap, shapes, unsolved
 
 ORBITS = {-0.8: (1.2, 0.5, -0.4, 1.0), -0.3: (0.5, 0.6, -0.2, 3.0), 0.4: (0.5, 0.6, -0.2, 3.0)}
 ORBITS[0.7] = ORBITS[0.4]
-"""δ: ω⊥, ω₃ and φ̄ at the start, and for how long the motion is followed."""
+"""By δ: initial ω⊥, ω₃ and φ̄, and the length of the integration."""
 BEGIN = 4.0
-"""τᵢ, the time of the start."""
+"""τᵢ, the initial time."""
 DECADES = {-1.0: (50, 300), -0.8: (20, 50), -0.5: (50, 300), -0.3: (20, 50), 0.3: (20, 50)}
-"""δ: the two log₁₀ τ where the asymptotics are read, far out where they contain ln τ."""
+"""By δ: two values of log₁₀ τ where the asymptotics are read; late ones where they contain ln τ."""
 
 Exponent = Callable[[Any], Any]
 
 
 def p_right(d: Any) -> Any:
-    """The p that (4.19) must have."""
+    """The exponent p of (4.19), corrected."""
     return d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * (1 + d**3))
 
 
 def p_printed(d: Any) -> Any:
-    """The p that the paper prints."""
+    """The exponent p as the paper prints it."""
     return d * (1 - d) * (3 + 3 * d + d**3) / ((1 + 2 * d) * (1 + d))
 
 
 def q_printed(d: Any) -> Any:
-    """The q of (4.19), right as it is printed."""
+    """The exponent q of (4.19), which is printed correctly."""
     return 2 / (1 + d**3)
 
 
 class Orbit(NamedTuple):
-    """One motion of the averaged top, integrated."""
+    """One integrated motion of the averaged top."""
 
     delta: float
     time: np.ndarray
@@ -49,12 +49,12 @@ class Orbit(NamedTuple):
 
     @property
     def xi(self) -> np.ndarray:
-        """ξ = ω⊥²/ω₃², which runs one way."""
+        """ξ = ω⊥²/ω₃², which is monotonic along the motion."""
         return self.u / self.v
 
 
 def integrated(field: Callable) -> list[Orbit]:
-    """The motions ORBITS."""
+    """The motions of `ORBITS`, integrated."""
     orbits = []
     for delta, (*start, span) in ORBITS.items():
         run = solve_ivp(
@@ -84,7 +84,7 @@ def orbits() -> Iterator[Entry]:
 
 
 def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
-    """How far v ξ^q |aξ + b|^{−p} is from constant."""
+    """Relative variation of v ξ^q |aξ + b|^{−p} along an orbit, which should be 0."""
     d = orbit.delta
     edge = np.abs((1 + 2 * d) * orbit.xi + 1 + d**3)
     constant = orbit.v * orbit.xi ** q_printed(d) * edge ** -p(d)
@@ -92,7 +92,7 @@ def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
 
 
 def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
-    """The times since the start by (4.17), or the angles by (4.18), with moduli."""
+    """The times since τᵢ by (4.17), or the angles by (4.18), with absolute values."""
     d, p, q = orbit.delta, p_right(orbit.delta), q_printed(orbit.delta)
     a, b, first = 1 + 2 * d, 1 + d**3, orbit.xi[0]
     c = orbit.v[0] * first**q * abs(a * first + b) ** -p
@@ -119,7 +119,8 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
     """(4.17)."""
     since = [quadrature(o) for o in runs]
     residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
-    # The braces are negative along the whole first orbit: one power of −1 is all that they change.
+    # The braces are negative along the whole first orbit, so printed and corrected integrands
+    # differ by a constant power of −1.
     power_of_minus_1 = complex(-1) ** (-p_right(runs[0].delta) - 1)
     printed = min(abs(power_of_minus_1 - 1), abs(power_of_minus_1 + 1))
     claim = "τ − τᵢ = ((1−δ)/C)|∫ξ^{q−1}|(1+2δ)ξ + 1+δ³|^{−p−1}dξ|"
@@ -134,7 +135,7 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
 def exponents(runs: list[Orbit]) -> Iterator[Entry]:
     """(4.19), put into (4.13)–(4.14): d ln v/d ln ξ for many ξ and every δ, and along orbits."""
     deltas = np.asarray(shapes())
-    deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # elsewhere p has a limit only
+    deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # p itself is singular there
     xi = np.array([1e-14, 0.3, 2.0, 40.0, 1e3])[:, None]
     ones = np.ones_like(xi * deltas)
     y = jnp.stack([np.sqrt(xi) * ones, ones, 0 * ones])
@@ -157,7 +158,7 @@ def exponents(runs: list[Orbit]) -> Iterator[Entry]:
 
 
 def limits() -> Iterator[Entry]:
-    """`exact.averaged`, which has the limits δ = −1, −1/2 and 0, too."""
+    """`exact.averaged`, which includes the limits δ = −1, −1/2 and 0."""
     solution = jax.jit(exact.averaged)
     start, times = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
 
@@ -176,7 +177,7 @@ def limits() -> Iterator[Entry]:
 
 
 class Late(NamedTuple):
-    """An averaged motion at two late times."""
+    """An averaged motion at the two times of `DECADES`."""
 
     log_tau: np.ndarray
     u: np.ndarray
@@ -190,7 +191,7 @@ class Late(NamedTuple):
 
 
 def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
-    """From τ = 1 on, over the logarithm of time: ln τω⊥², ln τω₃² and φ̄."""
+    """A motion from τ = 1, integrated over s = ln τ in the variables ln τω⊥², ln τω₃² and φ̄."""
 
     def rate(s: float, y: np.ndarray) -> np.ndarray:
         w, w3 = np.exp(y[:2] / 2)
@@ -214,7 +215,7 @@ def late() -> Iterator[Entry]:
 
 
 def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entry]:
-    """ω⊥² and ω₃²."""
+    """The laws of ω⊥² and ω₃²."""
 
     def off(delta: float) -> float:
         run, tau = runs[delta], np.exp(runs[delta].log_tau[1])
@@ -233,10 +234,10 @@ def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entr
 
 
 def angles(runs: dict[float, Late]) -> Iterator[Entry]:
-    """How φ̄ grows."""
+    """The growth of φ̄."""
 
     def grows(delta: float, power: float) -> float:
-        """How far d ln|φ̄ − φ̄ᵢ|/d ln τ is from a power."""
+        """Relative difference of d ln|φ̄ − φ̄ᵢ|/d ln τ from a power."""
         return abs(float(runs[delta].phi_rate[1] / runs[delta].phi[1]) / power - 1)
 
     residual = max(grows(-1.0, 0.5), grows(-0.8, 0.5))

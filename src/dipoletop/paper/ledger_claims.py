@@ -27,17 +27,17 @@ SPECIAL = (
     (-0.7, (0.1, 0.1, 0.0)),  # ω₃ = 0
     (-0.5, (0.1, -0.1, 0.0)),
 )
-"""Shapes and starts that the paper's claims leave out, or name."""
+"""Shapes and starts that are exceptions to the paper's claims, or that it names."""
 STOPS = np.array([True, True, True, False, False, False])
-"""Which of them stop."""
+"""Whether they stop."""
 FULL_A = (0.13148744208692057915, 0.068501995595988332757, 0.029559231623915714665)
 """ω of figure 2a at τ = 60 by the full equation, from a shooting method."""
 FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.059353536931937492011)
-"""That of figure 2b."""
+"""ω of figure 2b at τ = 60 by the full equation, from a shooting method."""
 
 
 def figures() -> Iterator[Entry]:
-    """Figure 2, with what the full equation has in its place."""
+    """Figure 2 at order 1, and the same starts by the full equation."""
     for part, checks in zip(
         "ab", np.array_split(np.array(figure_2(), dtype=object), [3]), strict=True
     ):
@@ -63,7 +63,7 @@ def figures() -> Iterator[Entry]:
 
 
 def first_order() -> Classification:
-    """At order 1: STARTS isotropic starts of every shape, then the special ones."""
+    """Runs at order 1: `STARTS` isotropic starts of every shape, then those of `SPECIAL`."""
     omegas = Sample(len(SHAPES) * STARTS, amplitude=0.2, seed=6)
     starts = np.asarray(omegas.points(np.arange(len(SHAPES) * STARTS)))
     deltas = np.append(np.repeat(SHAPES, STARTS), [delta for delta, _ in SPECIAL])
@@ -102,14 +102,14 @@ def outcomes() -> Iterator[Entry]:
 
 
 def capture() -> Entry:
-    """How many revolutions may pass before a residual rotation is near."""
+    """Residual rotation may be reached only after many revolutions."""
     delta = 0.05
     times = np.array([0.0, 100.0, 1e3, 1e4, 1e5])
     run = simulate(TransverseReduced(delta), cylindrical(0.03, 0.298, 1.0), times)
     omega = np.asarray(run.omega)
-    speed = np.linalg.norm(omega, axis=1)  # it falls, so that the turns are at least these:
+    speed = np.linalg.norm(omega, axis=1)  # it falls, so these are lower bounds:
     turns = float(np.sum(np.diff(times) * speed[1:])) / (2 * np.pi)
-    # Captured once ω₃ is no longer above ω⊥²/(2δ), where precession and braking are as fast.
+    # Capture is at ω₃ = ω⊥²/(2δ), where precession and braking are equally fast.
     free = 2 * delta * np.abs(omega[:, 2]) > np.sum(omega[:, :2] ** 2, axis=1)
     claim = f"Ω → Ω∞ after any number of revolutions: not near it after {turns:.0f} (δ = {delta})"
     printed = "after few revolutions, say ten"
@@ -117,7 +117,7 @@ def capture() -> Entry:
 
 
 def exceptions() -> Iterator[Entry]:
-    """What the full equation has for needles, which order 1 misses."""
+    """Wobbling stops of needles, which the full equation has and order 1 does not."""
     residual = abs(planar.critical_delta() / 0.7532357993909 - 1)
     claim = "at small amplitude also a wobbling stop, for δ > δ_c = 0.7532357993909"
     needle, start = 0.9, jnp.array([0.02, 0.1, 0.0])
@@ -137,11 +137,11 @@ def exceptions() -> Iterator[Entry]:
 
 
 TILTED = Body(np.diag((0.6, 1.0, 1.2)), (0.5, 0.6, 0.62))
-"""Its dipole is on no principal axis."""
+"""A body whose dipole is on no principal axis."""
 
 
 def asymmetric() -> Iterator[Entry]:
-    """The closing statement, on tops without symmetry."""
+    """The closing statement, about tops without symmetry."""
     rows = []
     for moments, axis in (((0.6, 1.0, 1.2), 2), ((0.6, 1.0, 1.2), 1), ((1.0, 1.3, 2.2), 0)):
         rows.append((moments, Body(np.diag(moments), np.eye(3)[axis])))

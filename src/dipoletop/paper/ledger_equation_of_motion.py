@@ -54,11 +54,11 @@ def motion() -> Iterator[Entry]:
 
 
 def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray) -> Entry:
-    """(3.2): d⃛ by a sum of products, and by three derivatives in time along a turning frame."""
+    """(3.2): d⃛ as a sum of products, against three time derivatives in a rotating frame."""
     d = jnp.broadcast_to(BODY.dipole[:, None], omega.shape)
 
     def in_space(x: Callable) -> Callable:
-        """The time derivative in the laboratory of a vector that is given in body axes."""
+        """The time derivative in the laboratory of a vector given in body axes."""
 
         def derivative(t: jnp.ndarray) -> jnp.ndarray:
             value, slope = jax.jvp(x, (t,), (jnp.ones_like(t),))
@@ -78,7 +78,7 @@ def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray)
 
 
 def balance() -> Iterator[Entry]:
-    """(3.3) against the exact laws that follow from d×d⃛ alone."""
+    """(3.3) against the balance laws of energy and angular momentum."""
     body = axisymmetric(-0.3, [0.6, 0.0, 0.8])
     equation = Full(body)
     y = states(6, 5)

@@ -15,8 +15,8 @@ from ..equations.rigid import Full, Reduced
 from .ledger_entry import LANES, Entry, gap, shapes, share, states, unsolved
 from .ledger_rotator import LOGARITHM, ROOT, logarithm
 
-DELTA, W3 = -0.4, 0.3  # of the asymptotics: ζ = 1.4
-START = np.array([0.5, 0.0, W3, 0.6, 0.1])  # of a runaway, ω⊥ and ω⊥′ of order 1
+DELTA, W3 = -0.4, 0.3  # values at which the asymptotics are checked: ζ = 1.4
+START = np.array([0.5, 0.0, W3, 0.6, 0.1])  # initial state of a runaway; ω⊥ and ω⊥′ are of order 1
 
 
 def equations() -> Iterator[Entry]:
@@ -57,7 +57,7 @@ def changed_variables() -> Iterator[Entry]:
         field = np.asarray(LongitudinalFull(deltas)(0.0, y))
         y, s = np.asarray(y), np.asarray((1 - deltas) * axial[2])
         w, rate, second = (x[0] + 1j * x[1] for x in (y, y[3:], field[3:]))
-        # z = w e^{iω₃τ}, whose angle turns at ν; its derivatives at τ = 0.
+        # Derivatives at τ = 0 of z = w e^{iω₃τ}, whose phase grows at the rate ν.
         z1 = rate + 1j * y[2] * w
         z2 = second + 2j * y[2] * rate - y[2] ** 2 * w
         u, spin = np.abs(w) ** 2, np.imag(np.conj(w) * z1)  # ω⊥², ω⊥²ν
@@ -107,7 +107,7 @@ def spectrum(w3: float) -> np.ndarray:
 
 
 def next_order(rate: complex) -> Iterator[Entry]:
-    """(B.9): what the exponential decay neglects, on the physical branch."""
+    """(B.9): the next order after the exponential decay, on the physical branch."""
 
     def excess(w: float) -> complex:
         slope = slow_manifold(LongitudinalFull(DELTA), jnp.array([w, 0.0, W3]))
@@ -122,7 +122,7 @@ def next_order(rate: complex) -> Iterator[Entry]:
 
 
 def blow_up() -> Iterator[Entry]:
-    """(B.13): a runaway, integrated by another program until it is very fast."""
+    """(B.13): a runaway, integrated with SciPy up to a large ω⊥."""
     field = jax.jit(lambda y: LongitudinalFull(DELTA)(0.0, y))
     fast = 1e5
 
@@ -144,7 +144,7 @@ def blow_up() -> Iterator[Entry]:
     decay = (rate / w).real[-1]  # ω⊥′/ω⊥ = 1/|τ|, τ < 0 before the blow-up
     residual = abs(abs(w[-1]) / (ROOT * decay) - 1)
     yield Entry("(B.13)", "ω⊥ ~ √2/|τ| near a blow-up", float(residual), 1e-4)
-    left = ROOT / fast  # of time, where the run ends
+    left = ROOT / fast  # time from the end of the run to the blow-up
     tau = -0.1
     before = run.sol(run.t[-1] + left + tau)
     turned = np.angle((before[0] + 1j * before[1]) / w[-1]) + W3 * left
@@ -156,7 +156,7 @@ def blow_up() -> Iterator[Entry]:
 
 
 def braking_time() -> Iterator[Entry]:
-    """The time of the conclusions in which a residual rotation is reached."""
+    """The relaxation time to a residual rotation, in the conclusions."""
     folding = 1 / ((1 - DELTA) * W3) ** 2
     late = exact.longitudinal(DELTA, np.array([0.3, 0.4, W3]), folding * np.array([20.0, 21.0]))
     fall = float(jnp.hypot(late[0, 0], late[0, 1]) / jnp.hypot(late[1, 0], late[1, 1]))

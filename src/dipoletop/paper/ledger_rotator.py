@@ -50,7 +50,7 @@ def phase_plane() -> Iterator[Entry]:
 
 
 def ends_of_time() -> Entry:
-    """(A.11): τ̄ω at a large ω > 0, before the end of a runaway and after the start of a stop."""
+    """(A.11): τ̄ω at a large ω > 0, near the end of a runaway and the beginning of a stop."""
     fast = 1e4
     before, after = _since(separatrix, fast), _since(critical_manifold, fast)
     products = np.array([before, after]) * fast
@@ -61,7 +61,7 @@ def ends_of_time() -> Entry:
 
 
 def _since(curve: Callable, w: float) -> float:
-    """τ̄ = ∫dω/ϖ from infinity to w, by x = 1/ω: the time since the blow-up, or − that to it."""
+    """τ̄ = ∫dω/ϖ from ∞ to w, in x = 1/ω: the time since the blow-up; negative before it."""
     nodes, weights = np.polynomial.legendre.leggauss(20)
     x = (nodes + 1) / (2 * w)
     rate = np.asarray(curve(jnp.asarray(1 / x)))
@@ -69,7 +69,7 @@ def _since(curve: Callable, w: float) -> float:
 
 
 def manifold() -> Iterator[Entry]:
-    """(A.15)–(A.17): the curves AOC and BOD, and what approximates them."""
+    """(A.15)–(A.17): the curves AOC and BOD, and their approximations."""
     w = jnp.logspace(-5, 5, LANES)
     ones = jnp.ones(LANES)
     f, slope = jax.jvp(critical_manifold, (w,), (ones,))
@@ -81,7 +81,7 @@ def manifold() -> Iterator[Entry]:
     yield Entry("(A.16)", "f = −ω³ + 3ω⁵ − 24ω⁷ + …", residual, 1e-12)
     large = jnp.array([1e3, 2e3])
     rest = critical_manifold(large) + large**2 / ROOT - large / 3
-    residual = gap(2 * rest[1] - rest[0], -ROOT / 9)  # what is left falls like 1/ω
+    residual = gap(2 * rest[1] - rest[0], -ROOT / 9)  # the remainder falls like 1/ω
     yield Entry("appendix A", "f = −ω²/√2 + ω/3 − √2/9 + O(1/ω) at infinity", residual, 1e-5)
     g, rise = jax.jvp(separatrix, (w,), (ones,))
     residual = float(jnp.max(jnp.abs(g * rise - g - w**3) / (g + w**3)))
@@ -90,7 +90,7 @@ def manifold() -> Iterator[Entry]:
 
 
 def approximations(w: jnp.ndarray) -> Iterator[Entry]:
-    """The two closed forms that the paper has for f."""
+    """The two closed forms with which the paper approximates f."""
     ends = jnp.array([1e-4, 1e8])
     residual = gap(closed_manifold(ends) / critical_manifold(ends), jnp.ones(2))
     claim = "f ≈ −ω³/√(1+2ω²): right for ω → 0 and for ω → ∞"
@@ -127,7 +127,7 @@ def asymptotics() -> Iterator[Entry]:
 
 
 def logarithm(branch: Callable, start: float = 0.1) -> float:
-    """The c of ω√(2τ) = 1 + c ln τ/τ + O(1/τ), of the motion ω′ = branch(ω) from `start` on."""
+    """The coefficient c in ω√(2τ) = 1 + c ln τ/τ + O(1/τ), for ω′ = branch(ω) with ω₀ = `start`."""
     late = []
     for w in (1e-4, 1e-6):
         nodes, weights = np.polynomial.legendre.leggauss(100)
