@@ -1,26 +1,20 @@
 """Continuation: fractions of physics.md, closed forms of eigenvalues, known thresholds."""
 
-import dataclasses
-import sys
-from typing import Any
-
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from dipoletop import planar
 from dipoletop._base.types import Outcome, Stop
 from dipoletop.continuation import (
-    Continuation,
+    Threshold,
     _continuous,
     continuation,
-    diagram,
     follow_spectrum,
     thresholds,
 )
-from dipoletop.paper import figure_data as _figure_data
+from dipoletop.equations.levels import Level
+from dipoletop.paper import figure_data
 
-MODULE = sys.modules[continuation.__module__]
 N = 8000
 DELTAS = [-0.9, -0.5, -0.4, -0.3, -0.2, -0.1, -0.05, 0.3, 0.75, 0.76]
 SEMI = {-0.9: 0.0675, -0.5: 0.2096, -0.3: 0.4154, -0.2: 0.5894, -0.1: 0.7973}  # of 20 000 starts
@@ -85,12 +79,8 @@ def test_amplitudes_have_the_known_fractions_and_the_same_directions(found):
     assert_shares(amplitudes, again.fractions(Outcome.RESIDUAL).share[0], known, 20_000)
     at = again.basins[0].outcome[0, 4], found.basins[1].outcome[DELTAS.index(-0.2), 0]
     np.testing.assert_array_equal(*at)
-    with pytest.raises(ValueError, match="`found` must be a continuation in delta"):
+    with pytest.raises(ValueError, match="`continuation` must be a continuation in delta"):
         thresholds(again)
-    ax = again.plot()
-    assert ax.get_xscale() == "linear"  # these are not even on any scale
-    assert ax.get_title().endswith("= $-0.2$")
-    plt.close("all")
 
 
 def test_thresholds_lie_in_their_brackets(found, monkeypatch):
@@ -113,7 +103,7 @@ def test_branches_are_the_closed_forms():
     found = follow_spectrum(d, w)
     expected = np.stack([-(1 + 2 * d) / (1 - d), -np.ones(len(d))])  # (4.22)–(4.24)
     np.testing.assert_allclose(found.slow[0] / w**2, expected, rtol=1e-9, atol=1e-12)
-    limit = _figure_data.small_w(d)
+    limit = figure_data.small_w(d)
     sizes = np.abs(found.slow[1].T[:, :, None] / w**2 - limit[:, None, :])
     np.testing.assert_allclose(np.min(sizes, axis=1), 0, atol=1e-6)  # each of one side
     np.testing.assert_allclose(np.min(sizes, axis=2), 0, atol=1e-6)  # is on the other
@@ -132,41 +122,20 @@ def test_branches_go_straight_through_a_crossing_and_turn_at_a_repulsion():
         np.testing.assert_array_equal(np.stack([first, second], axis=1), expected)
 
 
-def test_pictures_show_fractions_and_growth(found, monkeypatch):
-    def at_deltas(delta, w, *, levels):  # of these the program is compiled already
-        assert (delta[0], delta[-1]) == (-0.9, 0.76)
-        return follow_spectrum(DELTAS, w, levels=levels)
-
-    monkeypatch.setattr(MODULE, "follow_spectrum", at_deltas)
-    order_1 = Continuation("delta", ("order-1",), found.basins[:1])
-    figure = diagram(order_1)
-    above, below = figure.axes
-    lines: Any = above.lines, below.lines
-    assert above.get_shared_x_axes().joined(above, below)
-    share = found.fractions(Outcome.RESIDUAL).share[0]
-    np.testing.assert_array_equal(lines[0][0].get_xydata(), np.column_stack([DELTAS, share]))
-    for ax in lines:
-        marked = [line.get_xdata()[0] for line in ax if line.get_color() == "0.4"]
-        np.testing.assert_allclose(marked, [-0.5, 0], atol=1e-9)
-    d, falling = lines[1][0].get_xydata().T
-    np.testing.assert_allclose(falling, -(1 + 2 * d) / (1 - d), rtol=1e-9, atol=1e-9)
-
-
-def test_a_curve_ends_where_too_little_is_decided(found, monkeypatch):
-    monkeypatch.setattr(MODULE, "thresholds", lambda found: [])
-    basin = found.basins[1]
-    outcome = basin.outcome.copy()
-    outcome[-1, 0, : N // 2] = Outcome.UNDECIDED
-    columns = {**basin.columns, "outcome": outcome.ravel()}
-    half = Continuation("delta", ("semi",), (dataclasses.replace(basin, columns=columns),))
-    _, ax = plt.subplots()
-    assert half.plot(ax) is ax
-    assert np.flatnonzero(np.isnan(ax.lines[0].get_ydata())).tolist() == [len(DELTAS) - 1]
-    corners = ax.collections[1].get_paths()[0].vertices
-    hatched = sorted({y for x, y in np.asarray(corners) if x == DELTAS[-1]})
-    residual, stop = (half.fractions(end).share[0, -1] for end in (Outcome.RESIDUAL, Outcome.STOP))
-    np.testing.assert_allclose(hatched, [residual, 1 - stop])
-    plt.close("all")
+def test_results_are_shown_with_their_numbers(found):
+    share = found.fractions(Outcome.RESIDUAL).share[1]
+    lines = repr(found).splitlines()
+    assert lines[0].startswith(
+        f"Continuation(delta from -0.9 to 0.76, 10 values, {N} starts at each"
+    )
+    assert lines[2] == f"  semi: from {share[0]:.4g} to {share[-1]:.4g}, at most {max(share):.4g})"
+    branches = follow_spectrum(DELTAS, 0.1, levels="order-1")
+    assert repr(branches) == (
+        "Branches(delta from -0.9 to 0.76, 10 values, w = 0.1; largest Re λ/w²:\n"
+        "  order-1: from -1 to 0.4211, stable at 8)"
+    )
+    row = Threshold(Level.SEMI, "stops end", Outcome.STOP, 0.0, (-0.05, 0.3), 0.0005)
+    assert "semi: stops end at delta = 0; STOP in the sample changes between -0.05" in repr(row)
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,22 @@
-"""Does this installation give what is known exactly? What `dipoletop validate` runs.
+"""Checks of an installation against known values, as `dipoletop validate` runs them.
 
-Every expected value is a closed form, an identity, a second route to the same number, or comes
-from an integration in extended precision.
+Every expected value is a closed form, an identity, the result of an independent method, or the
+result of an integration in extended precision.
 """
 
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from . import exact, radiation
-from ._base.types import Outcome
+from ._base.types import Equation, Outcome
 from ._maps.grids import Sample
 from ._runs.classify import classify
 from ._runs.classify_many import classify_many
@@ -23,12 +24,14 @@ from ._runs.trajectory import simulate
 from .equations.rigid import Reduced, SemiReduced
 from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 
+Values = ArrayLike | Sequence[float]
+
 RTOL = 1e-12
 TIMES = np.array([0.0, 10.0, 100.0, 1000.0, 10_000.0])
-STATES = 64  # random states of an identity
-MANY = 4096  # starts through the engine: always as many, so that it compiles once
+STATES = 64  # random states at which an identity is checked
+MANY = 4096  # starts of every batch: with equal sizes the engine compiles once
 
-# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at the times above (the start apart).
+# Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at `TIMES` after the first.
 RESIDUAL_ORBIT = (
     (0.185555686561096036045, 0.05743298900673097677, 0.130962297180287836067),
     (0.1209087994924958206313, 0.05090107187023380722, 0.02679120426570824635),
@@ -46,13 +49,13 @@ RESIDUAL_SHARE = 0.5197
 
 
 class Check(NamedTuple):
-    """One number against what it must be."""
+    """One computed number and its expected value."""
 
     name: str
     expected: float
     found: float
     scale: float
-    """What the error is measured against."""
+    """The size to which the error is relative."""
     tolerance: float
 
     @property
@@ -62,12 +65,12 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the error is allowed; never, if it is not a number."""
+        """Whether the error is within the tolerance; False if it is NaN."""
         return self.error <= self.tolerance
 
 
 def environment() -> str:
-    """Versions and devices."""
+    """Versions of Python and packages, and JAX's devices, in one line."""
     names = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy")
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     devices = ", ".join(f"{device.platform}:{device.id}" for device in jax.devices())
@@ -75,25 +78,25 @@ def environment() -> str:
 
 
 def run() -> Iterator[Check]:
-    """All checks, one by one; one that breaks down is a failed check with its reason."""
+    """All checks, one by one; one that raises an exception is a failed check with its message."""
     for check in CHECKS:
         try:
             yield from check()
-        except Exception as error:
+        except Exception as error:  # whatever it is, the check shows it
             reason = str(error).strip().splitlines()
             name = f"{check.__name__}: {reason[0] if reason else type(error).__name__}"
             yield Check(name, np.nan, np.nan, 1.0, 0.0)
 
 
-def _worst(name: str, expected: Any, found: Any, *, scale: float, tolerance: float) -> Check:
-    """The entry with the largest error, or the first that is not a number."""
-    wanted, got = np.ravel(np.asarray(expected)), np.ravel(np.asarray(found))
-    worst = int(np.argmax(np.abs(got - wanted)))
-    return Check(name, float(wanted[worst]), float(got[worst]), scale, tolerance)
+def _worst(name: str, expected: Values, found: Values, *, scale: float, tolerance: float) -> Check:
+    """The check of the component with the largest error, or of the first that is not a number."""
+    expected, found = np.ravel(np.asarray(expected)), np.ravel(np.asarray(found))
+    worst = int(np.argmax(np.abs(found - expected)))
+    return Check(name, float(expected[worst]), float(found[worst]), scale, tolerance)
 
 
 def float64() -> list[Check]:
-    """Arithmetic in double precision."""
+    """Arithmetic is in double precision."""
     spacing = float(jnp.asarray(1.0) + 2.0**-52) - 1
     return [Check("double precision: (1 + 2⁻⁵²) − 1", 2.0**-52, spacing, 2.0**-52, 0.0)]
 
@@ -111,26 +114,26 @@ def figure_2() -> list[Check]:
 
 
 def residual_rotation() -> list[Check]:
-    """ω∞ of figure 2a."""
-    found = classify(TransverseReduced(-0.2), cylindrical(0.2, 0.2, np.pi / 30), rtol=RTOL)
-    value, scale = float(found.omega_inf), RESIDUAL_ROTATION
-    return [Check("figure 2a, residual rotation ω∞", RESIDUAL_ROTATION, value, scale, 1e-9)]
+    """ω∞ of the run of figure 2a."""
+    result = classify(TransverseReduced(-0.2), cylindrical(0.2, 0.2, np.pi / 30), rtol=RTOL)
+    expected, name = RESIDUAL_ROTATION, "figure 2a, residual rotation ω∞"
+    return [Check(name, expected, float(result.omega_inf), expected, 1e-9)]
 
 
 def exact_solutions() -> list[Check]:
-    """Motions that can be written down."""
-    first, semi = TransverseReduced, TransverseSemi
+    """Motions with closed forms."""
+    order_1, semi = TransverseReduced, TransverseSemi
     cases = (
-        ("rotator (2.4), order 1", first, 0.3, (0.0, 0.5, 0.0)),
+        ("rotator (2.4), order 1", order_1, 0.3, (0.0, 0.5, 0.0)),
         ("rotator (2.4), semi-reduced", semi, 0.3, (0.0, 0.5, 0.0)),
-        ("plane motion ω₃ = 0, order 1", first, -0.3, (0.03, 0.4, 0.0)),
-        ("sphere δ = 0, order 1", first, 0.0, (0.03, 0.24, 0.32)),
+        ("plane motion ω₃ = 0, order 1", order_1, -0.3, (0.03, 0.4, 0.0)),
+        ("sphere δ = 0, order 1", order_1, 0.0, (0.03, 0.24, 0.32)),
     )
     checks = []
-    for name, equation, delta, start in cases:
-        across = float(np.hypot(start[1], start[2]))
-        expected = exact.transverse(delta, start, TIMES)
-        found = simulate(equation(delta), np.array(start), TIMES, rtol=RTOL).omega
+    for name, family, delta, omega0 in cases:
+        across = float(np.hypot(omega0[1], omega0[2]))
+        expected = exact.transverse(delta, omega0, TIMES)
+        found = simulate(family(delta), np.array(omega0), TIMES, rtol=RTOL).omega
         checks.append(_worst(name, expected, found, scale=across, tolerance=1e-10))
     return checks
 
@@ -153,7 +156,7 @@ def _random_states(components: int) -> tuple[Float[Array, "n"], Float[Array, "n 
     return jnp.asarray(delta), jnp.asarray(rng.normal(size=(STATES, components)))
 
 
-CLOSED_FORMS: tuple[tuple[str, Callable[..., Any], Callable[..., Any]], ...] = (
+CLOSED_FORMS: tuple[tuple[str, Callable[..., Equation], Callable[..., Equation]], ...] = (
     ("order 1", TransverseReduced, Reduced),
     ("order 2", lambda delta: TransverseReduced(delta, 2), lambda body: Reduced(body, 2)),
     ("semi-reduced", TransverseSemi, SemiReduced),
@@ -165,7 +168,7 @@ def closed_forms() -> list[Check]:
     checks = []
     for level, special, general in CLOSED_FORMS:
 
-        def both(delta: Any, omega: Any, special=special, general=general):
+        def both(delta: Array, omega: Array, special=special, general=general):
             equation = special(delta)
             return equation(0.0, omega), general(equation.body)(0.0, omega)
 
@@ -179,10 +182,10 @@ def closed_forms() -> list[Check]:
 def energy_balance() -> list[Check]:
     """Full equation: d/dτ(E − d₁·d₂) = −|d₂|² at every state."""
 
-    def rates(delta: Any, y: Any):
+    def rates(delta: Array, y: Array) -> tuple[Array, Array]:
         equation = TransverseFull(delta)
 
-        def stored(y: Any) -> Any:
+        def stored(y: Array) -> Array:
             omega, rate = y[:3], equation(0.0, y)[:3]
             schott = radiation.schott_energy(equation.body, omega, rate)
             return radiation.kinetic_energy(equation.body, omega) - schott
@@ -198,22 +201,22 @@ def energy_balance() -> list[Check]:
 
 
 def engine() -> list[Check]:
-    """The engine of the maps against one run after the other through diffrax."""
+    """The engine that computes maps, against single runs through diffrax."""
     few = slice(0, MANY, 32)
     starts, deltas = _starts(2), jnp.linspace(-0.45, 0.2, MANY)
-    found = jax.tree.map(lambda x: x[few], classify_many(TransverseReduced(deltas), starts))
-    one = jax.vmap(lambda d, w: classify(TransverseReduced(d), w))(deltas[few], starts[few])
-    size = len(found.outcome)
-    same = int(np.sum(np.asarray(one.outcome) == found.outcome))
+    many = jax.tree.map(lambda x: x[few], classify_many(TransverseReduced(deltas), starts))
+    single = jax.vmap(lambda d, w: classify(TransverseReduced(d), w))(deltas[few], starts[few])
+    size = len(many.outcome)
+    same = int(np.sum(np.asarray(single.outcome) == many.outcome))
     name = "maps' engine = diffrax, ω∞ of the same"
-    value = _worst(name, one.omega_inf, found.omega_inf, scale=0.2, tolerance=1e-6)
+    value = _worst(name, single.omega_inf, many.omega_inf, scale=0.2, tolerance=1e-6)
     return [Check(f"maps' engine = diffrax, {size} outcomes", size, same, size, 0.0), value]
 
 
 def residual_share() -> list[Check]:
-    """The share of random starts that keep rotating: within four standard errors."""
-    found = classify_many(TransverseReduced(-0.2), _starts(3))
-    share = float(np.mean(found.outcome == Outcome.RESIDUAL))
+    """The share of residual rotation, which must agree within four standard errors."""
+    outcome = classify_many(TransverseReduced(-0.2), _starts(3)).outcome
+    share = float(np.mean(outcome == Outcome.RESIDUAL))
     spread = np.sqrt(RESIDUAL_SHARE * (1 - RESIDUAL_SHARE) * (1 / MANY + 1 / 200_000))
     name = f"residual share of {MANY} random starts"
     return [Check(name, RESIDUAL_SHARE, share, 1.0, 4 * float(spread))]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from dipoletop import TransverseReduced, cli, validation
-from dipoletop.paper import figure_data as data
-from dipoletop.paper import figures
+from dipoletop import Level, TransverseReduced, cli, validation
+from dipoletop.cli import commands
+from dipoletop.paper import figure_data, figures
 
 
 def invoke(*arguments):
@@ -16,7 +16,7 @@ def invoke(*arguments):
 
 
 def test_starts_are_isotropic():
-    starts = data.even_starts(500)
+    starts = figure_data.even_starts(500)
     np.testing.assert_allclose(np.sum(starts**2, axis=1), 0.04, rtol=1e-12)
     unit = np.column_stack([starts, -starts]).reshape(-1, 3) / 0.2
     np.testing.assert_allclose(unit.T @ unit / len(unit), np.eye(3) / 3, atol=2e-3)
@@ -27,11 +27,13 @@ def test_starts_are_isotropic():
 
 @pytest.fixture(scope="module")
 def oblate():
-    return data.ends("order 1", [-0.7, -0.4, -0.2, 0.0], data.even_starts(256))
+    return figure_data.outcomes_by_shape(
+        Level.ORDER_1, [-0.7, -0.4, -0.2, 0.0], figure_data.even_starts(256)
+    )
 
 
 def test_shares_at_order_1_are_the_known_ones(oblate):
-    residual, stop = data.shares(oblate)
+    residual, stop = figure_data.shares(oblate)
     assert (residual.label, stop.label) == ("residual rotation", "stop, rotating")
     # By 200 000 random starts; here the error is that of 256, 0.03, at most.
     np.testing.assert_allclose(residual.share, [0, 0.1402, 0.5197, 1], atol=0.02)
@@ -41,7 +43,7 @@ def test_shares_at_order_1_are_the_known_ones(oblate):
 
 
 def test_intervals_of_shares_are_those_of_wilson(oblate):
-    for one in data.shares(oblate):
+    for one in figure_data.shares(oblate):
         n, p, z = 256, one.share, 1.959963984540054
         for end in (one.low, one.high):  # the roots of (p̂ − p)² = z²p(1 − p)/n
             np.testing.assert_allclose((p - end) ** 2, z**2 * end * (1 - end) / n, atol=1e-12)
@@ -54,26 +56,21 @@ def test_intervals_of_shares_are_those_of_wilson(oblate):
     [(np.pi / 30, validation.RESIDUAL_ORBIT), (np.pi / 3, validation.STOPPING_ORBIT)],
 )
 def test_motions_of_figure_2_are_the_known_ones(phi, orbit):
-    found = data.motion("order 1", phi, np.array([0.0, 10.0, 100.0, 1000.0]))
+    found = figure_data.motion(Level.ORDER_1, phi, np.array([0.0, 10.0, 100.0, 1000.0]))
     np.testing.assert_allclose(found.omega[1:], np.array(orbit)[:3], atol=1e-9)
 
 
 def test_eigenvalues_at_order_1_are_those_of_the_paper():
     d = np.linspace(-1, 0.9, 9)
-    found = data.eigenvalues("order 1", d, 0.05)
+    found = figure_data.eigenvalues(Level.ORDER_1, d, 0.05)
     expected = -np.sort([np.ones(9), (1 + 2 * d) / (1 - d)], axis=0).T  # (4.22)–(4.24)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
 
 
 def test_limit_of_eigenvalues_solves_the_characteristic_equation():
     d = np.linspace(-1, 0.9, 9)
-    for x in data.small_w(d).T:  # λ = xw² in that of the full equation, to leading order in w
+    for x in figure_data.small_w(d).T:  # λ = xw² in that of the full equation, leading order
         np.testing.assert_allclose((1 - d) * x**2 + (2 + d) * x + 1, 0, atol=1e-12)
-
-
-def test_levels_are_the_equations_they_are_called():
-    for name, make in data.LEVELS.items():
-        assert name in make(0.1).level
 
 
 def test_boundary_is_scaled_and_its_jump_is_cut(monkeypatch):
@@ -82,19 +79,22 @@ def test_boundary_is_scaled_and_its_jump_is_cut(monkeypatch):
         assert system.delta == -0.2
         return jnp.where(phi < 1, 2 + phi / 10, 5.0)
 
-    monkeypatch.setattr(data.planar, "boundary", boundary)
-    found = data.small_boundary(True, np.linspace(0, 2, 5))
+    monkeypatch.setattr(figure_data.planar, "boundary", boundary)
+    found = figure_data.small_boundary(True, np.linspace(0, 2, 5))
     np.testing.assert_allclose(found, 0.04 * np.array([2, 2.05, np.nan, 5, 5]), rtol=1e-12)
 
 
 def test_maps_compare_every_fifth_start(monkeypatch):
     """The other equations are played by order 1 at another δ, which is compiled already."""
-    monkeypatch.setitem(data.LEVELS, "full", data.LEVELS["order 1"])
-    monkeypatch.setitem(data.LEVELS, "semi-reduced", lambda _: TransverseReduced(-0.3))
-    found = data.maps(16, 5, 0.4)
+
+    def order_1(level, delta):
+        return TransverseReduced(-0.3 if level is Level.SEMI else delta)
+
+    monkeypatch.setattr(figure_data, "equation_at", order_1)
+    found = figure_data.level_maps(16, 5, 0.4)
     assert found.semi.shape == (16, 16)
-    assert 0 < np.mean(found.order_1) < 0.4
-    np.testing.assert_array_equal(found.full, found.order_1[::5, ::5])
+    assert 0 < np.mean(found.order_1_differs) < 0.4
+    np.testing.assert_array_equal(found.full_differs, found.order_1_differs[::5, ::5])
     at = {name: found.semi.coords[name] for name in ("w3", "phi")}
     np.testing.assert_allclose([at["w3"][[0, -1]], at["phi"][[0, -1]]], [[0, 0.4], [0, np.pi]])
 
@@ -143,5 +143,5 @@ def test_an_unknown_figure_is_refused_in_one_line(tmp_path):
 
 
 def test_the_command_knows_every_figure():
-    assert list(figures.FIGURES) == list(cli.FIGURES.choices)
+    assert list(figures.FIGURES) == list(commands.FIGURES.choices)
     assert all(name in invoke("--help").output for name in figures.FIGURES)

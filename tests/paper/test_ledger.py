@@ -8,30 +8,32 @@ from click.testing import CliRunner
 
 import dipoletop as dt
 from dipoletop import cli, paper
-from dipoletop.paper import Entry
-from dipoletop.paper import ledger_averaged as _averaged
-from dipoletop.paper import ledger_conclusions as _conclusions
-from dipoletop.paper import ledger_equation_of_motion as _general
-from dipoletop.paper import ledger_longitudinal as _longitudinal
-from dipoletop.paper import ledger_rotator as _rotator
-from dipoletop.paper import ledger_transverse as _transverse
+from dipoletop.paper import (
+    Entry,
+    ledger_averaged,
+    ledger_conclusions,
+    ledger_equation_of_motion,
+    ledger_longitudinal,
+    ledger_rotator,
+    ledger_transverse,
+)
 
 # The parts that are quick to compile, and where they correct the paper. The others run with
 # `dipoletop validate --paper`.
 QUICK = {
-    _general.rotator: [],
-    _general.motion: ["(3.2)"],
-    _longitudinal.equations: [],
-    _transverse.equations: ["(4.6)", "after (4.6)", "after (4.12)"],
-    _averaged.orbits: ["(4.17)", "(4.17)", "(4.19)"],
-    _averaged.late: ["(4.20)", "(4.20)", "(4.20)", "(4.21)"],
-    _conclusions.conclusions: ["conclusions", "conclusions"],
-    _longitudinal.braking_time: [],
-    _rotator.phase_plane: ["(A.11)"],
-    _rotator.manifold: ["end of appendix A"],
-    _rotator.asymptotics: ["(A.3)–(A.4)"],
-    _longitudinal.changed_variables: [],
-    _longitudinal.blow_up: ["(B.13)"],
+    ledger_equation_of_motion.rotator: [],
+    ledger_equation_of_motion.motion: ["(3.2)"],
+    ledger_longitudinal.equations: [],
+    ledger_transverse.equations: ["(4.6)", "after (4.6)", "after (4.12)"],
+    ledger_averaged.orbits: ["(4.17)", "(4.17)", "(4.19)"],
+    ledger_averaged.late: ["(4.20)", "(4.20)", "(4.20)", "(4.21)"],
+    ledger_conclusions.conclusions: ["conclusions", "conclusions"],
+    ledger_longitudinal.braking_time: [],
+    ledger_rotator.phase_plane: ["(A.11)"],
+    ledger_rotator.manifold: ["end of appendix A"],
+    ledger_rotator.asymptotics: ["(A.3)–(A.4)"],
+    ledger_longitudinal.changed_variables: [],
+    ledger_longitudinal.blow_up: ["(B.13)"],
 }
 
 
@@ -72,23 +74,51 @@ def heavier(delta):
     return dt.LongitudinalFull(delta + 0.05)
 
 
-LATE, TORQUE = dt.exact.averaged_late, dt.radiation.radiation_torque
+ROTATOR = scaled(dt.exact.rotator, 1 + 1e-9)
+TORQUE = scaled(dt.radiation.radiation_torque, 1 + 1e-9)
+LATE = scaled(dt.exact.averaged_late, 12.2 / 12)
+Q = scaled(ledger_averaged.q_printed, 1.001)
+CHANGED = ledger_longitudinal.changed_variables
 PLANTS = [
-    (_general.rotator, dt.exact, "rotator", scaled(dt.exact.rotator, 1 + 1e-9), "(2.4)"),
-    (_general.motion, dt.radiation, "radiation_torque", scaled(TORQUE, 1 + 1e-9), "(3.2)"),
+    (
+        ledger_equation_of_motion.rotator,
+        dt.exact,
+        "rotator",
+        scaled(dt.exact.rotator, 1 + 1e-9),
+        "(2.4)",
+    ),
+    (
+        ledger_equation_of_motion.motion,
+        dt.radiation,
+        "radiation_torque",
+        scaled(TORQUE, 1 + 1e-9),
+        "(3.2)",
+    ),
     # The p that the paper prints in place of the right one, and the reverse.
-    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.16)"),
-    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.17)"),
-    (_averaged.orbits, _averaged, "p_right", _averaged.p_printed, "(4.19)"),
-    (_averaged.orbits, _averaged, "p_printed", _averaged.p_right, "(4.19)"),
-    (_averaged.orbits, _averaged, "q_printed", scaled(_averaged.q_printed, 1.001), "(4.18)"),
-    (_averaged.late, dt.exact, "averaged_late", scaled(LATE, 12.2 / 12), "(4.20)"),
-    (_conclusions.conclusions, dt.particles, "RADIATION", 2.4e-16, "conclusions"),
-    (_conclusions.conclusions, _conclusions, "FASTER", 0.5, "conclusions"),
-    (_rotator.phase_plane, _rotator, "separatrix", dt.critical_manifold, "(A.11)"),
-    (_rotator.phase_plane, _rotator, "ROOT", 1.42, "(A.7)–(A.12)"),
-    (_longitudinal.changed_variables, _longitudinal, "LongitudinalFull", heavier, "(B.6)–(B.8)"),
-    (_longitudinal.blow_up, _longitudinal, "LongitudinalFull", heavier, "(B.13)"),
+    (ledger_averaged.orbits, ledger_averaged, "p_right", ledger_averaged.p_printed, "(4.16)"),
+    (ledger_averaged.orbits, ledger_averaged, "p_right", ledger_averaged.p_printed, "(4.17)"),
+    (ledger_averaged.orbits, ledger_averaged, "p_right", ledger_averaged.p_printed, "(4.19)"),
+    (ledger_averaged.orbits, ledger_averaged, "p_printed", ledger_averaged.p_right, "(4.19)"),
+    (
+        ledger_averaged.orbits,
+        ledger_averaged,
+        "q_printed",
+        scaled(ledger_averaged.q_printed, 1.001),
+        "(4.18)",
+    ),
+    (ledger_averaged.late, dt.exact, "averaged_late", LATE, "(4.20)"),
+    (ledger_conclusions.conclusions, dt.particles, "RADIATION", 2.4e-16, "conclusions"),
+    (ledger_conclusions.conclusions, ledger_conclusions, "FASTER", 0.5, "conclusions"),
+    (ledger_rotator.phase_plane, ledger_rotator, "separatrix", dt.critical_manifold, "(A.11)"),
+    (ledger_rotator.phase_plane, ledger_rotator, "ROOT", 1.42, "(A.7)–(A.12)"),
+    (
+        ledger_longitudinal.changed_variables,
+        ledger_longitudinal,
+        "LongitudinalFull",
+        heavier,
+        "(B.6)–(B.8)",
+    ),
+    (ledger_longitudinal.blow_up, ledger_longitudinal, "LongitudinalFull", heavier, "(B.13)"),
 ]
 
 
@@ -103,12 +133,12 @@ def test_a_wrong_form_is_found(part, module, name, wrong, place, monkeypatch):
 
 
 def test_the_logarithm_of_the_stop_is_measured(monkeypatch):
-    monkeypatch.setattr(_rotator, "LOGARITHM", 0.7)
-    assert not next(_rotator.asymptotics()).holds
+    monkeypatch.setattr(ledger_rotator, "LOGARITHM", 0.7)
+    assert not next(ledger_rotator.asymptotics()).holds
 
 
 def test_a_linearisation_of_the_right_equations_is_needed():
-    line = _transverse.linearised()
+    line = ledger_transverse.linearised()
     assert (line.place, line.verdict) == ("before (4.22)", "corrected")
 
 
@@ -120,8 +150,8 @@ def test_other_fixed_points_are_found(monkeypatch):
         first = dt.TransverseReduced(delta)
         return lambda t, y: first(t, y) - jnp.stack([0 * y[0], first(t, y * flat)[1], 0 * y[0]])
 
-    monkeypatch.setattr(_transverse, "TransverseReduced", unbraked)
-    assert _transverse.elsewhere() > 0.5
+    monkeypatch.setattr(ledger_transverse, "TransverseReduced", unbraked)
+    assert ledger_transverse.elsewhere() > 0.5
 
 
 def test_the_command_prints_both_forms(monkeypatch):
@@ -131,7 +161,7 @@ def test_the_command_prints_both_forms(monkeypatch):
     def corrects():
         yield Entry("(1)", "right", 1e-15, 1e-14, "wrong", 0.25)
 
-    monkeypatch.setattr(paper, "PARTS", (_general.rotator, corrects, breaks))
+    monkeypatch.setattr(paper, "PARTS", (ledger_equation_of_motion.rotator, corrects, breaks))
     result = CliRunner().invoke(cli.main, ["validate", "--paper"])
     assert result.exit_code == 1
     head, *lines = result.output.splitlines()[1:]

@@ -1,10 +1,14 @@
-"""Kinds of values on the command line."""
+"""Kinds of values on the command line: numbers, sizes, and words that stand for a value."""
 
 import math
 import re
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 import click
+
+Parameter: TypeAlias = click.Parameter | None
+Context: TypeAlias = click.Context | None
 
 
 class Number(click.ParamType):
@@ -13,8 +17,8 @@ class Number(click.ParamType):
     name = "number"
     WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Read one."""
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> float:
+        """The number that a text stands for."""
         try:
             number = self._read(str(value))
         except (ValueError, ZeroDivisionError):
@@ -32,15 +36,33 @@ class Number(click.ParamType):
 
 
 class Size(click.ParamType):
-    """N, or NXxNY."""
+    """The size of a grid: N for N × N, or NXxNY."""
 
     name = "N or NXxNY"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
-        """Read one or two."""
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> tuple[int, int]:
+        """The numbers of starts on x and on y."""
         if isinstance(value, tuple):
             return value
         parts = re.fullmatch(r"(\d+)(?:x(\d+))?", str(value))
         if not parts or min(int(n) for n in parts.groups() if n) < 2:
             self.fail(f"{value!r} is not a size such as 512 or 512x256, at least 2.", param, ctx)
         return int(parts[1]), int(parts[2] or parts[1])
+
+
+class Word(click.ParamType):
+    """One of some words, each of which stands for a value of Python."""
+
+    name = "word"
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = values
+        self.words = click.Choice(list(values))
+
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> Any:
+        """The value that a word stands for."""
+        return self.values[self.words.convert(value, param, ctx)]
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> Any:
+        """The words that begin so."""
+        return self.words.shell_complete(ctx, param, incomplete)

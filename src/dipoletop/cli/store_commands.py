@@ -1,11 +1,13 @@
-"""`dipoletop store`: are the data on disk what was written, and if not, compute them again."""
+"""`dipoletop store`: verify the data of a sweep on disk, and recompute what is damaged."""
 
 import sys
 
 import click
 
+from .._maps.store.contents import verify
 from .._maps.store.errors import StoreDamaged
-from .command import computing
+from . import maps
+from .decorators import computing
 
 
 @click.group("store", short_help="Verify and repair the data of a sweep.")
@@ -13,45 +15,41 @@ def store() -> None:
     """Verify and repair the data that `dipoletop map` and `dipoletop.sweep` keep in a folder."""
 
 
-@store.command(short_help="Is every bit what was written?")
+@store.command("verify", short_help="Check that the data are what was written.")
 @click.argument("path")
 @computing
-def verify(path: str) -> None:
+def verify_command(path: str) -> None:
     """Read all data of the store PATH and list the tiles that are damaged.
 
-    The exit status is 1 if there is damage. A tile that a sweep has not come to is none: the same
-    sweep goes on with it.
+    The exit status is 1 if there is damage. A tile that a sweep has not computed yet is not
+    damaged; the same sweep computes it when it is resumed.
     """
-    from .._maps.store.contents import verify
-
     try:
-        found = verify(path)
+        report = verify(path)
     except StoreDamaged as error:
         click.echo(str(error))
         raise SystemExit(1) from None
-    for tile, reason in found.damaged.items():
+    for tile, reason in report.damaged.items():
         click.echo(f"tile {tile}: {reason}")
-    if not found.checksums:
+    if not report.checksums:
         click.echo("It has no checksums, so only what is missing or unreadable was looked for.")
-    left = f", {len(found.unfinished)} not computed yet" if found.unfinished else ""
-    click.echo(f"{len(found.damaged)} of {found.tiles} tiles damaged{left}.")
-    raise SystemExit(1 if found.damaged else 0)
+    left = f", {len(report.unfinished)} not computed yet" if report.unfinished else ""
+    click.echo(f"{len(report.damaged)} of {report.tiles} tiles damaged{left}.")
+    raise SystemExit(1 if report.damaged else 0)
 
 
-@store.command(short_help="Compute damaged tiles of a map again.")
+@store.command("repair", short_help="Recompute damaged tiles of a map.")
 @click.argument("path")
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @computing
-def repair(path: str, progress: bool | None) -> None:
-    """Compute the damaged tiles of a map again, and those that are missing.
+def repair_command(path: str, progress: bool | None) -> None:
+    """Recompute the damaged and the missing tiles of a map.
 
-    PATH is the store of one level, as `dipoletop map` names it; it holds all that is needed, if
-    its metadata are sound. If they are not, `dipoletop map --repair` with the options of the map
+    PATH is the store of one level, as `dipoletop map` names it. If its metadata are sound, it holds
+    all that is needed. If they are damaged, `dipoletop map --repair` with the options of the map
     writes them anew. The store of another sweep is repaired by that sweep: dt.sweep(...,
     repair=True).
     """
-    from . import maps as _mapping
-
     show = sys.stderr.isatty() if progress is None else progress
-    run, computed = _mapping.repair(path, progress=show)
+    run, computed = maps.repair(path, progress=show)
     click.echo(f"{computed} starts computed again: {run.store} is as it was written.")

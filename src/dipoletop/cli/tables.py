@@ -1,20 +1,32 @@
-"""The tables that the command line prints: checks, the paper's ledger, spectra."""
+"""The tables and sentences that the command line prints."""
 
-from collections.abc import Iterator
-from typing import Any
+import math
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Complex, Float
 
-from .. import validation
-from ..paper import ledger
-from ..stability import spectrum
+from .._base.statistics import Share
+from .._base.types import Outcome, Stop
+from .._maps.symmetry import unfold
+from .._runs.classification import Classification
+from ..equations.levels import Level
+from ..stability import Spectrum
+from ..validation import Check
+from .maps import Run
+
+if TYPE_CHECKING:
+    from ..paper import Entry
+
+ENGINES = {"native": "native (machine code)", "jax": "JAX"}
+OUTCOMES = {Outcome.RESIDUAL: "residual rotation", Outcome.STOP: "stop"}
 
 
-def checks() -> Iterator[tuple[str, bool]]:
-    """Lines of `dipoletop validate`, and whether what they say is good."""
+def checks(results: Iterable[Check]) -> Iterator[tuple[str, bool]]:
+    """The lines of `dipoletop validate`, each with whether its check passed."""
     yield f"{'check':46} {'expected':>20} {'found':>20} {'error':>8} {'allowed':>8}", True
-    for check in validation.run():
+    for check in results:
         line = (
             f"{check.name:46} {check.expected:20.12g} {check.found:20.12g} "
             f"{check.error:8.1e} {check.tolerance:8.1e} {'ok' if check.passed else 'FAILED'}"
@@ -22,11 +34,11 @@ def checks() -> Iterator[tuple[str, bool]]:
         yield line, check.passed
 
 
-def paper() -> Iterator[tuple[str, bool]]:
-    """Lines of `dipoletop validate --paper`, and whether they hold."""
+def ledger(entries: "Iterable[Entry]") -> Iterator[tuple[str, bool]]:
+    """The lines of `dipoletop validate --paper`, each with whether its claim holds."""
     columns = "{:9}  {:24}  {:>8}  {:>8}  {}"
     yield columns.format("verdict", "where in the paper", "residual", "allowed", "what holds"), True
-    for entry in ledger():
+    for entry in entries:
         residual, limit = f"{entry.residual:.1e}", f"{entry.limit:.1e}"
         yield columns.format(entry.verdict, entry.place, residual, limit, entry.claim), entry.holds
         if entry.printed:
@@ -34,22 +46,142 @@ def paper() -> Iterator[tuple[str, bool]]:
             yield columns.format("", "  the paper has:", residual, "", entry.printed), True
 
 
-def spectra(equations: list[Any], w: float) -> Iterator[str]:
-    """Lines of `dipoletop spectrum`: eigenvalues at ω = (w, 0, 0), level by level."""
-    for equation in equations:
-        found = spectrum(equation, jnp.array([w, 0.0, 0.0]))
-        yield f"{equation.level}: {'stable' if found.stable else 'not stable'}"
-        yield f"  slow      {_numbers(found.slow)}"
-        if found.fast.size:
-            yield f"  runaways  {_numbers(found.fast)}"
-        back, reactivity = float(found.return_time), float(found.reactivity)
-        yield f"  return time {back:.6g}, reactivity {reactivity:.6g}"
+def spectrum(level: str, spectrum: Spectrum) -> list[str]:
+    """The lines of `dipoletop spectrum` for one level."""
+    lines = [
+        f"{level}: {'stable' if spectrum.stable else 'not stable'}",
+        f"  slow      {_complex_numbers(spectrum.slow)}",
+    ]
+    if spectrum.fast.size:
+        lines.append(f"  runaways  {_complex_numbers(spectrum.fast)}")
+    back, reactivity = float(spectrum.return_time), float(spectrum.reactivity)
+    return [*lines, f"  return time {back:.6g}, reactivity {reactivity:.6g}"]
 
 
-def _numbers(values: Any) -> str:
-    """Complex numbers, the imaginary part where there is one."""
-    parts = []
+def _complex_numbers(values: Complex[Array, "n"]) -> str:
+    """The numbers, with their imaginary parts where these are not 0."""
+    texts = []
     for value in np.asarray(values).tolist():
         text = f"{value.real:.10g}"
-        parts.append(text + (f"{value.imag:+.10g}i" if value.imag else ""))
-    return "   ".join(parts)
+        texts.append(text + (f"{value.imag:+.10g}i" if value.imag else ""))
+    return "   ".join(texts)
+
+
+def states(rows: Float[np.ndarray, "T 6"]) -> str:
+    """τ, ω, energy and power at the start, and at every tenfold time up to the end."""
+    last = len(rows) - 1
+    shown = sorted({0, *(max(1, round(last / 10**k)) for k in range(4))})
+    lines = [f"{'τ':>10} {'ω₁':>16} {'ω₂':>16} {'ω₃':>16} {'energy':>12} {'power':>12}"]
+    for tau, *omega, energy, power in rows[shown]:
+        components = " ".join(f"{value:16.9e}" for value in omega)
+        lines.append(f"{tau:10g} {components} {energy:12.5e} {power:12.5e}")
+    return "\n".join(lines)
+
+
+def ending(result: Classification) -> str:
+    """How a run ended, and its ω∞."""
+    outcome = Outcome(int(result.outcome))
+    if outcome == Outcome.FAILED:
+        return "Outcome: failed, the state is not a number."
+    if outcome == Outcome.UNDECIDED:
+        return f"Outcome: undecided after {int(result.steps)} steps, τ = {float(result.time):.6g}."
+    if result.certified:
+        proof = "certified: in a region proven to decide for this level of the equation"
+    else:
+        proof = "not certified: in a region tested, not proven, to decide"
+    return (
+        f"Outcome: {_outcome(result)}; {proof}, at τ = {float(result.time):.6g}.\n"
+        f"Residual angular velocity ω∞ = {_omega_inf(result)}"
+    )
+
+
+def other_ending(level: str, result: Classification) -> str:
+    """How the same start ends at a consistent level, beside a result of order 1."""
+    value = f"{_outcome(result)}, ω∞ = {_omega_inf(result)}"
+    return f"{Level.ORDER_1.caveat}; at the {level} level this start ends so: {value}."
+
+
+def _outcome(result: Classification) -> str:
+    """How a run ended, in words."""
+    outcome, stop = Outcome(int(result.outcome)), Stop(int(result.stop))
+    text = OUTCOMES.get(outcome, outcome.name.lower())
+    return text if stop == Stop.NONE else f"{text} ({stop.name.lower()})"
+
+
+def _omega_inf(result: Classification) -> str:
+    """ω∞, to the digits that its estimated error leaves."""
+    value, error = float(result.omega_inf), float(result.omega_inf_error)
+    if not math.isfinite(value):
+        return "not known: its estimated error exceeds it (a smaller --rtol may tell)"
+    if value == 0:
+        return "0"
+    digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1)) if error else 16
+    return f"{value:.{digits}g} ± {error:.1g}"
+
+
+def maps(runs: list[Run]) -> str:
+    """What the sweeps of a map gave, what they cost, and what they did not have to do."""
+    columns = [_column(run) for run in runs]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    rows = [("", *(run.basin.level for run in runs))]
+    rows += [(name, *(column.get(name, "—") for column in columns)) for name in names]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return "\n".join([*lines, "", *_remarks(runs)])
+
+
+def _column(run: Run) -> dict[str, str]:
+    """The cells of one level, by the names of their rows."""
+    basin, steps = run.basin, run.basin.steps
+    size, outcome = steps.size, run.basin.outcome
+    shares = {name.lower(): _percent(share) for name, share in basin.fractions().items()}
+    column = {name: shares[name] for name in ("residual", "stop", *shares) if name in shares}
+    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    column["certified for its level"] = f"{np.mean(basin.certified):.2%} of the starts"
+    unknown = (outcome == Outcome.RESIDUAL) & np.isnan(basin.omega_inf)
+    if unknown.any():
+        column["ω∞ not known"] = f"{np.sum(unknown)} residual starts: its error may exceed it"
+    if "changed" in basin.columns:
+        column["changed at second tolerance"] = f"{np.sum(basin.changed)} starts"
+    computed, seconds = size - run.stored, basin.seconds - run.compiling
+    if run.stored:
+        column["found in the store"] = f"{run.stored} starts"
+    if computed:
+        column["computed"] = f"{computed} starts in {seconds:.1f} s"
+        column["starts per second"] = f"{computed / seconds:,.0f}"
+        column["compilation, apart"] = f"{run.compiling:.1f} s"
+        column["engine"] = ENGINES[basin.attrs["engine"]]
+    column["decided at τ = 0"] = f"{np.sum(decided & (steps == 0))} starts, without a step"
+    column["steps"] = f"{np.mean(steps):.1f} on average, at most {np.max(steps)}"
+    times = basin.time[decided]
+    if times.size:
+        column["τ when certain"] = f"{np.median(times):.3g} (median), at most {np.max(times):.3g}"
+    return column
+
+
+def _percent(share: Share) -> str:
+    return f"{share.share:.2%}  [{100 * share.low:.2f}, {100 * share.high:.2f}]"
+
+
+def _remarks(runs: list[Run]) -> list[str]:
+    """What the table leaves out: intervals, the comparison, and what was not computed."""
+    lines = ["In brackets: 95 % intervals as for random starts."]
+    if len(runs) == 2:
+        first, second = (run.basin.outcome for run in runs)
+        differ = int(np.sum(first != second))
+        share = differ / first.size
+        lines.append(f"Outcome differs between the levels: {differ} starts, {share:.2%}.")
+    basin = runs[0].basin
+    size, whole = math.prod(basin.shape), math.prod(unfold(basin).shape)
+    if whole > size:
+        lines.append(
+            f"Not computed: {whole - size} of {whole} starts of the whole plane "
+            f"({1 - size / whole:.0%}), which follow by symmetry."
+        )
+    lines.append(
+        "Not integrated: whatever follows once outcome and ω∞ are certain (the settled tail)."
+    )
+    return lines

@@ -1,7 +1,6 @@
-"""What the figures show, before it is drawn: shares of ends, motions, eigenvalues, maps."""
+"""The data of the figures, before they are drawn: shares, motions, eigenvalues, maps."""
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,28 +10,24 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from .. import planar
 from .._base.statistics import wilson
+from .._base.types import Equation
 from .._maps.basin import Basin
 from .._maps.grids import Grid
 from .._maps.sweep import sweep
 from .._runs.trajectory import Trajectory, simulate
-from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from ..equations.levels import Level
+from ..equations.transverse import cylindrical, equation_at
 from ..plots.plane import CLASSES
 from ..stability import spectrum
 
 AMPLITUDE = 0.2
 DELTA = -0.2  # of figure 2 and of the map
-LEVELS: dict[str, Callable[[Any], Any]] = {
-    "order 1": TransverseReduced,
-    "order 2": lambda delta: TransverseReduced(delta, 2),
-    "semi-reduced": TransverseSemi,
-    "full": TransverseFull,
-}
 
 
 def even_starts(n: int) -> Float[np.ndarray, "n 3"]:
-    """Starts with |ω| = 0.2 spread evenly over the half sphere ω₃ > 0, along a Fibonacci spiral.
+    """Starts with |ω| = 0.2, evenly over the half sphere ω₃ > 0, along a Fibonacci spiral.
 
-    The other half follows by symmetry. Shares come out smoother than from a random sample.
+    The other half follows by symmetry. Shares have less scatter than those of a random sample.
     """
     i = np.arange(n)
     cos = (i + 0.5) / n
@@ -41,17 +36,22 @@ def even_starts(n: int) -> Float[np.ndarray, "n 3"]:
     return AMPLITUDE * np.column_stack([across * np.cos(turn), across * np.sin(turn), cos])
 
 
-def ends(level: str, deltas: Any, starts: Float[Any, "n 3"], **settings: Any) -> Basin:
+def outcomes_by_shape(
+    level: Level,
+    deltas: np.ndarray | list[float],
+    starts: Float[np.ndarray | Array, "n 3"],
+    **settings: Any,
+) -> Basin:
     """Outcomes of every start at every δ, over the axes (delta, omega)."""
 
-    def problem(delta: Array, omega: Array) -> tuple[Any, Array]:
-        return LEVELS[level](delta), omega
+    def problem(delta: Array, omega: Array) -> tuple[Equation, Array]:
+        return equation_at(level, delta), omega
 
     return sweep(problem, Grid(delta=deltas, omega=starts), value=False, **settings)
 
 
 class Share(NamedTuple):
-    """How large a part of the starts ends in one way, at every δ, and its 95 % interval."""
+    """The share of the starts with one outcome, at every δ, with its 95 % interval."""
 
     label: str
     colour: str
@@ -61,68 +61,70 @@ class Share(NamedTuple):
 
 
 def shares(basin: Basin) -> list[Share]:
-    """The ends that occur in `ends`, in the order of `CLASSES`; intervals as of random starts."""
-    n, found = basin.shape[1], []
+    """Every outcome that occurs, in the order of `CLASSES`; intervals as for random starts."""
+    n, occurring = basin.shape[1], []
     for (outcome, stop), (label, colour) in CLASSES.items():
         counts = np.sum((basin.outcome == outcome) & (basin.stop == stop), axis=1)
         if np.any(counts):
-            found.append(Share(label, colour, counts / n, *wilson(counts, n)))
-    return found
+            occurring.append(Share(label, colour, counts / n, *wilson(counts, n)))
+    return occurring
 
 
-def motion(level: str, phi: float, times: Float[Any, "T"]) -> Trajectory:
+def motion(level: Level, phi: float, times: Float[np.ndarray, "T"]) -> Trajectory:
     """Figure 2: δ = −1/5, ω⊥ = ω₃ = 1/5, from φ₀ at τ = 0."""
     start = cylindrical(AMPLITUDE, AMPLITUDE, phi)
-    return simulate(LEVELS[level](DELTA), start, jnp.asarray(times))
+    return simulate(equation_at(level, DELTA), start, jnp.asarray(times))
 
 
-def eigenvalues(level: str, deltas: Float[Any, "d"], w: float) -> Complex[np.ndarray, "d 2"]:
-    """λ/w² of the motions across the dipole at {w, 0, 0}."""
+def eigenvalues(
+    level: Level, deltas: Float[np.ndarray, "d"], w: float
+) -> Complex[np.ndarray, "d 2"]:
+    """λ/w² of the motions transverse to the dipole at {w, 0, 0}."""
 
     def slow(delta: Array) -> Array:
-        return spectrum(LEVELS[level](delta), jnp.array([w, 0.0, 0.0])).slow[1:]
+        return spectrum(equation_at(level, delta), jnp.array([w, 0.0, 0.0])).slow[1:]
 
-    found = np.asarray(jax.vmap(slow)(jnp.asarray(deltas)))
-    return found / w**2
+    return np.asarray(jax.vmap(slow)(jnp.asarray(deltas))) / w**2
 
 
-def small_w(deltas: Float[Any, "d"]) -> Complex[np.ndarray, "d 2"]:
-    """Their limit w → 0 at the consistent levels: [−(2+δ) ± √(δ²+8δ)] / (2(1−δ))."""
+def small_w(deltas: Float[np.ndarray, "d"]) -> Complex[np.ndarray, "d 2"]:
+    """The limit of λ/w² for w → 0 at the consistent levels: [−(2+δ) ± √(δ²+8δ)] / (2(1−δ))."""
     d = np.asarray(deltas)
     root = np.sqrt((d**2 + 8 * d).astype(complex))
     return np.stack([-(2 + d) + root, -(2 + d) - root], axis=1) / (2 * (1 - d[:, None]))
 
 
-class Maps(NamedTuple):
+class LevelMaps(NamedTuple):
     """Outcomes over φ and ω₃ at ω⊥ = 0.2, and where those of other levels differ."""
 
     semi: Basin
-    order_1: Bool[np.ndarray, "w3 phi"]
-    full: Bool[np.ndarray, "coarse_w3 coarse_phi"]
-    """Of some of the starts only."""
+    order_1_differs: Bool[np.ndarray, "w3 phi"]
+    full_differs: Bool[np.ndarray, "coarse_w3 coarse_phi"]
+    """At one start in `stride` on both axes."""
 
 
-def maps(size: int, every: int, w3_max: float) -> Maps:
-    """One symmetry cell with size × size starts, one in `every` on both axes for the full equation.
+def level_maps(size: int, stride: int, w3_max: float) -> LevelMaps:
+    """Outcomes of size × size starts in one symmetry cell, at three levels.
 
-    An even size leaves out φ = π/2, where ω₁ = 0 is a case of its own.
+    Of the full equation only every start in `stride` is computed, on both axes. An even size leaves
+    out φ = π/2, where ω₁ = 0 is a special case.
     """
     w3, phi = np.linspace(0, w3_max, size), np.linspace(0, np.pi, size)
 
-    def outcomes(level: str, step: int) -> Basin:
-        def problem(w3: Array, phi: Array) -> tuple[Any, Array]:
-            return LEVELS[level](DELTA), cylindrical(AMPLITUDE, w3, phi)
+    def outcomes(level: Level, step: int) -> Basin:
+        def problem(w3: Array, phi: Array) -> tuple[Equation, Array]:
+            return equation_at(level, DELTA), cylindrical(AMPLITUDE, w3, phi)
 
         return sweep(problem, Grid(w3=w3[::step], phi=phi[::step]), value=False)
 
-    semi = outcomes("semi-reduced", 1)
-    order_1 = outcomes("order 1", 1).outcome != semi.outcome
-    full = outcomes("full", every).outcome != semi.outcome[::every, ::every]
-    return Maps(semi, order_1, full)
+    semi = outcomes(Level.SEMI, 1)
+    order_1_differs = outcomes(Level.ORDER_1, 1).outcome != semi.outcome
+    full = outcomes(Level.FULL, stride).outcome
+    return LevelMaps(semi, order_1_differs, full != semi.outcome[::stride, ::stride])
 
 
-def small_boundary(corrected: bool, phi: Float[Any, "n"]) -> Float[np.ndarray, "n"]:
-    """ω₃ on the boundary of small amplitudes, z_s(φ)ω⊥², NaN at the jump."""
+def small_boundary(corrected: bool, phi: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """ω₃ on the basin boundary in the limit of small |ω|, z_s(φ)ω⊥²; NaN at its jump."""
     system = planar.Planar(DELTA, corrected=corrected)
     z = np.array(planar.boundary(system, jnp.asarray(phi)))
     z[1:][np.abs(np.diff(z)) > 1] = np.nan

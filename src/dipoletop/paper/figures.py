@@ -1,12 +1,11 @@
 """The figures of `dipoletop figures`: 1, 2 and 3 of the paper, and three that it does not have.
 
-Every function computes and returns a matplotlib `Figure`; `save` writes it with embedded fonts,
-the same bytes each time.
+Every function computes its data and returns a matplotlib `Figure`. `save` writes it with embedded
+fonts; the file is the same to the byte each time.
 """
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -24,38 +23,34 @@ from .. import planar, plots
 from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.grids import Sample
+from .._runs.trajectory import Trajectory
+from ..equations.levels import Level
 from ..equations.rotator import RotatorFull, closed_manifold, critical_manifold, separatrix
-from ..plots import basins
-from ..plots.plane import percent
+from ..equations.transverse import TransverseReduced, equation_at
+from ..plots.style import BLUE, GREEN, MM, NARROW, ORANGE, STYLE, WIDE, YELLOW, hatch
+from ..plots.style import save as save
+from ..plots.wording import percent
 from ..stability import threshold
-from . import figure_data as data
+from . import figure_data
 
-MM = 1 / 25.4
-WIDE, NARROW = 180 * MM, 85 * MM  # two columns of a journal, and one
-STYLE: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "left",
-    "figure.titlesize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.2,
-    "pdf.fonttype": 42,
-    "svg.hashsalt": "dipoletop",
-}
-DATES = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-BLUE, ORANGE, GREEN, YELLOW = "#0072b2", "#d55e00", "#009e73", "#f0c419"
 COMPONENTS = ((BLUE, r"$\omega_1$"), (ORANGE, r"$\omega_2$"), (GREEN, r"$\omega_3$"))
-SHAPES = (-0.94, -0.5, 0.0, 0.5, 0.9)  # δ of the little bodies
-
-NEEDLE = 0.99  # the largest δ
-# With these a sweep has tiles of the same size for shares and map, so that it compiles once.
-STARTS, FINE, EVERY = 1024, 280, 9
+SHORT = {
+    Level.ORDER_1: "order 1",
+    Level.ORDER_2: "order 2",
+    Level.SEMI: "semi-reduced",
+    Level.FULL: "full",
+}
+"""Short names of the levels that are shown."""
+BODY_SHAPES = (-0.94, -0.5, 0.0, 0.5, 0.9)
+"""δ of the bodies that are drawn above the shares."""
+NEEDLE = 0.99
+"""The largest δ that is shown."""
+# These sizes give the sweeps of shares and of maps tiles of one size: so they compile once.
+STARTS, MAP_SIZE, MAP_STRIDE = 1024, 280, 9
 
 
 def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
-    """In the common style, which no other figure of the process sees."""
+    """A function that draws in the common style, without changing that of other figures."""
 
     @functools.wraps(draw)
     def styled() -> Figure:
@@ -65,27 +60,15 @@ def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
     return styled
 
 
-def save(figure: Figure, path: Any) -> None:
-    """Write a figure, without dates.
-
-    Args:
-        figure: one of `FIGURES`.
-        path: the file; its format is that of its name: pdf, png or svg.
-    """
-    suffix = Path(path).suffix[1:]
-    with mpl.rc_context(STYLE):
-        figure.savefig(path, dpi=300, metadata=DATES.get(suffix))
-
-
 @_styled
 def ends_order_1() -> Figure:
-    """Shares of the ends over the shape δ, at order 1: stop, both, residual rotation."""
-    critical = threshold(data.LEVELS["order 1"], 0.05, -0.9, 0.5)
-    basin = data.ends("order 1", _shapes(), data.even_starts(STARTS))
-    figure, ax, strip = _over_shapes()
-    _stack(ax, basin)
-    _mark(ax, {critical: rf"$\delta = {critical:.1f}$", 0.0: r"$\delta = 0$"})
-    _regimes(strip, [-1, critical, 0, NEEDLE], ["stop", "both", "residual rotation"])
+    """Shares of the outcomes against the shape δ, at order 1: stop, both, residual rotation."""
+    critical = threshold(TransverseReduced, 0.05, -0.9, 0.5)
+    basin = figure_data.outcomes_by_shape(Level.ORDER_1, _shapes(), figure_data.even_starts(STARTS))
+    figure, ax, strip = _shape_axes()
+    _stack_shares(ax, basin)
+    _mark_shapes(ax, {critical: rf"$\delta = {critical:.1f}$", 0.0: r"$\delta = 0$"})
+    _name_regimes(strip, [-1, critical, 0, NEEDLE], ["stop", "both", "residual rotation"])
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     figure.suptitle(_heading("Reduced equation, order 1 (the paper's)", basin))
     return figure
@@ -93,36 +76,38 @@ def ends_order_1() -> Figure:
 
 @_styled
 def ends_full() -> Figure:
-    """The same by the semi-reduced equation, with dots by the full one.
+    """Shares of the outcomes by the semi-reduced equation, with dots by the full one.
 
-    At |ω| = 0.2 the tested regions decide the full equation's ends for all starts up to δ = 0.3.
+    At |ω| = 0.2 the tested regions decide every run of the full equation up to δ = 0.3.
     """
     critical = [planar.critical_delta(prolate=prolate) for prolate in (False, True)]
-    basin = data.ends("semi-reduced", _shapes(), data.even_starts(STARTS))
-    sample = Sample(128, data.AMPLITUDE, seed=1).points(np.arange(128))
-    full = data.ends("full", [-0.9, -0.6, -0.3, -0.1, 0.3], sample)
-    figure, ax, strip = _over_shapes()
-    _stack(ax, basin)
-    _dots(ax, full)
-    _mark(ax, {d: rf"$\delta_{{c{k}}} = {d:.4f}$" for k, d in enumerate(critical, 1)})
-    _regimes(strip, [-1, 0, critical[1], NEEDLE], ["both", "residual rotation", "both"])
+    basin = figure_data.outcomes_by_shape(Level.SEMI, _shapes(), figure_data.even_starts(STARTS))
+    sample = Sample(128, figure_data.AMPLITUDE, seed=1).points(np.arange(128))
+    full = figure_data.outcomes_by_shape(Level.FULL, [-0.9, -0.6, -0.3, -0.1, 0.3], sample)
+    figure, ax, strip = _shape_axes()
+    _stack_shares(ax, basin)
+    _add_full_shares(ax, full)
+    _mark_shapes(ax, {d: rf"$\delta_{{c{k}}} = {d:.4f}$" for k, d in enumerate(critical, 1)})
+    _name_regimes(strip, [-1, 0, critical[1], NEEDLE], ["both", "residual rotation", "both"])
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.suptitle(_heading("Semi-reduced equation", basin))
     return figure
 
 
 def _heading(level: str, basin: Basin) -> str:
+    """Level, number of starts and certified share."""
     words = f"{percent(float(np.mean(basin.certified)))} certified"
     n = basin.shape[1]
     return rf"{level}: {n} isotropic starts at each $\delta$, $|\omega|$ = 0.2, {words}"
 
 
 def _shapes() -> Float[np.ndarray, "d"]:
-    return np.sort([*np.linspace(-1, 0.975, 80), 0.756, NEEDLE])  # 0.756: just beyond δ_c2
+    """The values of δ; one of them, 0.756, lies just above δ_c2."""
+    return np.sort([*np.linspace(-1, 0.975, 80), 0.756, NEEDLE])
 
 
-def _over_shapes() -> tuple[Figure, Axes, Axes]:
-    """Axes over δ, and above them a strip with drawings of the bodies."""
+def _shape_axes() -> tuple[Figure, Axes, Axes]:
+    """Figure, axes over δ, and a strip above them with drawings of the bodies."""
     figure = Figure((WIDE, 95 * MM), layout="constrained")
     strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=[1, 3.2])
     ax.set(xlim=(-1, NEEDLE), ylim=(0, 1), ylabel="share of the starts")
@@ -132,15 +117,15 @@ def _over_shapes() -> tuple[Figure, Axes, Axes]:
     strip.tick_params(bottom=False, labelbottom=False)
     moments = strip.secondary_xaxis("top", functions=(lambda x: 1 - x, lambda x: 1 - x))
     moments.set_xlabel(r"$I_3/I_1$")
-    for delta in SHAPES:
-        strip.add_artist(_body(delta))
+    for delta in BODY_SHAPES:
+        strip.add_artist(_spheroid(delta))
     return figure, ax, strip
 
 
-def _body(delta: float) -> AnnotationBbox:
-    """A homogeneous spheroid, symmetry axis upright: I₃/I₁ = 2a²/(a² + c²); the dipole across."""
+def _spheroid(delta: float) -> AnnotationBbox:
+    """A homogeneous spheroid, I₃/I₁ = 2a²/(a² + c²), its symmetry axis upright, and the dipole."""
     slender = np.sqrt(2 / (1 - delta) - 1)  # c/a
-    a = 7.5 * min(1, slender ** (-2 / 3))  # points; about the same volume, if it has one
+    a = 7.5 * min(1, slender ** (-2 / 3))  # points; a slender body is drawn thinner
     area = DrawingArea(40, 36)
     area.add_artist(Ellipse((20, 18), 2 * a, 2 * a * slender, fc="0.85", ec="0.3", lw=0.7))
     area.add_artist(Line2D([20 - a, 20 + a], [18, 18], color=ORANGE, lw=1.2))
@@ -148,25 +133,32 @@ def _body(delta: float) -> AnnotationBbox:
     return AnnotationBbox(area, (delta, 0.66), frameon=False, pad=0)
 
 
-def _stack(ax: Axes, basin: Basin) -> None:
-    found = data.shares(basin)
-    colours = [one.colour for one in found]
-    labels = [f"{one.label} ({basin.level.split(' (')[0]})" for one in found]
-    deltas = basin.coords["delta"]
-    ax.stackplot(deltas, *(one.share for one in found), colors=colours, labels=labels, lw=0)
+def _stack_shares(ax: Axes, basin: Basin) -> None:
+    """The shares of all outcomes, one above the other."""
+    shares = figure_data.shares(basin)
+    level = basin.level.split(" (")[0]
+    ax.stackplot(
+        basin.coords["delta"],
+        *(outcome.share for outcome in shares),
+        colors=[outcome.colour for outcome in shares],
+        labels=[f"{outcome.label} ({level})" for outcome in shares],
+        lw=0,
+    )
 
 
-def _dots(ax: Axes, basin: Basin) -> None:
-    """Share of residual rotation by random starts, with 95 % intervals."""
-    (one,) = (one for one in data.shares(basin) if one.label.startswith("residual"))
-    bars = np.abs(np.stack([one.low, one.high]) - one.share)
+def _add_full_shares(ax: Axes, basin: Basin) -> None:
+    """Shares of residual rotation by the full equation, with 95 % intervals."""
+    shares = {outcome.label: outcome for outcome in figure_data.shares(basin)}
+    residual = shares["residual rotation"]
+    bars = np.abs(np.stack([residual.low, residual.high]) - residual.share)
     label = f"residual, full equation: {basin.shape[1]} random starts, 95 % interval, not certified"
     style: dict[str, Any] = {"fmt": "o", "ms": 4, "capsize": 2, "clip_on": False, "zorder": 5}
     colours: Any = {"color": "white", "mfc": ORANGE, "ecolor": ORANGE}
-    ax.errorbar(basin.coords["delta"], one.share, bars, **style, **colours, label=label)
+    ax.errorbar(basin.coords["delta"], residual.share, bars, **style, **colours, label=label)
 
 
-def _mark(ax: Axes, places: dict[float, str]) -> None:
+def _mark_shapes(ax: Axes, places: dict[float, str]) -> None:
+    """A labelled vertical line at every δ of `places`."""
     for delta, label in places.items():
         ax.axvline(delta, color="white", lw=2.4)
         ax.axvline(delta, color="black", lw=0.8, ls="--")
@@ -174,9 +166,9 @@ def _mark(ax: Axes, places: dict[float, str]) -> None:
         text.set_bbox({"fc": "white", "ec": "none", "pad": 1.5})
 
 
-def _regimes(strip: Axes, ends: list[float], names: list[str]) -> None:
-    """Names of the ends above a bracket each."""
-    for low, high, name in zip(ends, ends[1:], names, strict=False):
+def _name_regimes(strip: Axes, limits: list[float], names: list[str]) -> None:
+    """An arrow over every range of δ, and above it the outcomes that occur there."""
+    for low, high, name in zip(limits, limits[1:], names, strict=False):
         strip.annotate("", (low, 0), (high, 0), arrowprops={"arrowstyle": "<->", "lw": 0.7})
         strip.text((low + high) / 2, 0.05, name, ha="center", va="bottom")
 
@@ -193,8 +185,8 @@ def two_starts() -> Figure:
     )
     for ax, phi, title in zip(panels, (np.pi / 30, np.pi / 3), titles, strict=True):
         ax.axhline(0, color="0.8", lw=0.6)
-        for level in ("order 1", "full"):
-            _motion(ax, level, data.motion(level, phi, times))
+        for level in (Level.ORDER_1, Level.FULL):
+            _draw_motion(ax, level, figure_data.motion(level, phi, times))
         ax.set(xscale="log", xlim=(1, times[-1]), xlabel=r"$\tau = t/\tau_0$")
         ax.set_title(title)
     panels[0].set_ylabel(r"$\omega = \tau_0\Omega$")
@@ -206,21 +198,22 @@ def two_starts() -> Figure:
     return figure
 
 
-def _motion(ax: Axes, level: str, found: Any) -> None:
-    width, dash = (1.4, "-") if level == "order 1" else (0.9, (0, (4, 1.5)))
+def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
+    """The components of ω, and ω∞ of a residual rotation."""
+    full = level is Level.FULL
+    width, dash = (0.9, (0, (4, 1.5))) if full else (1.4, "-")
     for k, (colour, _) in enumerate(COMPONENTS):
-        ax.plot(found.ts, found.omega[:, k], color=colour, lw=width, ls=dash)
-    verdict = found.equation.verdict(found.ys[-1])
+        ax.plot(trajectory.ts, trajectory.omega[:, k], color=colour, lw=width, ls=dash)
+    equation: Any = trajectory.equation
+    verdict = equation.verdict(trajectory.ys[-1])
     if verdict.outcome == Outcome.RESIDUAL:
         value = float(verdict.omega_inf)
         ax.axhline(value, color="0.3", lw=0.9, ls=":")
-        up = level == "full"
-        text = rf"$\omega_\infty$ = {value:.4f} ({level})"
-        place: Any = {"va": "bottom" if up else "top", "ha": "right"}
+        place: Any = {"va": "bottom" if full else "top", "ha": "right"}
         ax.annotate(
-            text,
+            rf"$\omega_\infty$ = {value:.4f} ({SHORT[level]})",
             (1, value),
-            (-3, 2 if up else -3),
+            (-3, 2 if full else -3),
             ("axes fraction", "data"),
             textcoords="offset points",
             **place,
@@ -234,8 +227,8 @@ def rotator_plane() -> Figure:
     ax = figure.subplots()
     w, top = np.linspace(-2, 2, 401), 2.5
     physical, other = np.asarray(critical_manifold(w)), np.asarray(separatrix(w))
-    _domains(ax, w, (np.minimum(physical, other), np.maximum(physical, other)), top)
-    _runaways(ax, 2.0, top)
+    _draw_domains(ax, w, (np.minimum(physical, other), np.maximum(physical, other)), top)
+    _draw_runaways(ax, 2.0, top)
     ax.plot(w, physical, color="black", lw=2, label="AOC, the physical motions")
     ax.plot(w, other, color="black", lw=1, label="BOD, the motions from rest")
     closed = r"AOC in closed form, $-\omega^3/\sqrt{1+2\omega^2}$"
@@ -246,8 +239,10 @@ def rotator_plane() -> Figure:
     return figure
 
 
-def _domains(ax: Axes, w: Any, edges: tuple[Any, Any], top: float) -> None:
-    """Four tints, and between which infinities ω runs in each."""
+def _draw_domains(
+    ax: Axes, w: np.ndarray, edges: tuple[np.ndarray, np.ndarray], top: float
+) -> None:
+    """Four domains of runaways, each with the limits of ω in the past and in the future."""
     low, high = edges
     right = w >= 0
     areas = {
@@ -265,8 +260,8 @@ def _domains(ax: Axes, w: Any, edges: tuple[Any, Any], top: float) -> None:
         text.set_bbox({"fc": tint, "ec": "none", "pad": 1})
 
 
-def _runaways(ax: Axes, right: float, top: float) -> None:
-    """Sample motions, with arrows."""
+def _draw_runaways(ax: Axes, right: float, top: float) -> None:
+    """Stream lines of the phase plane, with arrows."""
     xs, ys = np.linspace(-right, right, 161), np.linspace(-top, top, 161)
     plane = np.stack(np.meshgrid(xs, ys))
     u, v = np.asarray(RotatorFull()(0.0, jnp.asarray(plane.reshape(2, -1)))).reshape(plane.shape)
@@ -288,27 +283,27 @@ def _runaways(ax: Axes, right: float, top: float) -> None:
 
 @_styled
 def spectra() -> Figure:
-    """λ/w² of the slow motions at {w, 0, 0} against δ, by level, with the limit of small w."""
+    """λ/w² of the slow motions at {w, 0, 0} against δ, level by level, with the limit w → 0."""
     w, deltas = 0.05, np.linspace(-1, 0.99, 399)
     figure = Figure((WIDE, 85 * MM), layout="constrained")
     real, imaginary = figure.subplots(1, 2, sharex=True)
     styles = {
-        "order 1": (ORANGE, 1.8, "-"),
-        "order 2": ("#8fd1bb", 4.2, "-"),
-        "semi-reduced": (BLUE, 2.2, "-"),
-        "full": (YELLOW, 1.6, (0, (4, 3))),
+        Level.ORDER_1: (ORANGE, 1.8, "-"),
+        Level.ORDER_2: ("#8fd1bb", 4.2, "-"),
+        Level.SEMI: (BLUE, 2.2, "-"),
+        Level.FULL: (YELLOW, 1.6, (0, (4, 3))),
     }
     for level, (colour, width, dash) in styles.items():
-        found = data.eigenvalues(level, deltas, w)
-        for k, label in enumerate((level, None)):
+        rates = figure_data.eigenvalues(level, deltas, w)
+        for k, label in enumerate((SHORT[level], None)):
             line: dict[str, Any] = {"color": colour, "lw": width, "ls": dash, "label": label}
-            real.plot(deltas, np.real(found[:, k]), **line)
-            imaginary.plot(deltas, np.imag(found[:, k]), **line)
-    limit = data.small_w(deltas)
+            real.plot(deltas, np.real(rates[:, k]), **line)
+            imaginary.plot(deltas, np.imag(rates[:, k]), **line)
+    limit = figure_data.small_w(deltas)
     for k, label in enumerate((r"limit $w \to 0$, all but order 1", None)):
         real.plot(deltas, np.real(limit[:, k]), color="black", lw=0.6, label=label)
         imaginary.plot(deltas, np.imag(limit[:, k]), color="black", lw=0.6)
-    _thresholds(real, w)
+    _mark_thresholds(real, w)
     real.set(xlim=(-1, 1), ylim=(-5, 1.5), ylabel=r"Re $\lambda/w^2$")
     imaginary.set(ylim=(-1.1, 1.1), ylabel=r"Im $\lambda/w^2$")
     for ax in (real, imaginary):
@@ -320,52 +315,46 @@ def spectra() -> Figure:
     return figure
 
 
-def _thresholds(ax: Axes, w: float) -> None:
-    """Where the line loses its stability: order 1, and order 2 beyond its use."""
-    for level, bracket in (("order 1", (-0.9, 0.5)), ("order 2", (0.5, 0.999))):
-        delta = threshold(data.LEVELS[level], w, *bracket)
+def _mark_thresholds(ax: Axes, w: float) -> None:
+    """Where the line loses its stability: order 1, and order 2 beyond its range of validity."""
+    for level, bracket in ((Level.ORDER_1, (-0.9, 0.5)), (Level.ORDER_2, (0.5, 0.999))):
+        delta = threshold(lambda d, level=level: equation_at(level, d), w, *bracket)
         ax.plot(delta, 0, "o", color="white", mec="black", ms=5, zorder=5)
         place: Any = {"ha": "center", "va": "bottom", "textcoords": "offset points"}
-        text = rf"{level}: $\delta = {delta:.3g}$"
+        text = rf"{SHORT[level]}: $\delta = {delta:.3g}$"
         ax.annotate(text, (delta, 0), (20 if delta < 0 else -45, 8), **place)
 
 
 @_styled
 def levels() -> Figure:
-    """Where the end depends on the level: a map over φ and ω₃ at δ = −0.2, ω⊥ = 0.2."""
-    found = data.maps(FINE, EVERY, 0.4)
+    """Where the outcome depends on the level: a map over φ and ω₃ at δ = −0.2, ω⊥ = 0.2."""
+    maps = figure_data.level_maps(MAP_SIZE, MAP_STRIDE, 0.4)
     figure = Figure((WIDE, 105 * MM), layout="constrained")
     ax = figure.subplots()
-    plots.basin(found.semi, ax=ax, shade=None)
+    plots.basin(maps.semi, ax=ax, shade=None)
     legend: Any = ax.get_legend()
     legend.remove()
-    handles: list[Any] = [*legend.legend_handles, _hatching(ax, found)]
-    rows, columns = EVERY * np.array(np.nonzero(found.full))
-    places = found.semi.coords["phi"][columns], found.semi.coords["w3"][rows]
-    label = f"full equation differs ({rows.size} of {found.full.size} starts)"
-    handles += ax.plot(
-        *places, "o", color="white", mec="black", ms=4, ls="", clip_on=False, label=label
-    )
-    turns = np.linspace(0, np.pi, 1201)
+    handles: list[Any] = [*legend.legend_handles]
+    label = f"order 1 differs ({percent(float(np.mean(maps.order_1_differs)))})"
+    phi, w3 = maps.semi.coords["phi"], maps.semi.coords["w3"]
+    handles.append(hatch(ax, phi, w3, maps.order_1_differs, label))
+    rows, columns = MAP_STRIDE * np.array(np.nonzero(maps.full_differs))
+    label = f"full equation differs ({rows.size} of {maps.full_differs.size} starts)"
+    dots: dict[str, Any] = {"color": "white", "mec": "black", "ms": 4, "ls": "", "clip_on": False}
+    handles += ax.plot(phi[columns], w3[rows], "o", **dots, label=label)
+    angles = np.linspace(0, np.pi, 1201)
     for corrected, colour in ((False, ORANGE), (True, YELLOW)):
         kind = "all other levels" if corrected else "order 1"
         label = rf"$z_s(\varphi)\,\omega_\perp^2$, limit of small $\omega$: {kind}"
-        curve = data.small_boundary(corrected, turns)
-        handles += ax.plot(turns, curve, color=colour, lw=1.6, label=label)
-    share = percent(float(np.mean(found.semi.certified)))
+        curve = figure_data.small_boundary(corrected, angles)
+        handles += ax.plot(angles, curve, color=colour, lw=1.6, label=label)
+    share = percent(float(np.mean(maps.semi.certified)))
     certified = f"{share} of the outcomes certified for this level"
-    where = rf"$\delta = {data.DELTA}$, $\omega_\perp = {data.AMPLITUDE}$"
+    where = rf"$\delta = {figure_data.DELTA}$, $\omega_\perp = {figure_data.AMPLITUDE}$"
     ax.set_title(f"Semi-reduced equation, {where}; {certified}")
-    ax.set(xlim=(0, np.pi), ylim=(0, found.semi.coords["w3"][-1]))
+    ax.set(xlim=(0, np.pi), ylim=(0, w3[-1]))
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
-
-
-def _hatching(ax: Axes, found: data.Maps) -> Any:
-    phi, w3 = (found.semi.coords[name] for name in ("phi", "w3"))
-    handle = basins._hatch(ax, phi, w3, found.order_1)
-    handle.set_label(f"order 1 differs ({percent(float(np.mean(found.order_1)))})")
-    return handle
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -376,4 +365,4 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "spectra": spectra,
     "levels": levels,
 }
-"""By name, in the order in which they are drawn."""
+"""The functions by the names of the figures, in the order in which they are drawn."""

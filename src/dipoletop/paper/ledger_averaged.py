@@ -1,4 +1,4 @@
-"""(4.16)–(4.21): the averaged transverse top, against integrations of (4.13)–(4.15)."""
+"""(4.16)–(4.21): solutions for the averaged top, against integrations of (4.13)–(4.15)."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -14,32 +14,32 @@ from .ledger_entry import Entry, gap, shapes, unsolved
 
 ORBITS = {-0.8: (1.2, 0.5, -0.4, 1.0), -0.3: (0.5, 0.6, -0.2, 3.0), 0.4: (0.5, 0.6, -0.2, 3.0)}
 ORBITS[0.7] = ORBITS[0.4]
-"""δ: ω⊥, ω₃ and φ̄ at the start, and for how long the motion is followed."""
+"""By δ: initial ω⊥, ω₃ and φ̄, and the length of the integration."""
 BEGIN = 4.0
-"""τᵢ, the time of the start."""
+"""τᵢ, the initial time."""
 DECADES = {-1.0: (50, 300), -0.8: (20, 50), -0.5: (50, 300), -0.3: (20, 50), 0.3: (20, 50)}
-"""δ: the two log₁₀ τ where the asymptotics are read, far out where they contain ln τ."""
+"""By δ: two values of log₁₀ τ where the asymptotics are read; late ones where they contain ln τ."""
 
 Exponent = Callable[[Any], Any]
 
 
 def p_right(d: Any) -> Any:
-    """The p that (4.19) must have."""
+    """The exponent p of (4.19), corrected."""
     return d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * (1 + d**3))
 
 
 def p_printed(d: Any) -> Any:
-    """The p that the paper prints."""
+    """The exponent p as the paper prints it."""
     return d * (1 - d) * (3 + 3 * d + d**3) / ((1 + 2 * d) * (1 + d))
 
 
 def q_printed(d: Any) -> Any:
-    """The q of (4.19), right as it is printed."""
+    """The exponent q of (4.19), which is printed correctly."""
     return 2 / (1 + d**3)
 
 
 class Orbit(NamedTuple):
-    """One motion of the averaged top, integrated."""
+    """One integrated motion of the averaged top."""
 
     delta: float
     time: np.ndarray
@@ -49,13 +49,13 @@ class Orbit(NamedTuple):
 
     @property
     def xi(self) -> np.ndarray:
-        """ξ = ω⊥²/ω₃², which runs one way."""
+        """ξ = ω⊥²/ω₃², which is monotonic along the motion."""
         return self.u / self.v
 
 
 def integrated(field: Callable) -> list[Orbit]:
-    """The motions ORBITS."""
-    found = []
+    """The motions of `ORBITS`, integrated."""
+    orbits = []
     for delta, (*start, span) in ORBITS.items():
         run = solve_ivp(
             lambda t, y, d=delta: np.asarray(field(d, y)),
@@ -66,8 +66,8 @@ def integrated(field: Callable) -> list[Orbit]:
             rtol=1e-13,
             atol=1e-15,
         )
-        found.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
-    return found
+        orbits.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
+    return orbits
 
 
 def orbits() -> Iterator[Entry]:
@@ -84,7 +84,7 @@ def orbits() -> Iterator[Entry]:
 
 
 def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
-    """How far v ξ^q |aξ + b|^{−p} is from constant."""
+    """Relative variation of v ξ^q |aξ + b|^{−p} along an orbit, which should be 0."""
     d = orbit.delta
     edge = np.abs((1 + 2 * d) * orbit.xi + 1 + d**3)
     constant = orbit.v * orbit.xi ** q_printed(d) * edge ** -p(d)
@@ -92,7 +92,7 @@ def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
 
 
 def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
-    """The times since the start by (4.17), or the angles by (4.18), with moduli."""
+    """The times since τᵢ by (4.17), or the angles by (4.18), with absolute values."""
     d, p, q = orbit.delta, p_right(orbit.delta), q_printed(orbit.delta)
     a, b, first = 1 + 2 * d, 1 + d**3, orbit.xi[0]
     c = orbit.v[0] * first**q * abs(a * first + b) ** -p
@@ -119,9 +119,10 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
     """(4.17)."""
     since = [quadrature(o) for o in runs]
     residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
-    # The braces are negative along the whole first orbit: one power of −1 is all that they change.
-    turned = complex(-1) ** (-p_right(runs[0].delta) - 1)
-    printed = min(abs(turned - 1), abs(turned + 1))
+    # The braces are negative along the whole first orbit, so printed and corrected integrands
+    # differ by a constant power of −1.
+    power_of_minus_1 = complex(-1) ** (-p_right(runs[0].delta) - 1)
+    printed = min(abs(power_of_minus_1 - 1), abs(power_of_minus_1 + 1))
     claim = "τ − τᵢ = ((1−δ)/C)|∫ξ^{q−1}|(1+2δ)ξ + 1+δ³|^{−p−1}dξ|"
     wrong = "{(1+2δ)ξ + 1+δ³}^{−p−1}, which is not real for {…} < 0"
     edge = (1 + 2 * runs[0].delta) * runs[0].xi + 1 + runs[0].delta ** 3
@@ -134,10 +135,10 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
 def exponents(runs: list[Orbit]) -> Iterator[Entry]:
     """(4.19), put into (4.13)–(4.14): d ln v/d ln ξ for many ξ and every δ, and along orbits."""
     deltas = np.asarray(shapes())
-    deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # elsewhere p has a limit only
+    deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # p itself is singular there
     xi = np.array([1e-14, 0.3, 2.0, 40.0, 1e3])[:, None]
-    one = np.ones_like(xi * deltas)
-    y = jnp.stack([np.sqrt(xi) * one, one, 0 * one])
+    ones = np.ones_like(xi * deltas)
+    y = jnp.stack([np.sqrt(xi) * ones, ones, 0 * ones])
     rate = np.asarray(jax.vmap(lambda y: TransverseAveraged(deltas)(0.0, y), 1, 1)(y))
     fall = 2 * rate[1]  # of ln v, at v = 1
     slope = fall / (2 * rate[0] / np.sqrt(xi) - fall)
@@ -145,38 +146,38 @@ def exponents(runs: list[Orbit]) -> Iterator[Entry]:
     near = slope[:1], -q_printed(deltas)[None]
     yield Entry("(4.19)", "q = 2/(1+δ³)", gap(*near), 1e-11)
 
-    def lack(p: Exponent) -> float:
+    def off_the_slope(p: Exponent) -> float:
         law = -q_printed(deltas) + p(deltas) * edge / (edge + 1 + deltas**3)
         return float(np.max(np.abs(slope / law - 1)))
 
     claim = "p = δ(1−δ)(3+3δ+δ²)/[(1+2δ)(1+δ³)]"
     wrong = "p = δ(1−δ)(3+3δ+δ³)/[(1+2δ)(1+δ)]"
-    residual = max(lack(p_right), *(off_the_orbit(o, p_right) for o in runs))
+    residual = max(off_the_slope(p_right), *(off_the_orbit(o, p_right) for o in runs))
     printed = min(off_the_orbit(o, p_printed) for o in runs)
     yield Entry("(4.19)", claim, residual, 1e-10, wrong, printed)
 
 
 def limits() -> Iterator[Entry]:
-    """`exact.averaged`, which has the limits δ = −1, −1/2 and 0, too."""
+    """`exact.averaged`, which includes the limits δ = −1, −1/2 and 0."""
     solution = jax.jit(exact.averaged)
-    start, at = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
+    start, times = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
 
-    def lack(delta: float) -> float:
+    def residual_at(delta: float) -> float:
         equation = TransverseAveraged(delta)
 
         def field(t: float, omega: jnp.ndarray) -> jnp.ndarray:
             y = equation.lift(omega)
             return jax.jvp(equation.omega, (y,), (equation(t, y),))[1]
 
-        return unsolved(field, lambda t: solution(delta, start, t), at)
+        return unsolved(field, lambda t: solution(delta, start, t), times)
 
-    residual = max(lack(delta) for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6))
+    residual = max(residual_at(delta) for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.6))
     claim = "their limits at δ = −1, −1/2 and 0 solve (4.13)–(4.15), too"
     yield Entry("(4.16)–(4.19)", claim, residual, 1e-11)
 
 
 class Late(NamedTuple):
-    """An averaged motion at two late times."""
+    """An averaged motion at the two times of `DECADES`."""
 
     log_tau: np.ndarray
     u: np.ndarray
@@ -185,23 +186,23 @@ class Late(NamedTuple):
     """τω₃²."""
     phi: np.ndarray
     """φ̄ − φ̄ᵢ."""
-    turn: np.ndarray
+    phi_rate: np.ndarray
     """dφ̄/d ln τ."""
 
 
 def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
-    """From τ = 1 on, over the logarithm of time: ln τω⊥², ln τω₃² and φ̄."""
+    """A motion from τ = 1, integrated over s = ln τ in the variables ln τω⊥², ln τω₃² and φ̄."""
 
     def rate(s: float, y: np.ndarray) -> np.ndarray:
         w, w3 = np.exp(y[:2] / 2)
-        across, along, turn = np.asarray(field(delta, np.array([w, w3, 0.0])))
-        return np.array([1 + 2 * across / w, 1 + 2 * along / w3, turn * np.exp(s / 2)])
+        across, along, phi_rate = np.asarray(field(delta, np.array([w, w3, 0.0])))
+        return np.array([1 + 2 * across / w, 1 + 2 * along / w3, phi_rate * np.exp(s / 2)])
 
     late = np.log(10.0) * np.array(DECADES[delta])
     y0 = [2 * np.log(start[0]), 2 * np.log(start[1]), 0.0]
     run = solve_ivp(rate, (0, late[-1]), y0, method="DOP853", t_eval=late, rtol=1e-11, atol=1e-11)
-    turn = np.array([rate(s, y)[2] for s, y in zip(late, run.y.T, strict=True)])
-    return Late(late, np.exp(run.y[0]), np.exp(run.y[1]), run.y[2], turn)
+    phi_rate = np.array([rate(s, y)[2] for s, y in zip(late, run.y.T, strict=True)])
+    return Late(late, np.exp(run.y[0]), np.exp(run.y[1]), run.y[2], phi_rate)
 
 
 def late() -> Iterator[Entry]:
@@ -214,7 +215,7 @@ def late() -> Iterator[Entry]:
 
 
 def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entry]:
-    """ω⊥² and ω₃²."""
+    """The laws of ω⊥² and ω₃²."""
 
     def off(delta: float) -> float:
         run, tau = runs[delta], np.exp(runs[delta].log_tau[1])
@@ -233,11 +234,11 @@ def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entr
 
 
 def angles(runs: dict[float, Late]) -> Iterator[Entry]:
-    """How φ̄ grows."""
+    """The growth of φ̄."""
 
     def grows(delta: float, power: float) -> float:
-        """How far d ln|φ̄ − φ̄ᵢ|/d ln τ is from a power."""
-        return abs(float(runs[delta].turn[1] / runs[delta].phi[1]) / power - 1)
+        """Relative difference of d ln|φ̄ − φ̄ᵢ|/d ln τ from a power."""
+        return abs(float(runs[delta].phi_rate[1] / runs[delta].phi[1]) / power - 1)
 
     residual = max(grows(-1.0, 0.5), grows(-0.8, 0.5))
     yield Entry("(4.20)", "|φ̄| ~ τ^{1/2} for −1 ≤ δ < −1/2", residual, 1e-3)
@@ -249,8 +250,9 @@ def angles(runs: dict[float, Late]) -> Iterator[Entry]:
     power = {d: -3 * d / (2 * (1 - d)) for d in (-0.3, 0.3)}
     claim = "|φ̄| ~ τ^{−3δ/(2(1−δ))} for −1/2 < δ < 0"
     yield Entry("(4.21)", claim, grows(-0.3, power[-0.3]), 1e-6)
-    some = runs[0.3]
-    residual = abs(float(some.turn[0] / (some.phi[0] - some.phi[1])) / power[0.3] - 1)
+    settling = runs[0.3]
+    remaining = settling.phi[0] - settling.phi[1]
+    residual = abs(float(settling.phi_rate[0] / remaining) / power[0.3] - 1)
     claim = "φ̄ → φ̄∞, |φ̄ − φ̄∞| ~ τ^{−3δ/(2(1−δ))} for δ > 0"
     printed = "|φ̄| ~ τ^{−3δ/(2(1−δ))}"
     yield Entry("(4.21)", claim, residual, 1e-3, printed, grows(0.3, power[0.3]))

@@ -20,7 +20,7 @@ from ..validation import RESIDUAL_ROTATION, figure_2
 from .ledger_entry import Entry, gap, share
 
 SHAPES = (-1.0, -0.7, -0.5, -0.4, -0.2, -0.05, 0.0, 0.3, 0.6)
-EACH = 256  # starts
+STARTS = 256  # isotropic starts of every body
 SPECIAL = (
     (0.3, (0.0, 0.0, 0.2)),  # ω⊥ = 0
     (0.3, (0.0, 0.2, 0.0)),  # ω₁ = ω₃ = 0
@@ -29,17 +29,17 @@ SPECIAL = (
     (-0.7, (0.1, 0.1, 0.0)),  # ω₃ = 0
     (-0.5, (0.1, -0.1, 0.0)),
 )
-"""Shapes and starts that the paper's claims leave out, or name."""
+"""Shapes and starts that are exceptions to the paper's claims, or that it names."""
 STOPS = np.array([True, True, True, False, False, False])
-"""Which of them stop."""
+"""Whether they stop."""
 FULL_A = (0.13148744208692057915, 0.068501995595988332757, 0.029559231623915714665)
 """ω of figure 2a at τ = 60 by the full equation, from a shooting method."""
 FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.059353536931937492011)
-"""That of figure 2b."""
+"""ω of figure 2b at τ = 60 by the full equation, from a shooting method."""
 
 
 def figures() -> Iterator[Entry]:
-    """Figure 2, with what the full equation has in its place."""
+    """Figure 2 at order 1, and the same starts by the full equation."""
     for part, checks in zip(
         "ab", np.array_split(np.array(figure_2(), dtype=object), [3]), strict=True
     ):
@@ -57,7 +57,7 @@ def figures() -> Iterator[Entry]:
     yield Entry("figure 2a", claim, abs(true / 0.1193 - 1), 5e-4, printed, abs(first / true - 1))
     times = np.array([0.0, 60.0, 12_000.0])
     runs = [simulate(TransverseFull(-0.2), start, times, balance=True) for start in starts]
-    error = max(gap(run.omega[1], at) for run, at in zip(runs, (FULL_A, FULL_B), strict=True))
+    error = max(gap(run.omega[1], known) for run, known in zip(runs, (FULL_A, FULL_B), strict=True))
     claim = "the full equation at τ = 60, against a shooting method"
     yield Entry("figure 2", claim, error, 1e-8)
     error = max(float(jnp.max(jnp.abs(run.balance_defect))) for run in runs)
@@ -65,10 +65,10 @@ def figures() -> Iterator[Entry]:
 
 
 def first_order() -> Classification:
-    """At order 1: EACH isotropic starts of every shape, then the special ones."""
-    omegas = Sample(len(SHAPES) * EACH, amplitude=0.2, seed=6)
-    starts = np.asarray(omegas.points(np.arange(len(SHAPES) * EACH)))
-    deltas = np.append(np.repeat(SHAPES, EACH), [delta for delta, _ in SPECIAL])
+    """Runs at order 1: `STARTS` isotropic starts of every shape, then those of `SPECIAL`."""
+    omegas = Sample(len(SHAPES) * STARTS, amplitude=0.2, seed=6)
+    starts = np.asarray(omegas.points(np.arange(len(SHAPES) * STARTS)))
+    deltas = np.append(np.repeat(SHAPES, STARTS), [delta for delta, _ in SPECIAL])
     return classify_many(
         TransverseReduced(jnp.asarray(deltas)),
         jnp.asarray(np.concatenate([starts, [omega for _, omega in SPECIAL]])),
@@ -77,10 +77,10 @@ def first_order() -> Classification:
 
 def outcomes() -> Iterator[Entry]:
     """Figure 1 and section 4.2 at order 1."""
-    found = first_order()
-    outcome, value = np.asarray(found.outcome), np.asarray(found.omega_inf)
-    kept = (outcome[: -len(SPECIAL)] == Outcome.RESIDUAL).reshape(-1, EACH)
-    stop = (outcome[: -len(SPECIAL)] == Outcome.STOP).reshape(-1, EACH)
+    runs = first_order()
+    outcome, value = np.asarray(runs.outcome), np.asarray(runs.omega_inf)
+    kept = (outcome[: -len(SPECIAL)] == Outcome.RESIDUAL).reshape(-1, STARTS)
+    stop = (outcome[: -len(SPECIAL)] == Outcome.STOP).reshape(-1, STARTS)
     shapes, special = np.array(SHAPES), outcome[-len(SPECIAL) :]
     oblate, prolate = shapes <= -0.5, shapes >= 0
     both = kept[~oblate & ~prolate].any(axis=1) & stop[~oblate & ~prolate].any(axis=1)
@@ -98,20 +98,20 @@ def outcomes() -> Iterator[Entry]:
     yield Entry("section 4.2, 1", claim, wrong, 0.0, "for δ ≥ 0", share([stopped[2:4]]))
     yield capture()
     wrong = max(gap(value[-2:], np.array([0.1, 0.1])), share([~stop[oblate]]))
-    claim = "δ ≤ −1/2: stop, but for ω₃ = 0, where ω₁ is constant"
+    claim = "δ ≤ −1/2: stop, except for ω₃ = 0, where ω₁ is constant"
     printed = share([~stopped[-2:]])
     yield Entry("section 4.2, 2", claim, wrong, 1e-12, "reaches Ω = 0", printed)
 
 
 def capture() -> Entry:
-    """How many revolutions may pass before a residual rotation is near."""
+    """Residual rotation may be reached only after many revolutions."""
     delta = 0.05
     times = np.array([0.0, 100.0, 1e3, 1e4, 1e5])
     run = simulate(TransverseReduced(delta), cylindrical(0.03, 0.298, 1.0), times)
     omega = np.asarray(run.omega)
-    speed = np.linalg.norm(omega, axis=1)  # it falls, so that the turns are at least these:
+    speed = np.linalg.norm(omega, axis=1)  # it falls, so these are lower bounds:
     turns = float(np.sum(np.diff(times) * speed[1:])) / (2 * np.pi)
-    # Captured once ω₃ is no longer above ω⊥²/(2δ), where precession and braking are as fast.
+    # Capture is at ω₃ = ω⊥²/(2δ), where precession and braking are equally fast.
     free = 2 * delta * np.abs(omega[:, 2]) > np.sum(omega[:, :2] ** 2, axis=1)
     claim = f"Ω → Ω∞ after any number of revolutions: not near it after {turns:.0f} (δ = {delta})"
     printed = "after few revolutions, say ten"
@@ -119,9 +119,9 @@ def capture() -> Entry:
 
 
 def exceptions() -> Iterator[Entry]:
-    """What the full equation has for needles, which order 1 misses."""
+    """Wobbling stops of needles, which the full equation has and order 1 does not."""
     residual = abs(planar.critical_delta() / 0.7532357993909 - 1)
-    claim = "at small amplitude a wobbling stop besides, for δ > δ_c = 0.7532357993909"
+    claim = "at small amplitude also a wobbling stop, for δ > δ_c = 0.7532357993909"
     needle, start = 0.9, jnp.array([0.02, 0.1, 0.0])
     semi = classify(TransverseSemi(needle), start, value=False)
     stops = int(semi.stop) == Stop.WOBBLING
@@ -131,41 +131,40 @@ def exceptions() -> Iterator[Entry]:
     wrong = share([not stops, int(first.outcome) != Outcome.RESIDUAL])
     claim = "a needle (δ = 0.9) that stops wobbling, where order 1 keeps it"
     yield Entry("section 4.2, 1", claim, wrong, 0.0, "residual", float(stops))
-    beside = cylindrical(0.05, 0.5 * 0.05**2, np.pi / 2 + 0.7)
-    full = classify(TransverseFull(0.85), beside)
+    start = cylindrical(0.05, 0.5 * 0.05**2, np.pi / 2 + 0.7)
+    full = classify(TransverseFull(0.85), start)
     stops = int(full.stop) == Stop.WOBBLING
     claim = "the same (δ = 0.85) by the full equation, on its physical branch"
     yield Entry("section 4.2, 1", claim, float(not stops), 0.0, "residual", float(stops))
 
 
 TILTED = Body(np.diag((0.6, 1.0, 1.2)), (0.5, 0.6, 0.62))
-"""Its dipole is on no principal axis."""
+"""A body whose dipole is on no principal axis."""
 
 
 def asymmetric() -> Iterator[Entry]:
-    """The closing statement, on tops without symmetry."""
+    """The closing statement, about tops without symmetry."""
     rows = []
     for moments, axis in (((0.6, 1.0, 1.2), 2), ((0.6, 1.0, 1.2), 1), ((1.0, 1.3, 2.2), 0)):
         rows.append((moments, Body(np.diag(moments), np.eye(3)[axis])))
     rows.append(((0.6, 1.0, 1.2), TILTED))
     kept, stop, stable = [], [], []
-    omegas = Sample(EACH, amplitude=0.1, seed=7).points(np.arange(EACH))
+    omegas = Sample(STARTS, amplitude=0.1, seed=7).points(np.arange(STARTS))
     for _, body in rows:
-        found = np.asarray(classify_many(Reduced(body), omegas, value=False).outcome)
-        kept.append(found == Outcome.RESIDUAL)
-        stop.append(found == Outcome.STOP)
-        line = np.asarray(equilibria(Reduced(body)).direction)
-        fixed = bool(np.all(np.isfinite(line)))
-        stable.append(fixed and bool(spectrum(Reduced(body), 0.1 * line).stable))
+        outcome = np.asarray(classify_many(Reduced(body), omegas, value=False).outcome)
+        kept.append(outcome == Outcome.RESIDUAL)
+        stop.append(outcome == Outcome.STOP)
+        direction = np.asarray(equilibria(Reduced(body)).direction)
+        exists = bool(np.all(np.isfinite(direction)))
+        stable.append(exists and bool(spectrum(Reduced(body), 0.1 * direction).stable))
     claim = "J = (0.6, 1, 1.2), dipole about the largest: stable, and residual"
     wrong = share([~kept[0], not stable[0]])
     yield Entry("closing statement", claim, wrong, 0.0)
     for name, i in (("the middle", 1), ("no principal axis", 3)):
         claim = f"J = (0.6, 1, 1.2), dipole about {name}: not stable, and stop"
         yield Entry("closing statement", claim, share([~stop[i]]) + stable[i], 0.01)
-    lasting = float(np.mean(kept[2]))
-    claim = (
-        f"J = (1, 1.3, 2.2), dipole about the smallest: stable, residual in a basin, {lasting:.0%}"
-    )
+    kept_share = float(np.mean(kept[2]))
+    claim = "J = (1, 1.3, 2.2), dipole about the smallest: stable, residual in a basin, "
+    claim += f"{kept_share:.0%}"
     wrong = share([not stable[2], not kept[2].any(), not stop[2].any()])
-    yield Entry("closing statement", claim, wrong, 0.0, "stable, so residual", 1 - lasting)
+    yield Entry("closing statement", claim, wrong, 0.0, "stable, so residual", 1 - kept_share)

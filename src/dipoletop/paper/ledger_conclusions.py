@@ -10,8 +10,8 @@ from .. import exact, particles
 from .ledger_entry import Entry
 
 SPEED = 2e9 * math.pi  # Ω₀, rad/s: one gigahertz
-FASTER = 5.2  # times that: the footnote
-CM = 1e-7  # a nanometre
+FASTER = 5.2  # factor of the speed in the footnote
+CM = 1e-7  # centimetres in a nanometre
 GAUSSIAN = (
     (1e-15, 2 / 5 * (50 * CM) ** 2, 50 * CM * e * 10 * c),
     (6.4e-16, (100**2 + 50**2) / 12 * CM**2, 2.8e-11),
@@ -20,13 +20,13 @@ GAUSSIAN = (
     (4 / 3 * math.pi * (2.5 * CM) ** 3 * 5.81, 2 / 5 * (2.5 * CM) ** 2, 1e-16),
     (4 / 3 * math.pi * (2.5 * CM) ** 3 * 4.82, 2 / 5 * (2.5 * CM) ** 2, 1e-16),
 )
-"""The same particles, by hand: mass in g, moment over mass in cm², dipole in statC cm."""
+"""The paper's particles: mass in g, moment over mass in cm², dipole in statC cm."""
 PRINTED = ("silica sphere", "DAST about the long axis")
-"""Those of which the paper prints a time."""
+"""The particles for which the paper prints a time."""
 
 
 def conclusions() -> Iterator[Entry]:
-    """All of them."""
+    """All lines about the conclusions."""
     yield ceases()
     rows = particles.particle_table(particles.paper_particles(), SPEED)
     for row, (mass, square, dipole) in zip(rows, GAUSSIAN, strict=True):
@@ -40,7 +40,7 @@ def conclusions() -> Iterator[Entry]:
 
 
 def ceases() -> Entry:
-    """When Ω ~ 1/√(τ₀t), of the rotator, in units of T = 1/(τ₀Ω₀²)."""
+    """When Ω ~ 1/√(τ₀t) holds for the rotator, in units of T = 1/(τ₀Ω₀²)."""
     times = jnp.array([1e-12, 1e12])
     ratio = exact.rotator(1.0, times) * jnp.sqrt(2 * times)
     residual, wrong = (abs(float(x) - 1) for x in (ratio[1], ratio[0]))
@@ -49,19 +49,19 @@ def ceases() -> Entry:
 
 
 def printed(silica: particles.Row, dast: particles.Row) -> Iterator[Entry]:
-    """The numbers that the paper prints, to the digits that it prints."""
+    """The numbers that the paper prints, compared to its digits."""
     radius = 50e-9
     spin = silica.moment * SPEED / hbar
     rim = radius * SPEED / c
-    for name, found, number, text, digits in (
+    for name, value, number, text, digits in (
         ("silica sphere: d = eR", silica.debye, 2400.0, "2400 D", 1e-3),
         ("silica sphere: τ₀", silica.tau0, 1e-35, "~ 1e-35 s", 0.5),
         ("silica sphere: T", silica.braking_time, 2e15, "~ 2e15 s", 0.25),
         ("silica sphere: T in years", silica.braking_time / year, 0.5e8, "0.5e8", 0.2),
         ("DAST about the long axis: T in years", dast.braking_time / year, 0.3, "0.3", 1 / 6),
     ):
-        claim = f"{name} = {found:.4g} (printed: {text})"
-        yield Entry("conclusions", claim, abs(found / number - 1), digits)
+        claim = f"{name} = {value:.4g} (printed: {text})"
+        yield Entry("conclusions", claim, abs(value / number - 1), digits)
     claim = f"silica sphere: angular momentum {spin:.2g} ħ (printed: ≳ 1e10 ħ)"
     yield Entry("conclusions", claim, 1e10 / spin, 1.0)
     claim = f"silica sphere: rim speed v/c = {rim:.2e} at 1 GHz (printed: ≤ 1e-6)"

@@ -1,38 +1,41 @@
-"""One line of the ledger, and how residuals are measured."""
+"""One line of the ledger, the measures of residuals, and random shapes and states."""
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+
+Values = ArrayLike | Sequence[float]
 
 LANES = 32
 
 
 class Entry(NamedTuple):
-    """An equation, claim, figure or number of the paper, and what was found when it was tried.
+    """An equation, claim, figure or number of the paper, with the result of its check.
 
-    A residual is relative to the size of what is measured. Of a claim about cases it is the share
-    of the tried cases in which the claim fails.
+    A residual is relative to the measured quantity. For a claim about cases it is the share of the
+    checked cases in which the claim fails.
     """
 
     place: str
-    """Where it stands in the paper."""
+    """Its place in the paper."""
     claim: str
-    """What holds: the paper's form, or the right one if the paper is corrected."""
+    """The form that holds: the paper's, or the correct one if the paper has an error."""
     residual: float
-    """By how much that fails, as computed just now."""
+    """The residual of the claim, computed in this run."""
     limit: float
-    """What rounding, tolerances or neglected terms allow."""
+    """The largest residual that rounding, tolerances or neglected terms explain."""
     printed: str = ""
-    """What the paper prints in its place; empty if it is confirmed."""
+    """The form that the paper prints, if it is wrong; else empty."""
     printed_residual: float = 0.0
-    """By how much what is printed fails, measured in the same way."""
+    """The residual of the printed form, measured in the same way."""
 
     @property
     def holds(self) -> bool:
-        """Whether the claim holds, and what the paper prints in its place does not."""
+        """Whether the claim holds, and the printed form, if it is another one, does not."""
         wrong = not self.printed or self.printed_residual > self.limit
         return bool(self.residual <= self.limit and wrong)
 
@@ -44,31 +47,31 @@ class Entry(NamedTuple):
         return "corrected" if self.printed else "confirmed"
 
 
-def gap(found: Any, expected: Any) -> float:
-    """Largest difference over the largest of the expected numbers; NaN counts as infinite."""
-    got, wanted = np.asarray(found), np.asarray(expected)
-    worst = np.max(np.abs(got - wanted)) / np.max(np.abs(wanted))
+def gap(values: Values, expected: Values) -> float:
+    """The largest difference over the largest expected number; NaN counts as infinite."""
+    known = np.asarray(expected)
+    worst = np.max(np.abs(np.asarray(values) - known)) / np.max(np.abs(known))
     return float(worst) if np.isfinite(worst) else np.inf
 
 
-def share(failures: Iterable[Any]) -> float:
+def share(failures: Iterable[ArrayLike]) -> float:
     """The share of cases in which a claim fails."""
     return float(np.mean(np.concatenate([np.ravel(np.asarray(x, bool)) for x in failures])))
 
 
-def unsolved(equation: Any, solution: Any, times: Any) -> float:
-    """How far dω/dτ of a solution (T, n) is from what an equation says, over the largest rate."""
+def unsolved(equation: Callable, solution: Callable, times: np.ndarray) -> float:
+    """Largest residual of an equation for a solution (T, n), over the largest rate."""
     t = jnp.asarray(times)
     value, rate = jax.jvp(solution, (t,), (jnp.ones_like(t),))
     return gap(rate.T, equation(0.0, value.T))
 
 
 def states(components: int, seed: int = 0) -> jnp.ndarray:
-    """Random states, components on axis 0."""
+    """`LANES` random states, components on axis 0."""
     return jnp.asarray(np.random.default_rng(seed).normal(size=(components, LANES)))
 
 
 def shapes() -> jnp.ndarray:
-    """As many shapes δ, the disc, δ = −1/2 and the sphere among them."""
-    some = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
-    return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], some]))
+    """`LANES` shapes δ, among them the disc, δ = −1/2 and the sphere."""
+    others = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
+    return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], others]))

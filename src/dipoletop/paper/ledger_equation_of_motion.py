@@ -21,10 +21,10 @@ def rotator() -> Iterator[Entry]:
     sphere, w = axisymmetric(0.0), states(2)
     plane = jnp.zeros((3, LANES)).at[2].set(w[0])
     whole = jnp.concatenate([plane, jnp.zeros((2, LANES)), w[1:]])
-    found = Full(sphere)(0.0, whole)[jnp.array([2, 5])]
-    yield Entry("(2.2), (A.1)", "ω″ = ω′ + ω³", gap(RotatorFull()(0.0, w), found), 1e-14)
-    found = Reduced(sphere)(0.0, plane)[2:]
-    yield Entry("(2.3)", "ω′ = −ω³", gap(RotatorReduced()(0.0, w[:1]), found), 1e-14)
+    general = Full(sphere)(0.0, whole)[jnp.array([2, 5])]
+    yield Entry("(2.2), (A.1)", "ω″ = ω′ + ω³", gap(RotatorFull()(0.0, w), general), 1e-14)
+    general = Reduced(sphere)(0.0, plane)[2:]
+    yield Entry("(2.3)", "ω′ = −ω³", gap(RotatorReduced()(0.0, w[:1]), general), 1e-14)
     solution = jax.jit(lambda t: exact.rotator(0.7, t)[:, None])
     times = np.array([0.0, 0.3, 5.0, 400.0])
     residual = unsolved(RotatorReduced(), solution, times)
@@ -37,28 +37,28 @@ def motion() -> Iterator[Entry]:
     """(3.2)–(3.4) and the balance laws."""
     omega, rate, second = states(3), states(3, 2), states(3, 3)
     yield third_derivative(omega, rate, second)
-    masses, spots = np.array([1.0, 2.0, 3.0, 2.5]), np.random.default_rng(4).normal(size=(4, 3))
+    masses, positions = np.array([1.0, 2.0, 3.0, 2.5]), np.random.default_rng(4).normal(size=(4, 3))
     charges = np.array([0.7, -1.2, 0.2, 0.9])
-    centred = spots - masses @ spots / masses.sum()
-    found = gap(from_charges(masses, spots, charges).dipole, charges @ centred)
-    claim = "d = Σ qρ, ρ from the centre of mass (but for a misprint)"
-    yield Entry("after (3.3)", claim, found, 1e-14)
+    centred = positions - masses @ positions / masses.sum()
+    residual = gap(from_charges(masses, positions, charges).dipole, charges @ centred)
+    claim = "d = Σ qρ, ρ from the centre of mass (except for a misprint)"
+    yield Entry("after (3.3)", claim, residual, 1e-14)
     yield from balance()
-    start = -matvec(inverse(BODY.inertia), radiation.gyroscopic_torque(BODY, omega))
+    free_rate = -matvec(inverse(BODY.inertia), radiation.gyroscopic_torque(BODY, omega))
     momentum = radiation.angular_momentum(BODY, omega)
-    torque = cross(omega, radiation.gyroscopic_torque(BODY, omega)) + cross(momentum, start)
+    torque = cross(omega, radiation.gyroscopic_torque(BODY, omega)) + cross(momentum, free_rate)
     free = free_rotation(BODY, omega)
-    found = max(gap(free[0], start), gap(free[1], matvec(inverse(BODY.inertia), torque)))
-    claim = "Ω̇ₜ = −I⁻¹N, Ω̈ₜ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (but for a stray bracket)"
-    yield Entry("(3.4)", claim, found, 1e-13)
+    residual = max(gap(free[0], free_rate), gap(free[1], matvec(inverse(BODY.inertia), torque)))
+    claim = "Ω̇ₜ = −I⁻¹N, Ω̈ₜ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (except for a stray bracket)"
+    yield Entry("(3.4)", claim, residual, 1e-13)
 
 
 def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray) -> Entry:
-    """(3.2): d⃛ by a sum of products, and by three derivatives in time along a turning frame."""
+    """(3.2): d⃛ as a sum of products, against three time derivatives in a rotating frame."""
     d = jnp.broadcast_to(BODY.dipole[:, None], omega.shape)
 
     def in_space(x: Callable) -> Callable:
-        """The time derivative in the laboratory of a vector that is given in body axes."""
+        """The time derivative in the laboratory of a vector given in body axes."""
 
         def derivative(t: jnp.ndarray) -> jnp.ndarray:
             value, slope = jax.jvp(x, (t,), (jnp.ones_like(t),))
@@ -71,30 +71,30 @@ def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray)
     jerk = second + cross(omega, rate)  # d²Ω/dt² in the laboratory
     sides = cross(jerk, d) + cross(omega, accelerated)
     torque = radiation.radiation_torque(BODY, omega, rate, second)
-    found = max(gap(sides + 2 * cross(rate, first), true), gap(torque, cross(d, true)))
+    residual = max(gap(sides + 2 * cross(rate, first), true), gap(torque, cross(d, true)))
     claim = "ρ⃛ = Ω̈×ρ + 2Ω̇×ρ̇ + Ω×ρ̈, torque d×d⃛"
     printed = "no × in its second term (taken component by component)"
-    return Entry("(3.2)", claim, found, 1e-13, printed, gap(sides + 2 * rate * first, true))
+    return Entry("(3.2)", claim, residual, 1e-13, printed, gap(sides + 2 * rate * first, true))
 
 
 def balance() -> Iterator[Entry]:
-    """(3.3) against the exact laws that follow from d×d⃛ alone."""
+    """(3.3) against the balance laws of energy and angular momentum."""
     body = axisymmetric(-0.3, [0.6, 0.0, 0.8])
     equation = Full(body)
     y = states(6, 5)
     n = body.dipole
     y = y.at[3:].set(y[3:] - dot(n, y[3:])[None] * n[:, None])
 
-    def lent(y: jnp.ndarray) -> tuple[jnp.ndarray, jnp.ndarray]:
+    def conserved(y: jnp.ndarray) -> tuple[jnp.ndarray, jnp.ndarray]:
         omega, rate = equation.omega(y), equation.omega_dot(y)
         energy = radiation.kinetic_energy(body, omega) - radiation.schott_energy(body, omega, rate)
         momentum = radiation.angular_momentum(body, omega)
         return energy, momentum - radiation.schott_angular_momentum(body, omega, rate)
 
-    (_, momentum), (energy_rate, momentum_rate) = jax.jvp(lent, (y,), (equation(0.0, y),))
+    (_, momentum), (energy_rate, momentum_rate) = jax.jvp(conserved, (y,), (equation(0.0, y),))
     omega, rate = equation.omega(y), equation.omega_dot(y)
     first, second = radiation.dipole_derivatives(body, omega, rate)
     claim = "IΩ̇ + N = d×d⃛: d/dt(E − d₁·d₂) = −|d₂|²"
     yield Entry("(3.3)", claim, gap(energy_rate, -dot(second, second)), 1e-12)
-    found = gap(momentum_rate + cross(omega, momentum), -cross(first, second))
-    yield Entry("(3.3)", "IΩ̇ + N = d×d⃛: d/dt(L − d×d₂) = −d₁×d₂ (lab)", found, 1e-12)
+    residual = gap(momentum_rate + cross(omega, momentum), -cross(first, second))
+    yield Entry("(3.3)", "IΩ̇ + N = d×d⃛: d/dt(L − d×d₂) = −d₁×d₂ (lab)", residual, 1e-12)

@@ -33,9 +33,9 @@ def phase_plane() -> Iterator[Entry]:
     rate = Full(axisymmetric(0.0))(0.0, whole)[jnp.array([2, 5])]
     residual = gap(y[1] * rate[1] / rate[0], y[1] + y[0] ** 3)
     yield Entry("(A.2)", "ϖ dϖ/dω = ϖ + ω³, ϖ = ω′, along every motion", residual, 1e-12)
-    found = jax.jvp(full.lyapunov, (y,), (full(0.0, y),))[1]
+    rate = jax.jvp(full.lyapunov, (y,), (full(0.0, y),))[1]
     claim = "V = ω(ϖ − ω/2) grows: V′ = ϖ² + ω⁴"
-    yield Entry("(A.7)–(A.12)", claim, gap(found, y[1] ** 2 + y[0] ** 4), 1e-13)
+    yield Entry("(A.7)–(A.12)", claim, gap(rate, y[1] ** 2 + y[0] ** 4), 1e-13)
     fast = jnp.array(1e8)
     ends = np.array([separatrix(fast), critical_manifold(fast)]) / fast**2
     claim = "ϖ → ±ω²/√2 for ω → ∞ (+ on BOD, − on AOC)"
@@ -50,18 +50,18 @@ def phase_plane() -> Iterator[Entry]:
 
 
 def ends_of_time() -> Entry:
-    """(A.11): τ̄ω at a large ω > 0, before the end of a runaway and after the start of a stop."""
+    """(A.11): τ̄ω at a large ω > 0, near the end of a runaway and the beginning of a stop."""
     fast = 1e4
     before, after = _since(separatrix, fast), _since(critical_manifold, fast)
-    found = np.array([before, after]) * fast
+    products = np.array([before, after]) * fast
     claim = "ω ~ √2/τ̄: ω → ∞ for τ̄ → 0+, but −∞ for τ̄ → 0−, and the reverse"
-    residual = gap(found, np.array([-ROOT, ROOT]))
+    residual = gap(products, np.array([-ROOT, ROOT]))
     printed = "ω → ∞ at either end of time, and the reverse"
-    return Entry("(A.11)", claim, residual, 1e-3, printed, gap(found, np.array([ROOT, ROOT])))
+    return Entry("(A.11)", claim, residual, 1e-3, printed, gap(products, np.array([ROOT, ROOT])))
 
 
 def _since(curve: Callable, w: float) -> float:
-    """τ̄ = ∫dω/ϖ from infinity to w, by x = 1/ω: the time since the blow-up, or − that to it."""
+    """τ̄ = ∫dω/ϖ from ∞ to w, in x = 1/ω: the time since the blow-up; negative before it."""
     nodes, weights = np.polynomial.legendre.leggauss(20)
     x = (nodes + 1) / (2 * w)
     rate = np.asarray(curve(jnp.asarray(1 / x)))
@@ -69,32 +69,32 @@ def _since(curve: Callable, w: float) -> float:
 
 
 def manifold() -> Iterator[Entry]:
-    """(A.15)–(A.17): the curves AOC and BOD, and what approximates them."""
+    """(A.15)–(A.17): the curves AOC and BOD, and their approximations."""
     w = jnp.logspace(-5, 5, LANES)
-    one = jnp.ones(LANES)
-    f, slope = jax.jvp(critical_manifold, (w,), (one,))
-    found = float(jnp.max(jnp.abs(f * slope - f - w**3) / w**3))
-    yield Entry("(A.15), AOC", "f f′ = f + ω³, f ~ −ω³ at 0", found, 1e-14)
+    ones = jnp.ones(LANES)
+    f, slope = jax.jvp(critical_manifold, (w,), (ones,))
+    residual = float(jnp.max(jnp.abs(f * slope - f - w**3) / w**3))
+    yield Entry("(A.15), AOC", "f f′ = f + ω³, f ~ −ω³ at 0", residual, 1e-14)
     small = jnp.array([1e-3, 3e-3])
     series = -(small**3) + 3 * small**5 - 24 * small**7
-    found = float(jnp.max(jnp.abs(critical_manifold(small) / series - 1)))
-    yield Entry("(A.16)", "f = −ω³ + 3ω⁵ − 24ω⁷ + …", found, 1e-12)
+    residual = float(jnp.max(jnp.abs(critical_manifold(small) / series - 1)))
+    yield Entry("(A.16)", "f = −ω³ + 3ω⁵ − 24ω⁷ + …", residual, 1e-12)
     large = jnp.array([1e3, 2e3])
     rest = critical_manifold(large) + large**2 / ROOT - large / 3
-    found = gap(2 * rest[1] - rest[0], -ROOT / 9)  # what is left falls like 1/ω
-    yield Entry("appendix A", "f = −ω²/√2 + ω/3 − √2/9 + O(1/ω) at infinity", found, 1e-5)
-    g, rise = jax.jvp(separatrix, (w,), (one,))
-    found = float(jnp.max(jnp.abs(g * rise - g - w**3) / (g + w**3)))
-    yield Entry("BOD", "g g′ = g + ω³, g ~ ω at 0", found, 1e-14)
+    residual = gap(2 * rest[1] - rest[0], -ROOT / 9)  # the remainder falls like 1/ω
+    yield Entry("appendix A", "f = −ω²/√2 + ω/3 − √2/9 + O(1/ω) at infinity", residual, 1e-5)
+    g, rise = jax.jvp(separatrix, (w,), (ones,))
+    residual = float(jnp.max(jnp.abs(g * rise - g - w**3) / (g + w**3)))
+    yield Entry("BOD", "g g′ = g + ω³, g ~ ω at 0", residual, 1e-14)
     yield from approximations(w)
 
 
 def approximations(w: jnp.ndarray) -> Iterator[Entry]:
-    """The two closed forms that the paper has for f."""
+    """The two closed forms with which the paper approximates f."""
     ends = jnp.array([1e-4, 1e8])
-    found = gap(closed_manifold(ends) / critical_manifold(ends), jnp.ones(2))
+    residual = gap(closed_manifold(ends) / critical_manifold(ends), jnp.ones(2))
     claim = "f ≈ −ω³/√(1+2ω²): right for ω → 0 and for ω → ∞"
-    yield Entry("(A.17)", claim, found, 1e-7)
+    yield Entry("(A.17)", claim, residual, 1e-7)
     inverse_rate = jax.vmap(jax.grad(exact.rotator_closed_time))(w)
     claim = "−ω³/√(1+2ω²) integrates to √(1+2ω²)/(2ω²) + arsinh(1/(√2 ω))"
     residual = gap(inverse_rate * closed_manifold(w), jnp.ones_like(w))
@@ -102,32 +102,32 @@ def approximations(w: jnp.ndarray) -> Iterator[Entry]:
     error = float(closed_manifold(1.0) / critical_manifold(1.0)) - 1
     claim = "error of that approximation at ω = 1: 22 % (not in the paper)"
     yield Entry("appendix A", claim, abs(error - 0.22), 0.005)
-    some = jnp.linspace(0.1, 1.0, LANES)
-    rate, second = jax.jvp(lambda x: -(x**3), (some,), (-(some**3),))  # ω′ and ω″ along ω′ = −ω³
-    residual = gap(rate, RotatorReduced()(0.0, some[None])[0])
-    lack = second - RotatorFull()(0.0, jnp.stack([some, rate]))[1]
+    small = jnp.linspace(0.1, 1.0, LANES)
+    rate, second = jax.jvp(lambda x: -(x**3), (small,), (-(small**3),))  # ω′ and ω″ along ω′ = −ω³
+    residual = gap(rate, RotatorReduced()(0.0, small[None])[0])
+    missing = second - RotatorFull()(0.0, jnp.stack([small, rate]))[1]
     claim, printed = "f ≈ −ω³ is the reduced equation (2.3)", "the reduced equation (2.2)"
-    yield Entry("end of appendix A", claim, residual, 1e-15, printed, gap(rate + lack, rate))
+    yield Entry("end of appendix A", claim, residual, 1e-15, printed, gap(rate + missing, rate))
 
 
 def asymptotics() -> Iterator[Entry]:
     """(A.3)–(A.6)."""
-    found = logarithm(critical_manifold)
+    measured = logarithm(critical_manifold)
     claim = "ω = (2τ)^(−1/2) [1 + c ln τ/τ + O(1/τ)], c = 3/4"
-    residual = abs(found / LOGARITHM - 1)
-    yield Entry("(A.3)–(A.4)", claim, residual, 1e-3, "[1 + O(1/τ)], c = 0", abs(found))
+    residual = abs(measured / LOGARITHM - 1)
+    yield Entry("(A.3)–(A.4)", claim, residual, 1e-3, "[1 + O(1/τ)], c = 0", abs(measured))
     fast = 1e4
     run = classify(RotatorFull(), jnp.array([fast, float(separatrix(fast))]))
     failed = int(run.outcome) == Outcome.FAILED
-    found = abs(float(run.time) * fast / ROOT - 1) if failed else np.inf
-    yield Entry("(A.5)", "|ω| ~ √2/|τ| near a blow-up", found, 1e-3)
+    residual = abs(float(run.time) * fast / ROOT - 1) if failed else np.inf
+    yield Entry("(A.5)", "|ω| ~ √2/|τ| near a blow-up", residual, 1e-3)
     small = jnp.array([1e-6, 1e-4])
-    found = gap(separatrix(small) / small, jnp.ones(2))
-    yield Entry("(A.6)", "ω ~ A e^τ at −∞, on BOD", found, 1e-8)
+    residual = gap(separatrix(small) / small, jnp.ones(2))
+    yield Entry("(A.6)", "ω ~ A e^τ at −∞, on BOD", residual, 1e-8)
 
 
 def logarithm(branch: Callable, start: float = 0.1) -> float:
-    """The c of ω√(2τ) = 1 + c ln τ/τ + O(1/τ), of the motion ω′ = branch(ω) from `start` on."""
+    """The coefficient c in ω√(2τ) = 1 + c ln τ/τ + O(1/τ), for ω′ = branch(ω) with ω₀ = `start`."""
     late = []
     for w in (1e-4, 1e-6):
         nodes, weights = np.polynomial.legendre.leggauss(100)
@@ -136,5 +136,5 @@ def logarithm(branch: Callable, start: float = 0.1) -> float:
         rate = np.asarray(branch(jnp.exp(jnp.asarray(s))))
         tau = float((high - low) / 2 * np.sum(weights * -np.exp(s) / rate))  # τ = −∫dω/ϖ
         late.append((tau * (w * np.sqrt(2 * tau) - 1), np.log(tau)))
-    (one, log_one), (two, log_two) = late
-    return float((two - one) / (log_two - log_one))
+    (early_value, early_log), (late_value, late_log) = late
+    return float((late_value - early_value) / (late_log - early_log))

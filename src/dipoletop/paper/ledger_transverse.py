@@ -1,4 +1,4 @@
-"""Sections 4 and 4.1: the dipole across the symmetry axis, as equations, and their fixed points."""
+"""Sections 4 and 4.1: equations for a dipole across the symmetry axis, and their fixed points."""
 
 from collections.abc import Iterator
 
@@ -29,19 +29,19 @@ def equations() -> Iterator[Entry]:
     """(4.2)–(4.15)."""
     deltas, omega, rates = shapes(), states(3), states(2, 2)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
-    found = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
+    special = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
     whole = jnp.concatenate([omega, jnp.zeros((1, LANES)), rates])
     expected = Full(bodies)(0.0, whole)[jnp.array([0, 1, 2, 4, 5])]
     claim = "the full equation (3.3) of such a top, closed"
-    yield Entry("section 4", claim, gap(found, expected), 1e-12)
+    yield Entry("section 4", claim, gap(special, expected), 1e-12)
     first, general = TransverseReduced(deltas), Reduced(bodies)(0.0, omega)
     residual = gap(first(0.0, omega), general)
     yield Entry("(4.2)–(4.4)", "(3.4) of a top with a transverse dipole", residual, 1e-13)
     yield from exact_motions()
-    round_ = TransverseCylindrical(deltas)
+    cylindrical = TransverseCylindrical(deltas)
     y = jnp.stack([jnp.abs(omega[0]), omega[2], omega[1]])
-    found = jax.jvp(round_.omega, (y,), (round_(0.0, y),))[1]
-    residual = gap(found, Reduced(bodies)(0.0, round_.omega(y)))
+    rate = jax.jvp(cylindrical.omega, (y,), (cylindrical(0.0, y),))[1]
+    residual = gap(rate, Reduced(bodies)(0.0, cylindrical.omega(y)))
     yield Entry("(4.9)–(4.11)", "the same in ω⊥, ω₃, φ", residual, 1e-13)
     yield from monotony()
     angles = jnp.linspace(0, 2 * jnp.pi, 16, endpoint=False)
@@ -52,7 +52,7 @@ def equations() -> Iterator[Entry]:
 
 
 def exact_motions() -> Iterator[Entry]:
-    """(4.5), (4.6) and the exact motions that belong to them."""
+    """(4.5), (4.6) and their exact solutions."""
     delta, axial, plane = 0.6, np.array([0.0, 0.0, 0.7]), np.array([0.03, 0.4, 0.0])
     solution = jax.jit(lambda t, start: exact.transverse(delta, start, t))
     equation, general = TransverseReduced(delta), Reduced(axisymmetric(delta))
@@ -76,7 +76,7 @@ def exact_motions() -> Iterator[Entry]:
 
 
 def monotony() -> Iterator[Entry]:
-    """What stands after (4.12)."""
+    """The claims about monotonicity after (4.12)."""
     deltas, omega = shapes(), states(3, 11)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
     rate = Reduced(bodies)(0.0, omega)
@@ -85,7 +85,7 @@ def monotony() -> Iterator[Entry]:
     phi = jnp.linspace(0, jnp.pi, 181)
 
     def growth(delta: float) -> float:
-        """Largest ω₃′/ω₃, over ω², where ω₃ is small."""
+        """The largest ω₃′/(ω₃ω²) at small ω₃."""
         y = jnp.stack([jnp.ones_like(phi), jnp.full_like(phi, 1e-6), phi])
         return float(jnp.max(TransverseCylindrical(delta)(0.0, y)[1]) / 1e-6)
 
@@ -100,13 +100,13 @@ def linearised() -> Entry:
     jacobian = jax.jacfwd(lambda y: TransverseCylindrical(-0.6)(0.0, y))(jnp.array([w, 0.0, 0.0]))
     linear = TransverseLinearised(-0.6, w)(0.0, small)
     claim, printed = "linearisation of (4.9)–(4.11) at (w, 0, 0)", "linearisation of (4.5)–(4.9)"
-    only = jacobian.at[1:].set(0.0) @ small  # of those, only (4.9) has a rate: that of ω⊥
+    only = jacobian.at[1:].set(0.0) @ small  # of (4.5)–(4.9) only (4.9) gives a rate, that of ω⊥
     residual = gap(linear, jacobian @ small)
     return Entry("before (4.22)", claim, residual, 1e-13, printed, gap(only, linear))
 
 
 def fixed_points() -> Iterator[Entry]:
-    """Those of order 1, and the rates beside them, (4.22)–(4.24)."""
+    """The fixed points at order 1, and the rates near them, (4.22)–(4.24)."""
     yield linearised()
     claim = "(4.2)–(4.4) have no other fixed points than ω₂ = ω₃ = 0"
     yield Entry("section 4.1", claim, elsewhere(), 0.0)
@@ -117,13 +117,13 @@ def fixed_points() -> Iterator[Entry]:
         for delta in (-1.0, -0.7, -0.5, d, 0.0, 0.4)
     }
     residual = max(
-        gap(found, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
-        for delta, found in rates.items()
+        gap(scaled, np.sort([0.0, -1.0, -(1 + 2 * delta) / (1 - delta)])[::-1])
+        for delta, scaled in rates.items()
     )
-    claim = "rates 0, −w², −(1+2δ)/(1−δ) w² beside (w, 0, 0), at order 1"
+    claim = "rates 0, −w², −(1+2δ)/(1−δ) w² near (w, 0, 0), at order 1"
     yield Entry("section 4.1", claim, residual, 1e-12)
     claim = "unstable for δ < −1/2; at δ = −1/2 the linear approximation says nothing"
-    unstable = {delta: np.sum(found > 1e-9) > 0 for delta, found in rates.items()}
+    unstable = {delta: np.sum(scaled > 1e-9) > 0 for delta, scaled in rates.items()}
     wrong = share([unstable[delta] != (delta < -0.5) for delta in rates])
     printed = share([unstable[delta] != (delta <= -0.5) for delta in rates])
     yield Entry("section 4.1", claim, wrong, 0.0, "unstable for δ ≤ −1/2", printed)
@@ -133,7 +133,7 @@ def fixed_points() -> Iterator[Entry]:
 
 
 def elsewhere() -> float:
-    """Of the fixed points found from many starts, the share that is not on the line ω₂ = ω₃ = 0."""
+    """The share of the fixed points, found from random guesses, off the line ω₂ = ω₃ = 0."""
     field = jax.jit(lambda delta, omega: TransverseReduced(delta)(0.0, omega))
     draw, distances = np.random.default_rng(12), []
 
@@ -141,32 +141,33 @@ def elsewhere() -> float:
         """|ω| between 0.1 and 3, and the direction of ω."""
         return 3 * 30 ** ((np.sin(x[0]) - 1) / 2), x[1:] / np.linalg.norm(x[1:])
 
-    def lack(x: np.ndarray, delta: float) -> np.ndarray:
+    def scaled_field(x: np.ndarray, delta: float) -> np.ndarray:
         r, n = polar(x)
         return np.append(np.asarray(field(delta, r * n)) / r**3, np.sum(x[1:] ** 2) - 1)
 
     for delta in (-1.0, -0.7, -0.5, -0.2, 0.0, 0.3, 0.8):
         for _ in range(12):
-            found = least_squares(lack, draw.normal(size=4), args=(delta,), xtol=1e-15, ftol=1e-15)
-            if np.max(np.abs(found.fun)) < 1e-9:
-                distances.append(np.hypot(*polar(found.x)[1][1:]))
+            guess = draw.normal(size=4)
+            root = least_squares(scaled_field, guess, args=(delta,), xtol=1e-15, ftol=1e-15)
+            if np.max(np.abs(root.fun)) < 1e-9:
+                distances.append(np.hypot(*polar(root.x)[1][1:]))
     return float(np.mean(np.array(distances) > 1e-3)) if distances else np.inf
 
 
 def slowest(state: jnp.ndarray) -> Entry:
-    """How fast the residual rotation (w, 0, 0) is reached."""
+    """The rate at which the residual rotation (w, 0, 0) is approached."""
     deltas, square = (-0.3, 0.4), float(state[0]) ** 2
-    found = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
+    rates = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
     axial = np.array([3 / (1 - d) - 2 for d in deltas])
     claim = "1/T = τ₀Ω∞² min(1, 3I₁/I₃ − 2), the slowest rate"
-    residual = gap(found, square * np.minimum(1, axial))
+    residual = gap(rates, square * np.minimum(1, axial))
     printed = "1/T = (3I₁/I₃ − 2)τ₀Ω∞²"
-    return Entry("section 4.2, 1", claim, residual, 1e-12, printed, gap(square * axial, found))
+    return Entry("section 4.2, 1", claim, residual, 1e-12, printed, gap(square * axial, rates))
 
 
 def no_threshold(state: jnp.ndarray) -> Entry:
-    """Where order 1 and the consistent levels have a residual rotation that is stable."""
-    at = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
+    """The shapes for which residual rotation is stable, at order 1 and at consistent levels."""
+    delta = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
     consistent = np.linspace(-0.99, 0.95, 9)
     stable = np.array(
         [
@@ -174,19 +175,19 @@ def no_threshold(state: jnp.ndarray) -> Entry:
             for level in (TransverseSemi, TransverseFull)
         ]
     )
-    residual = abs(at + 0.5) + share([~stable])
+    residual = abs(delta + 0.5) + share([~stable])
     claim = "the threshold I₃ = 3/2 I₁ is order 1's: by the full equation all are stable"
     printed = share([stable[:, consistent < -0.5]])
     return Entry("section 4.2", claim, residual, 1e-12, "I₃ > 3/2 I₁ is unstable", printed)
 
 
 def lost_term(delta: float) -> Entry:
-    """Near the residual state, where ω₃ ~ ω⊥², order 1 misses −2ω₁ω₂ω²/(1−δ) of ω₃′."""
+    """Order 1 lacks the term −2ω₁ω₂ω²/(1−δ) of ω₃′, which is of leading order where ω₃ ~ ω⊥²."""
     u = 1e-2
     omega = jnp.array([u, 0.3 * u, 0.5 * u**2])
     rate = slow_manifold(TransverseFull(delta), omega)[2]
     first = TransverseReduced(delta)(0.0, omega)[2]
     lost = -2 * omega[0] * omega[1] * jnp.sum(omega**2) / (1 - delta)
-    claim = "where ω₃ ~ ω⊥², (3.3) has −2ω₁ω₂ω²/(1−δ) in ω₃′ besides, of leading order"
+    claim = "where ω₃ ~ ω⊥², (3.3) has another term of leading order in ω₃′, −2ω₁ω₂ω²/(1−δ)"
     residual, printed = (abs(float(x / rate) - 1) for x in (first + lost, first))
     return Entry("(4.4)", claim, residual, 1e-2, "ω₃′ without that term", printed)

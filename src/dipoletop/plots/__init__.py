@@ -1,6 +1,14 @@
-"""Pictures of basins and trajectories, in colours that colour-blind people can tell apart."""
+"""Pictures of basins, trajectories and continuations.
+
+`plane` computes what a map shows before it is drawn; `basins`, `trajectories` and `continuations`
+draw; `style`, `axes` and `wording` hold what all pictures share. The colours can be told apart by
+colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
+"""
 
 from .._maps.symmetry import unfold
-from .basins import basin, compare, trajectory
+from .basins import basin, compare
+from .continuations import continuation, diagram
+from .style import save
+from .trajectories import trajectory
 
-__all__ = ["basin", "compare", "trajectory", "unfold"]
+__all__ = ["basin", "compare", "continuation", "diagram", "save", "trajectory", "unfold"]

@@ -1,7 +1,7 @@
 """What a map of outcomes shows, before it is drawn: two axes, classes, colours, title."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -11,6 +11,10 @@ from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.symmetry import unfold
+from .wording import capitalised, number, percent, symbol
+
+Colour = str | tuple[float, float, float, float]
+"""A hexadecimal colour, or RGBA."""
 
 CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.RESIDUAL, Stop.NONE): ("residual rotation", "#0072b2"),
@@ -22,26 +26,14 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.UNDECIDED, Stop.NONE): ("undecided", "#66ff33"),
     (Outcome.FAILED, Stop.NONE): ("failed", "#df20ff"),
 }
-"""What a start can be: its name and its flat colour. With normal and with colour-blind eyes any
-two differ plainly, from each other and from the shades of `SIGNED`."""
+"""Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
+differ plainly, from each other and from the shades of `SIGNED`."""
 
 SIGNED = LinearSegmentedColormap.from_list(
     "signed", ["#8e2f00", "#e8853c", "#f7f3ee", "#5fa2d4", "#08488e"]
 )
 BLUES = LinearSegmentedColormap.from_list("residual", ["#deebf7", "#6baed6", "#08306b"])
 BROWNS = LinearSegmentedColormap.from_list("stop", ["#feeed8", "#ec8a32", "#5f2003"])
-
-SYMBOLS = {
-    "phi": r"$\varphi$",
-    "w3": r"$\omega_3$",
-    "w_perp": r"$\omega_\perp$",
-    "w1": r"$\omega_1$",
-    "w2": r"$\omega_2$",
-    "delta": r"$\delta$",
-    "amplitude": r"$|\omega_0|$",
-    "theta": r"$\vartheta$",
-}
-"""Names of axes that have a symbol; another name stands for itself."""
 
 
 class Shade(NamedTuple):
@@ -53,25 +45,32 @@ class Shade(NamedTuple):
     norm: Normalize
     label: str
     legend: dict[str, float]
-    """Entries of the legend, and where in `colours` each has its colour."""
+    """Entries of the legend, and the place in `colours`, from 0 to 1, of the colour of each."""
 
 
 class Plane(NamedTuple):
-    """A basin over two axes, rows along y, both rising."""
+    """A basin over two axes, both rising; arrays have shape (Y, X), with rows along y."""
 
     x: str
     y: str
     xs: Float[np.ndarray, "X"]
     ys: Float[np.ndarray, "Y"]
     columns: dict[str, np.ndarray]
-    """`outcome`, `stop` and, if shaded, a third; shape (Y, X)."""
+    """`outcome`, `stop` and, if the outcomes are shaded, the column that shades them."""
     title: str
 
 
-def plane(
-    basin: Basin, shading: str | None, extend: bool, names: tuple[str | None, str | None]
+def plane_of(
+    basin: Basin, shading: str | None, extend: bool, axes: tuple[str | None, str | None]
 ) -> Plane:
-    """Two axes and the columns over them; axes of length 1 become part of the title."""
+    """Two axes of a basin and the columns over them; axes of length 1 become part of the title.
+
+    Args:
+        basin: a basin over a grid with two axes longer than 1.
+        shading: the column that shades the outcomes, or None.
+        extend: whether to unfold a symmetry cell to the whole plane.
+        axes: the names along x and y; None means the usual one.
+    """
     if not basin.coords:
         refuse("basin", "be over a grid", "is over a sample, which has no axes to map")
     long = [name for name, n in zip(basin.dims, basin.shape, strict=True) if n > 1]
@@ -79,30 +78,29 @@ def plane(
         refuse(
             "basin",
             "have exactly two axes of numbers that are longer than 1",
-            f"has {lengths(basin)}; sweep a grid with a single value on every other axis",
+            f"has {axis_lengths(basin)}; sweep a grid with a single value on every other axis",
         )
-    x, y = _choose(long, *names)
+    x, y = _choose(long, *axes)
     shown = ["outcome", "stop"] + ([shading] if shading else [])
-    needed = {name: basin.columns[name] for name in shown}
-    whole = dataclasses.replace(basin, columns=needed)
-    whole = unfold(whole) if extend else whole
-    order = [np.argsort(whole.coords[name]) for name in (y, x)]
+    cell = dataclasses.replace(basin, columns={name: basin.columns[name] for name in shown})
+    whole = unfold(cell) if extend else cell
+    x_order, y_order = np.argsort(whole.coords[x]), np.argsort(whole.coords[y])
     columns = {}
     for name in shown:
         column = whole.column(name).squeeze()
-        columns[name] = (column if long == [y, x] else column.T)[np.ix_(*order)]
-    ys, xs = (
-        np.asarray(whole.coords[name][at], float) for name, at in zip((y, x), order, strict=True)
-    )
+        columns[name] = (column if long == [y, x] else column.T)[np.ix_(y_order, x_order)]
+    xs = np.asarray(whole.coords[x][x_order], float)
+    ys = np.asarray(whole.coords[y][y_order], float)
     return Plane(x, y, xs, ys, columns, _title(basin))
 
 
-def lengths(basin: Basin) -> str:
-    """The axes of a basin in words."""
+def axis_lengths(basin: Basin) -> str:
+    """The axes of a basin and their lengths, in words."""
     return ", ".join(f"{name} ({n})" for name, n in zip(basin.dims, basin.shape, strict=True))
 
 
 def _choose(long: list[str], x: str | None, y: str | None) -> tuple[str, str]:
+    """The names of the horizontal and the vertical axis."""
     for argument, name in (("x", x), ("y", y)):
         if name is not None and name not in long:
             refuse(argument, f"be {long[0]!r} or {long[1]!r}", f"is {name!r}")
@@ -115,9 +113,9 @@ def _choose(long: list[str], x: str | None, y: str | None) -> tuple[str, str]:
 
 
 def _title(basin: Basin) -> str:
-    """The level; the values that are fixed; what is certified."""
+    """The level; the values that are fixed; which share of the outcomes is certified."""
     fixed = [
-        f"{SYMBOLS.get(name, name)} = {', '.join(_number(v) for v in np.ravel(values))}"
+        f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values))}"
         for name, values in basin.coords.items()
         if len(values) == 1
     ]
@@ -125,45 +123,20 @@ def _title(basin: Basin) -> str:
     words = {0.0: "no outcome", 1.0: "all outcomes"}
     which = words.get(share, f"{percent(share)} of the outcomes")
     certified = f"{which} certified for this level"
-    return f"{sentence(basin.level)}\n{', '.join([*fixed, certified])}"
+    return f"{capitalised(basin.level)}\n{', '.join([*fixed, certified])}"
 
 
-def sentence(text: str) -> str:
-    """The text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
-def _number(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
-
-
-def percent(share: float) -> str:
-    """To 0.1 %; 0 % means none and 100 % all."""
-    rounded = round(share * 1000) / 10
-    if 0 < share < 1 and rounded in (0, 100):
-        return "> 99.9 %" if rounded else "< 0.1 %"
-    return f"{rounded:g} %"
-
-
-def shades(shading: str | None, planes: list[Plane]) -> list[Shade]:
-    """One scale for every outcome that is shaded and occurs, common to all planes."""
+def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
+    """The shading of every outcome that occurs, with colour scales that all planes share."""
     if shading is None:
         return []
-    residual, stop = (
-        np.concatenate([p.columns[shading][p.columns["outcome"] == outcome] for p in planes])
-        for outcome in (Outcome.RESIDUAL, Outcome.STOP)
-    )
+    residual = _shaded_values(planes, shading, Outcome.RESIDUAL)
+    stop = _shaded_values(planes, shading, Outcome.STOP)
     if shading == "omega_inf":
-        if residual.size == 0:
-            return []
-        most = float(np.max(np.abs(residual))) or 1.0
-        label = r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)"
-        signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
-        norm = Normalize(-most, most)
-        return [Shade(Outcome.RESIDUAL, shading, SIGNED, norm, label, signs)]
+        return [_omega_inf_shade(residual)] if residual.size else []
 
-    # A start that is decided at once has τ = 0, below every logarithmic scale, and a few next to
-    # the boundary take very long: the ends of the scale are open.
+    # A start that is decided at once has τ = 0, which no logarithmic scale shows, and a few starts
+    # next to the boundary take very long: so the scale is open at both ends.
     times = np.concatenate([residual, stop])
     times = times[times > 0] if np.any(times > 0) else np.ones(1)
     least, most = np.percentile(times, [0.5, 99.5])
@@ -178,41 +151,57 @@ def shades(shading: str | None, planes: list[Plane]) -> list[Shade]:
     ]
 
 
-def kinds(plane: Plane) -> Int[np.ndarray, "Y X"]:
-    """Which of `CLASSES` every start is; a way of stopping counts for STOP only."""
+def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
+    """The values of a column, of all starts with an outcome."""
+    columns = [plane.columns for plane in planes]
+    return np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
+
+
+def _omega_inf_shade(residual: Float[np.ndarray, "n"]) -> Shade:
+    """Residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
+    most = float(np.max(np.abs(residual))) or 1.0
+    label = r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)"
+    signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
+    return Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, Normalize(-most, most), label, signs)
+
+
+def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
+    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops."""
     outcome, stop = plane.columns["outcome"], plane.columns["stop"]
-    found = np.zeros(outcome.shape, np.int8)
-    for k, (wanted, way) in enumerate(CLASSES):
-        here = outcome == wanted
-        found[here & (stop == way) if wanted == Outcome.STOP else here] = k
-    return found
+    classes = np.zeros(outcome.shape, np.int8)
+    for number_of_class, (class_outcome, class_stop) in enumerate(CLASSES):
+        members = outcome == class_outcome
+        if class_outcome == Outcome.STOP:
+            members &= stop == class_stop
+        classes[members] = number_of_class
+    return classes
 
 
-def paint(
-    plane: Plane, kinds: Int[np.ndarray, "Y X"], shades: list[Shade]
+def coloured(
+    plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> UInt8[np.ndarray, "Y X 4"]:
     """The colour of every start, RGBA."""
     flat = np.array([(*to_rgb(colour), 1.0) for _, colour in CLASSES.values()])
-    image = np.round(255 * flat).astype(np.uint8)[kinds]
+    image = np.round(255 * flat).astype(np.uint8)[classes]
     for shade in shades:
-        here = plane.columns["outcome"] == shade.outcome
-        values = np.asarray(plane.columns[shade.column][here], np.float32)
-        image[here] = shade.colours(shade.norm(values), bytes=True)
+        members = plane.columns["outcome"] == shade.outcome
+        values = np.asarray(plane.columns[shade.column][members], np.float32)
+        image[members] = shade.colours(shade.norm(values), bytes=True)
     return image
 
 
-def entries(kinds: Int[np.ndarray, "Y X"], shades: list[Shade]) -> dict[str, Any]:
+def legend_colours(classes: Int[np.ndarray, "Y X"], shades: list[Shade]) -> dict[str, Colour]:
     """Name and colour of every class that occurs, in the order of `CLASSES`."""
-    counts = np.bincount(kinds.ravel(), minlength=len(CLASSES)).tolist()
+    counts = np.bincount(classes.ravel(), minlength=len(CLASSES)).tolist()
     shaded = {shade.outcome: shade for shade in shades}
-    colours: dict[str, Any] = {}
+    colours: dict[str, Colour] = {}
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):
         if count == 0:
             continue
         if outcome in shaded:
             shade = shaded[outcome]
-            colours |= {name: shade.colours(at) for name, at in shade.legend.items()}
-        elif count < kinds.size / 1000:  # too few to be found in the picture
+            colours |= {name: shade.colours(place) for name, place in shade.legend.items()}
+        elif count < classes.size / 1000:  # too few to be seen in the picture
             colours[f"{label} ({count} start{'s' if count > 1 else ''})"] = colour
         else:
             colours[label] = colour

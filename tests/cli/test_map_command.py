@@ -1,38 +1,17 @@
-"""The command line: what it computes, prints, writes, refuses, and how it goes on."""
+"""`dipoletop map`: what it computes, prints, writes, refuses, and how it goes on."""
 
-import csv
 import math
-import re
-import subprocess
-import sys
-import time
 
 import jax
 import numpy as np
 import pytest
 import zarr
-from click.testing import CliRunner
+from command_line import cells, invoke, refusal, row
 
 import dipoletop as dt
-from dipoletop import validation
-from dipoletop.cli import maps as _mapping
-from dipoletop.cli.commands import NAMES, Number, main
-from dipoletop.equations import levels as _levels
+from dipoletop.cli import maps
 
 SIZE = 24  # on both axes, everywhere, so that the engine compiles once for each level
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def refusal(*arguments):
-    """The one line of a command that is refused."""
-    result = invoke(*arguments)
-    assert result.exit_code == 2
-    assert "Traceback" not in result.output
-    (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
-    return line.removeprefix("Error: ")
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +24,6 @@ def default_map(tmp_path_factory):
 def basins(default_map):
     _, folder = default_map
     return [dt.Basin.load(folder / f"m-{level}.zarr") for level in ("order-1", "semi")]
-
-
-def row(text, name):
-    (line,) = [line for line in text.splitlines() if line.startswith(f"{name}  ")]
-    return re.split(r"  +", line)[1:]
-
-
-def cells(text, name):
-    """A row of the table, its intervals apart: [[share, low, high], …]."""
-    line = " ".join(row(text, name))
-    return np.array(re.findall(r"([\d.]+)% +\[([\d.]+), ([\d.]+)\]", line), float)
 
 
 def test_default_map_is_phi_and_w3_at_both_levels(default_map, basins):
@@ -205,7 +173,7 @@ def test_an_interrupt_ends_with_one_line(monkeypatch, tmp_path, store, kept):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_mapping, "sweep", interrupted)
+    monkeypatch.setattr(maps, "sweep", interrupted)
     result = invoke("map", store, "--output", tmp_path / "m")
     assert result.exit_code == 130
     assert result.stderr == f"Stopped: {kept}.\n"
@@ -251,203 +219,3 @@ def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, arguments, line):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     assert "file" in refusal("map", "--output", f"{tmp_path}/file/m")
-
-
-@pytest.fixture(scope="module")
-def trajectory(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trajectory")
-    return invoke("simulate", "--level", "order-1", "--output", folder / "t.pdf"), folder
-
-
-def read(path):
-    with path.open() as lines:
-        return {
-            float(line["tau"]): {name: float(value) for name, value in line.items()}
-            for line in csv.DictReader(lines)
-        }
-
-
-def test_simulate_gives_figure_2a(trajectory):
-    result, folder = trajectory
-    assert result.exit_code == 0, result.output
-    assert (folder / "t.pdf").stat().st_size > 5_000
-    rows = read(folder / "t.csv")
-    assert len(rows) == 1001
-    for tau, expected in zip((10, 100, 1000), validation.RESIDUAL_ORBIT, strict=True):
-        found = [rows[tau][f"omega_{k}"] for k in (1, 2, 3)]
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-        assert f"{tau:10g} {expected[0]:16.9e}"[:24] in result.output
-    w1, w2, w3 = (rows[0][f"omega_{k}"] for k in (1, 2, 3))
-    assert rows[0]["energy"] == pytest.approx((w1**2 + w2**2 + 1.2 * w3**2) / 2, rel=1e-14)
-    # dE/dτ = −power but for the Schott term, which is small against E at the end.
-    assert 0 < rows[1000]["power"] < rows[0]["power"]
-    sentence = "residual rotation; certified: in a region proven to decide for this level of the"
-    assert sentence in result.output
-    value, consistent = re.findall(r"ω∞ = ([\d.]+\d)", result.output)
-    assert float(value) == pytest.approx(validation.RESIDUAL_ROTATION, rel=1e-9)
-    # 0.1193 by the full equation; semi-reduced: an error of relative order ω².
-    assert "Order 1 lacks a leading term of the full equation; at the semi-red" in result.output
-    assert float(consistent) == pytest.approx(0.1193, rel=0.04)
-
-
-def test_simulate_says_how_a_stopping_top_stops(tmp_path):
-    arguments = ["--level", "order-1", "--phi", "pi/3", "--tau-max", 100, "--rtol", "1e-9"]
-    result = invoke("simulate", *arguments, "--output", f"{tmp_path}/", "--format", "svg")
-    assert result.exit_code == 0, result.output
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["trajectory.csv", "trajectory.svg"]
-    rows = read(tmp_path / "trajectory.csv")
-    assert len(rows) == 1001
-    for tau, expected in zip((10, 100), validation.STOPPING_ORBIT, strict=False):
-        found = [rows[tau][f"omega_{k}"] for k in (1, 2, 3)]
-        np.testing.assert_allclose(found, expected, atol=1e-8)
-    assert "Outcome: stop (rotating); certified" in result.output
-    assert "ω∞ = 0\n" in result.output
-    assert "this start ends so: stop (rotating), ω∞ = 0." in result.output
-
-
-def test_simulate_at_another_level_from_spherical_angles(trajectory, tmp_path):
-    size = 0.2 * math.sqrt(2)
-    start = ["--amplitude", size, "--theta", "pi/4", "--delta", -0.2]
-    what = ["--points", 11]
-    result = invoke("simulate", *what, *start, "--output", tmp_path / "t")
-    assert result.exit_code == 0, result.output
-    assert list(read(tmp_path / "t.csv")) == [100.0 * k for k in range(11)]
-    first, same = (read(path)[0.0] for path in (tmp_path / "t.csv", trajectory[1] / "t.csv"))
-    for k in (1, 2, 3):
-        assert first[f"omega_{k}"] == pytest.approx(same[f"omega_{k}"], rel=1e-14)
-    assert "|ω| = 0.282843, θ = π/4. Level: semi-reduced." in result.output
-    assert "Order 1" not in result.output
-    (value,) = re.findall(r"ω∞ = (\S+)", result.output)
-    # 0.1193 by the full equation, 0.0989 by order 1; semi-reduced: an error of relative order ω².
-    assert float(value) == pytest.approx(0.1193, rel=0.04)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ("--max-steps 3", "The run did not reach τ = 1000: it ended after 3 steps of at most 3."),
-        ("--tau-max 0", "--tau-max must be positive, but is 0."),
-        ("--theta 1 --w3 1", "theta and w3 cannot be mixed"),
-        ("--delta -1.1", "Argument `delta` must lie in [-1, 1), but is -1.1."),
-        ("--points 1", "Invalid value for '--points'"),
-    ],
-)
-def test_a_run_that_cannot_be_is_refused_in_one_line(tmp_path, arguments, line):
-    assert line in refusal("simulate", "--output", f"{tmp_path}/t", *arguments.split())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_switches_float64_on():
-    code = (
-        "from dipoletop import cli, validation; "
-        "validation.CHECKS = (validation.float64,); cli.main()"
-    )
-    command = [sys.executable, "-c", code, "validate"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "double precision" in done.stdout
-
-
-def _checks(*errors):
-    def check():
-        return [validation.Check(f"number {k}", 2.0, 2.0 + e, 2.0, 1e-3) for k, e in errors]
-
-    return (check,)
-
-
-def _broken():
-    raise RuntimeError("no such device\nand more")
-
-
-def test_validate_ends_with_0_if_all_is_well(monkeypatch):
-    monkeypatch.setattr(validation, "CHECKS", _checks((1, 0.0), (2, 1e-3)))
-    result = invoke("validate")
-    assert result.exit_code == 0
-    assert result.output.endswith("All passed.\n")
-    assert f"jax {jax.__version__}" in result.output
-    assert jax.devices()[0].platform in result.output
-    assert re.search(r"number 2 +2 +2.001 +5.0e-04 +1.0e-03 ok", result.output)
-
-
-@pytest.mark.parametrize("error", [3e-3, math.nan])
-def test_validate_ends_with_1_if_a_check_fails(monkeypatch, error):
-    monkeypatch.setattr(validation, "CHECKS", (*_checks((1, error)), _broken, *_checks((2, 0.0))))
-    result = invoke("validate")
-    assert result.exit_code == 1
-    assert re.search(r"number 1 .* FAILED", result.output)
-    assert re.search(r"no such device .* FAILED", result.output)
-    assert re.search(r"number 2 .* ok", result.output)
-    assert result.output.endswith("2 failed.\n")
-
-
-@pytest.mark.parametrize("command", [[], ["map"], ["simulate"], ["spectrum"]])
-def test_help_explains_every_word(command):
-    result = invoke(*command, "--help")
-    assert result.exit_code == 0
-    for word in (*NAMES.choices, "δ", "ω⊥", "ω₃", "φ", "τ₀", "order-1", "semi", "Certified"):
-        assert word in result.output
-    assert max(len(line) for line in result.output.splitlines()) <= 100
-
-
-def test_version_and_unknown_commands():
-    assert dt.__version__ in invoke("--version").output
-    assert "No such command 'maps'" in refusal("maps")
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("0.25", 0.25),
-        ("-1e-3", -1e-3),
-        ("pi", math.pi),
-        ("pi/30", math.pi / 30),
-        ("-pi/4", -math.pi / 4),
-        ("2pi", 2 * math.pi),
-        ("2*pi/3", 2 * math.pi / 3),
-    ],
-)
-def test_numbers_may_be_multiples_of_pi(text, value):
-    assert Number().convert(text, None, None) == pytest.approx(value, rel=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (0.2, "0.2"), (math.pi, "π"), (-math.pi / 4, "-π/4"), (2 * math.pi / 3, "2π/3")],
-)
-def test_multiples_of_pi_are_shown_as_such(value, text):
-    assert _mapping.describe({"phi": value}) == f"φ = {text}"
-
-
-def test_levels_are_the_equations_they_are_called():
-    for order in (1, 2, 3, 4):
-        assert _levels.equation(f"order-{order}", 0.1).order == order
-    assert isinstance(_levels.equation("semi", 0.1), dt.TransverseSemi)
-    assert isinstance(_levels.equation("full", 0.1), dt.TransverseFull)
-
-
-def test_spectrum_prints_the_eigenvalues():
-    """Order 1: 0, −w², −(1+2δ)/(1−δ) w²; at δ = −0.6 the last is positive."""
-    result = invoke("spectrum", "--delta", -0.6, "--w", 0.1, "--level", "order-1")
-    assert result.exit_code == 0
-    first, slow, back, consistent = result.output.splitlines()
-    assert consistent.startswith("Order 1 lacks a leading term of the full equation; semi-reduced")
-    assert "semi-reduced: stable" in consistent
-    assert first.endswith("not stable")
-    assert [float(x) for x in slow.split()[1:]] == pytest.approx([0, 0.00125, -0.01], rel=1e-9)
-    assert back.strip().startswith("return time inf")
-    assert "`delta` must lie in [-1, 1), but is 1" in refusal("spectrum", "--delta", 1)
-
-
-def test_compiling_time_is_counted_once_however_many_threads_compile():
-    event = "/jax/core/compile/backend_compile_duration"
-    with _mapping._compiling() as seconds:
-        assert seconds() == 0
-        for _ in range(2):
-            jax.monitoring.record_event_duration_secs(event, 0.5)
-        assert 0.5 <= seconds() < 0.6
-        jax.monitoring.record_event_duration_secs("/jax/checkpoint/write", 0.5)
-        time.sleep(0.01)
-        jax.monitoring.record_event_duration_secs(event, 0.001)
-        assert 0.501 <= seconds() < 0.6
-    jax.monitoring.record_event_duration_secs(event, 5.0)
-    assert seconds() < 0.6

@@ -1,0 +1,169 @@
+"""The quantities that a map or a run is given: names, defaults, ranges, and the grid of a map.
+
+Everywhere in Python a quantity has the name of its axis in a `Grid`, such as `w_perp`. The command
+line spells it as an option, `--w-perp`: `OPTIONS` leads from there to the name, and messages go
+the other way by `Quantity.option`.
+"""
+
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from .._maps.grids import Grid
+from ..equations.transverse import TransverseReduced, cylindrical
+
+
+class Quantity(NamedTuple):
+    """What the user may give or vary: its spelling, meaning, default and usual range."""
+
+    option: str
+    symbol: str
+    meaning: str
+    default: float
+    low: float
+    high: float
+
+
+QUANTITIES = {
+    "delta": Quantity("delta", "δ", "δ = 1 − I₃/I₁.", -0.2, -1.0, 0.9),
+    "w_perp": Quantity("w-perp", "ω⊥", "ω⊥, across the symmetry axis.", 0.2, 0.0, 0.5),
+    "w3": Quantity("w3", "ω₃", "ω₃, along the symmetry axis.", 0.2, 0.0, 0.6),
+    "phi": Quantity("phi", "φ", "φ, from the dipole to ω⊥.", math.pi / 30, 0.0, math.pi),
+    "amplitude": Quantity(
+        "amplitude", "|ω|", "|ω|, with --theta in place of w-perp and w3.", 0.2, 0.02, 0.5
+    ),
+    "theta": Quantity(
+        "theta", "θ", "Angle from the symmetry axis to ω.", math.pi / 4, 0.0, math.pi / 2
+    ),
+}
+OPTIONS = {quantity.option: name for name, quantity in QUANTITIES.items()}
+"""Names of the quantities, by the words of the command line."""
+CYLINDRICAL, SPHERICAL = {"w_perp", "w3"}, {"amplitude", "theta"}
+"""The two ways to give the size and the direction of ω₀; φ belongs to both."""
+
+
+def spelled(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names as the command line spells them."""
+    return tuple(QUANTITIES[name].option for name in names)
+
+
+def as_text(value: float) -> str:
+    """A number; a multiple of π as such."""
+    part = Fraction(value / math.pi).limit_denominator(60)
+    if value == 0 or not math.isclose(part * math.pi, value, rel_tol=1e-12):
+        return f"{value:g}"
+    above = {1: "", -1: "-"}.get(part.numerator, str(part.numerator))
+    return f"{above}π" + (f"/{part.denominator}" if part.denominator > 1 else "")
+
+
+def describe(values: Mapping[str, float]) -> str:
+    """The values with their symbols."""
+    return ", ".join(
+        f"{QUANTITIES[name].symbol} = {as_text(value)}" for name, value in values.items()
+    )
+
+
+def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
+    """ω₀ of shape (3,), from the quantities by their names."""
+    if "amplitude" not in values:
+        return cylindrical(values["w_perp"], values["w3"], values["phi"])
+    amplitude, theta = values["amplitude"], values["theta"]
+    return cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), values["phi"])
+
+
+def with_defaults(
+    given: Mapping[str, float | None], axes: tuple[str, ...] = ()
+) -> dict[str, float]:
+    """The quantities that fix δ and ω₀, as given or by default; `axes` will be varied.
+
+    Raises:
+        ValueError: an axis that is given, ω⊥ or ω₃ with |ω| or θ, or values that cannot be.
+    """
+    fixed = {name: value for name, value in given.items() if value is not None}
+    for name in fixed:
+        if name in axes:
+            option = QUANTITIES[name].option
+            raise ValueError(
+                f"--{option} would fix an axis of the map; use --range {option} LOW HIGH."
+            )
+    named = {*axes, *fixed}
+    if named & SPHERICAL and named & CYLINDRICAL:
+        mixed = spelled(tuple(named & (SPHERICAL | CYLINDRICAL)))
+        raise ValueError(
+            f"{' and '.join(sorted(mixed))} cannot be mixed: "
+            "the start is given by w-perp and w3, or by amplitude and theta."
+        )
+    left_out = CYLINDRICAL if named & SPHERICAL else SPHERICAL
+    values = {
+        name: fixed.get(name, quantity.default)
+        for name, quantity in QUANTITIES.items()
+        if name not in left_out
+    }
+    for name, value in values.items():
+        _check(name, value)
+    return values
+
+
+def _check(name: str, *values: float) -> None:
+    """Refuse values that no top can have."""
+    option = QUANTITIES[name].option
+    for value in values:
+        if name in ("w_perp", "amplitude") and value < 0:
+            raise ValueError(f"{option} must not be negative, but is {value:g}.")
+        if name == "theta" and not 0 <= value <= math.pi:
+            raise ValueError(f"theta must lie between 0 and pi, but is {value:g}.")
+        if name == "delta":
+            TransverseReduced(value)  # which refuses a δ that no body has
+
+
+def grid_over(
+    axes: tuple[str, str],
+    ranges: Mapping[str, tuple[float, float]],
+    size: tuple[int, int],
+    given: Mapping[str, float | None],
+) -> tuple[Grid, str]:
+    """The grid over two quantities, and a line that describes it.
+
+    A quantity that is fixed is an axis of length 1, so that the data hold all of them. The axes
+    x and y of the map come last, x after y.
+
+    Raises:
+        ValueError: axes, ranges or values that do not go together.
+    """
+    x, y = axes
+    options = spelled(axes)
+    if x == y:
+        raise ValueError(
+            f"--x and --y must be two different quantities, but are both {options[0]}."
+        )
+    for name in ranges:
+        if name not in axes:
+            raise ValueError(
+                f"--range {QUANTITIES[name].option}: "
+                f"the axes of this map are {options[0]} and {options[1]}."
+            )
+    fixed = {name: v for name, v in with_defaults(given, axes).items() if name not in axes}
+    values: dict[str, Any] = dict(fixed)
+    spans = {}
+    for name, n in zip(axes, size, strict=True):
+        quantity = QUANTITIES[name]
+        low, high = ranges.get(name, (quantity.low, quantity.high))
+        if not low < high:
+            raise ValueError(f"--range {quantity.option}: {low:g} must be less than {high:g}.")
+        _check(name, low, high)
+        values[name] = np.linspace(low, high, n, endpoint=not _repeats(name, low, high))
+        spans[name] = f"{quantity.symbol} from {as_text(low)} to {as_text(high)}"
+    text = f"{size[0]} × {size[1]} starts: {spans[x]}, {spans[y]}, at {describe(fixed)}"
+    return Grid(**{name: values[name] for name in (*fixed, y, x)}), text
+
+
+def _repeats(name: str, low: float, high: float) -> bool:
+    """Whether outcomes at both ends of a range are the same: they repeat after φ → φ + π."""
+    half_turns = (high - low) / math.pi
+    return name == "phi" and math.isclose(half_turns, round(half_turns), abs_tol=1e-9)

@@ -1,0 +1,80 @@
+"""Axes of pictures: how the values of a grid are spaced, cells round them, ticks."""
+
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+from .._base.checks import instance
+
+Spacing = Literal["even", "log", "uneven"]
+
+QUARTER = np.pi / 2
+QUARTER_LABELS = {
+    -2: r"$-\pi$",
+    -1: r"$-\pi/2$",
+    0: "0",
+    1: r"$\pi/2$",
+    2: r"$\pi$",
+    3: r"$3\pi/2$",
+}
+"""Labels of the usual multiples of π/2."""
+
+
+def check_axes(ax: Any, argument: str = "ax") -> None:
+    """Refuse what is neither axes of matplotlib nor None."""
+    if ax is not None:
+        instance(argument, ax, Axes, "be axes of matplotlib, or None")
+
+
+def spacing(values: Float[np.ndarray, "n"]) -> Spacing:
+    """Whether rising values are evenly spaced, or their logarithms are, to 0.1 %."""
+
+    def even(points: Float[np.ndarray, "n"]) -> bool:
+        steps = np.diff(points)
+        return bool(np.ptp(steps) < 1e-3 * np.mean(steps))
+
+    if even(values):
+        return "even"
+    return "log" if values[0] > 0 and even(np.log(values)) else "uneven"
+
+
+def cell_edges(values: Float[np.ndarray, "n"], spaced: Spacing) -> Float[np.ndarray, "n+1"]:
+    """Edges of the cells round the values, halfway between neighbours."""
+    if spaced == "log":
+        return np.exp(cell_edges(np.log(values), "even"))
+    middle = (values[1:] + values[:-1]) / 2
+    return np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])
+
+
+def show_cells(
+    ax: Axes,
+    xs: Float[np.ndarray, "X"],
+    ys: Float[np.ndarray, "Y"],
+    colours: UInt8[np.ndarray, "Y X 4"],
+) -> None:
+    """Coloured cells: an image if both axes are even, else a mesh, with logarithmic axes."""
+    x_spacing, y_spacing = spacing(xs), spacing(ys)
+    x_edges, y_edges = cell_edges(xs, x_spacing), cell_edges(ys, y_spacing)
+    if x_spacing == y_spacing == "even":
+        extent = (*x_edges[[0, -1]].tolist(), *y_edges[[0, -1]].tolist())
+        ax.imshow(colours, origin="lower", extent=extent, aspect="auto", rasterized=True)
+        return
+    ax.pcolormesh(x_edges, y_edges, colours, rasterized=True)
+    if x_spacing == "log":
+        ax.set_xscale("log")
+    if y_spacing == "log":
+        ax.set_yscale("log")
+
+
+def mark_quarter_turns(axis: Axis) -> None:
+    """Ticks of an angle at multiples of π/2."""
+
+    def label(value: float, _: Any) -> str:
+        return QUARTER_LABELS.get(round(value / QUARTER), rf"${value / np.pi:g}\pi$")
+
+    axis.set_major_locator(MultipleLocator(QUARTER))
+    axis.set_major_formatter(FuncFormatter(label))
