@@ -254,9 +254,9 @@ def test_a_second_call_with_other_values_compiles_nothing():
 
     run(0.0)
     with jax.log_compiles(), jax.checking_leaks():
-        before = jax_engine._compiled("cpu")._cached._cache_size()
+        before = jax_engine._jitted("cpu")._cached._cache_size()
         run(0.01)
-        assert jax_engine._compiled("cpu")._cached._cache_size() == before
+        assert jax_engine._jitted("cpu")._cached._cache_size() == before
 
 
 def size(y):
