@@ -6,8 +6,8 @@ A run of n steps, each with an error of at most rtol·|ω|, misses ω∞ by no m
 
 s being what errors of the components of ω₀ are measured by (`scales_of`), |ω₀| or less.
 
-Both were measured (benchmarks/bench_residual.py). C is small, since Dopri8 estimates the error of
-the lower one of its two orders; MIDWAY is there since a motion may be more sensitive on its way
+Both were measured (benchmarks/accuracy/residual.py). C is small, since Dopri8 estimates the error
+of the lower one of its two orders; MIDWAY is there since a motion may be more sensitive on its way
 than at its start. The gradient is that of differences: every start is run again with each
 component of ω₀ moved, so no equation needs anything more for it. Near a zero of ω∞, which is the
 border between rotations in opposite senses or of the basin, the gradient is large or infinite;
