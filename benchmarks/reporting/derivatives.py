@@ -22,7 +22,7 @@ it.
   above all next to the boundary, they prove nothing, and the start is **skipped**.
 
 Some families compile for many minutes. It takes half as long with the `XLA_FLAGS` that
-`python .ci/flags.py` prints, which were used here for second derivatives at order 4 and the full
+`python tests/quick.py` prints, which were used here for second derivatives at order 4 and the full
 level, and for general bodies at the full level.
 """
 
