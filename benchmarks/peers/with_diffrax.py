@@ -91,13 +91,13 @@ def _classify(
                 return jax.device_get(advance(*batch))
 
             rounds = list(threads.map(solve, packed.reshape(chunks, width)))
-            ends, found, count = (
+            ends, decided, count = (
                 np.concatenate(part)[: live.size] for part in zip(*rounds, strict=True)
             )
-            states[live], labels[live] = ends, found
+            states[live], labels[live] = ends, decided
             made += int(count.sum())
             budget -= steps
-            live = live[found == mixed_basin.UNDECIDED]
+            live = live[decided == mixed_basin.UNDECIDED]
     return labels, made
 
 

@@ -107,9 +107,9 @@ def _classify(
             break
         states = _advance(states, coefficients, steps)
         made += steps * live.size
-        found = mixed_basin.certificate(coefficients[0], states * coefficients[1])
-        labels[live] = found
-        left = found == mixed_basin.UNDECIDED
+        decided = mixed_basin.certificate(coefficients[0], states * coefficients[1])
+        labels[live] = decided
+        left = decided == mixed_basin.UNDECIDED
         live, states, coefficients = live[left], states[:, left], coefficients[:, left]
     return labels, made, process_time() - begin
 
@@ -137,8 +137,8 @@ def run(
         answers = everywhere()
         seconds = perf_counter() - ready
     labels = np.empty(len(deltas), dtype=np.int64)
-    for part, (found, *_) in zip(parts, answers, strict=True):
-        labels[part] = found
+    for part, (part_labels, *_) in zip(parts, answers, strict=True):
+        labels[part] = part_labels
     return {
         "labels": labels,
         "seconds": seconds,

@@ -88,7 +88,7 @@ def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
     """The mixed basin with residual values, without and with derivatives."""
     deltas, omegas = mixed_basin.sample(sizes.starts)
     rows = np.column_stack([deltas, omegas])
-    found = []
+    table = []
     for level in sizes.levels:
         names, at = NAMES[: sizes.names], rows
         if level in HIGHER:
@@ -96,8 +96,8 @@ def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
         precise = _sweep(level, at, TRUTH, derivatives=names)
         for engine in sizes.engines:
             if engine == "native" or level not in HIGHER[1:]:
-                found += _with_and_without(level, at, engine, precise, sizes)
-    return found
+                table += _with_and_without(level, at, engine, precise, sizes)
+    return table
 
 
 def _with_and_without(
@@ -118,14 +118,14 @@ def _with_and_without(
 
     records = measure.interleaved({m: case(m) for m in range(sizes.names + 1)}, sizes.repeats)
     plain, base = records[0][0]["basin"], measure.summary(records[0])
-    found = []
+    table = []
     for m, runs in records.items():
         basin, costs = runs[0]["basin"], measure.summary(runs)
         clocks = ("seconds", "processor_seconds")
         over = {clock: costs[clock]["median"] / base[clock]["median"] for clock in clocks}
         steps = basin.steps.sum() / plain.steps.sum()
         decided = (basin.outcome > 0) & (plain.outcome > 0)
-        found.append(
+        table.append(
             costs
             | {"level": level, "engine": engine, "derivatives": m, "starts": len(rows)}
             | {"first_seconds": runs[0]["first"], "over_plain": over}
@@ -135,21 +135,21 @@ def _with_and_without(
             | {"differ": int(np.sum(decided & (basin.outcome != plain.outcome)))}
             | _errors(basin, precise, plain, m)
         )
-    return found
+    return table
 
 
 def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, m: int) -> dict[str, Any]:
     """Relative errors of the first m derivatives (0: of ω∞) at residual starts; starts without."""
     residual = plain.outcome == dt.Outcome.RESIDUAL
-    found, exact = (
+    values, exact = (
         (_slopes(b)[:, :m] if m else b.omega_inf[:, None])[residual] for b in (basin, precise)
     )
-    known = np.isfinite(found) & np.isfinite(exact) & (exact != 0)
-    off = np.abs(found[known] / exact[known] - 1)
+    known = np.isfinite(values) & np.isfinite(exact) & (exact != 0)
+    off = np.abs(values[known] / exact[known] - 1)
     return {
         "median_error": float(np.median(off)),
         "high_error": float(np.quantile(off, 0.99)),
-        "missing": int(np.sum(~np.isfinite(found).all(axis=1))),
+        "missing": int(np.sum(~np.isfinite(values).all(axis=1))),
     }
 
 
@@ -165,11 +165,11 @@ def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any
     def called(program: Any, point: Any) -> dict[str, Any]:
         def task() -> Any:
             for _ in range(CALLS):
-                found = jax.block_until_ready(program(*point))
-            return found
+                result = jax.block_until_ready(program(*point))
+            return result
 
-        found, clocks = measure.timed(task)
-        return {clock: spent / CALLS for clock, spent in clocks.items()} | {"found": found}
+        result, clocks = measure.timed(task)
+        return {clock: spent / CALLS for clock, spent in clocks.items()} | {"result": result}
 
     programs = {name: _program(case[0], case[1]) for name, case in cases.items()}
     calls = {name: partial(called, programs[name][0], cases[name][1]) for name in cases}
@@ -179,12 +179,12 @@ def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any
     plain = measure.summary(next(iter(records.values())))["processor_seconds"]["median"]
     rows = []
     for name, runs in records.items():
-        leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(runs[0]["found"])]
-        found, exact = np.concatenate(leaves), np.ravel(cases[name][2])
+        leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(runs[0]["result"])]
+        values, exact = np.concatenate(leaves), np.ravel(cases[name][2])
         row = measure.summary(runs) | {"of": what, "name": name}
         row |= {"compile_seconds": programs[name][1], "starts": 1}
         row |= {"over_plain": row["processor_seconds"]["median"] / plain}
-        rows.append(row | {"error": float(np.max(np.abs(found - exact)) / np.max(np.abs(exact)))})
+        rows.append(row | {"error": float(np.max(np.abs(values - exact)) / np.max(np.abs(exact)))})
     return rows
 
 
@@ -261,7 +261,7 @@ def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
         for rtol in (RTOL, 1e-10):
             plain, basin = sweep(rtol=rtol), sweep(rtol=rtol, derivatives=("a",))
             pairs = {"value": plain.omega_inf, "slope": basin.derivative("a")}
-            off = {name: np.abs(found / exact - 1) for name, found in pairs.items()}
+            off = {name: np.abs(values / exact - 1) for name, values in pairs.items()}
             errors = {name: [float(np.median(e)), float(e.max())] for name, e in off.items()}
             rows.append(
                 {"strength": strength, "rtol": rtol, "starts": TURNING, "errors": errors}
@@ -278,8 +278,8 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
     basin = _sweep("order-1", starts, 1e-10, derivatives="delta")  # to know their steps
 
     def limit(delta: Any, omega: Any, max_steps: int) -> Any:
-        found = dt.residual_rotation(dt.TransverseReduced(delta), omega, max_steps=max_steps)
-        return found, 0
+        value = dt.residual_rotation(dt.TransverseReduced(delta), omega, max_steps=max_steps)
+        return value, 0
 
     def end(delta: Any, omega: Any, max_steps: int) -> Any:
         # As long as the run to ω∞: a few braking times.
@@ -297,10 +297,10 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
             gradient = jax.grad(partial(function, max_steps=budget), has_aux=True)
             points = [(jnp.asarray(row[0]), jnp.asarray(row[1:])) for row in starts]
             program, seconds = _program(gradient, points[0])
-            found = [program(*point) for point in points]
-            counts = basin.steps.tolist() if function is limit else [int(f[1]) for f in found]
+            results = [program(*point) for point in points]
+            counts = basin.steps.tolist() if function is limit else [int(f[1]) for f in results]
             # A run that exceeds the budget has no derivative, or a wrong end.
-            served = [n for n, f in zip(counts, found, strict=True) if np.isfinite(f[0])]
+            served = [n for n, f in zip(counts, results, strict=True) if np.isfinite(f[0])]
             size = program.memory_analysis().temp_size_in_bytes
             about = {"name": name, "max_steps": budget, "compile_seconds": seconds}
             rows.append(about | {"bytes": size, "steps": [n for n in served if n < budget]})
@@ -325,14 +325,14 @@ def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
         ones = (jnp.ones_like(delta),)
         return jax.jvp(lambda d: _end(d, omega, forward), (delta,), ones)
 
-    found: dict[str, Callable[..., Any]] = {
+    functions: dict[str, Callable[..., Any]] = {
         PLAIN: lambda delta, omega: (_end(delta, omega, forward),),
         "and its derivative by δ, forwards": tangent,
     }
     if backwards:
         gradient = jax.value_and_grad(partial(_end, adjoint=reverse), (0, 1))
-        found["and all four, backwards"] = gradient
-    return found
+        functions["and all four, backwards"] = gradient
+    return functions
 
 
 def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
@@ -353,16 +353,16 @@ def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[d
         program = jax.jit(batched(function))
 
         def call(program: Any = program) -> dict[str, Any]:
-            found, clocks = measure.timed(lambda: jax.block_until_ready(program(*point)))
-            return clocks | {"found": jax.tree.leaves(found)}
+            result, clocks = measure.timed(lambda: jax.block_until_ready(program(*point)))
+            return clocks | {"result": jax.tree.leaves(result)}
 
         first[name], cases[name] = call()["seconds"], call
     records = measure.interleaved(cases, 2 * sizes.repeats)
     plain = measure.summary(records[PLAIN])["seconds"]["median"]
-    by_delta = [found[0]["found"][1] for name, found in records.items() if name != PLAIN]
+    by_delta = [runs[0]["result"][1] for name, runs in records.items() if name != PLAIN]
     rows = []
-    for name, found in records.items():
-        row = measure.summary(found) | {"name": name, "starts": np.size(point[0])}
+    for name, runs in records.items():
+        row = measure.summary(runs) | {"name": name, "starts": np.size(point[0])}
         times = {"first_seconds": first[name], "over_plain": row["seconds"]["median"] / plain}
         rows.append(row | times)
     apart = jnp.max(jnp.abs(by_delta[0] - by_delta[-1])) / jnp.max(jnp.abs(by_delta[0]))

@@ -136,7 +136,7 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
         ]
         if share == LATE[0]:
             rows.append(_exact_sets(late))
-    note = "`value=False` beside `value=True`"
+    note = "`value=False` against `value=True`"
     return [*rows, _row("outcomes only, no ω∞", steps, valued, (n, n), note)]
 
 
@@ -233,8 +233,8 @@ def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
     """Right-hand sides at each of `ERRORS`, between tolerances by power laws; None outside."""
     errors, costs = (np.log([r[k] for r in rows]) for k in ("median_error", "evaluations"))
     order = np.argsort(errors)
-    found = np.interp(np.log(ERRORS), errors[order], costs[order], left=np.nan, right=np.nan)
-    return [None if np.isnan(x) else float(np.exp(x)) for x in found]
+    costs_at = np.interp(np.log(ERRORS), errors[order], costs[order], left=np.nan, right=np.nan)
+    return [None if np.isnan(x) else float(np.exp(x)) for x in costs_at]
 
 
 def compare(sizes: Sizes) -> dict[str, Any]:
