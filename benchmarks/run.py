@@ -1,64 +1,75 @@
-"""All benchmarks in one run: dipoletop beside its peers. What they mean is in README.md here.
+"""Measure dipoletop and its peers in one run. What the numbers mean is in README.md here.
 
 python benchmarks/run.py --small     some minutes, to see that everything works
-python benchmarks/run.py             everything, printed
-python benchmarks/run.py --write     and kept: README.md, results/, the figure
+python benchmarks/run.py             everything, printed; half an hour on two cores
+python benchmarks/run.py --write     the same, and kept in results/
 """
 
 import argparse
 import itertools
+import sys
+from pathlib import Path
 from typing import Any
 
-# A peer's processes import this file again, so what takes long is imported in the functions.
+if not __package__:  # started by its path: then its folder, not the repository, is on the path
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+
+# The processes of a peer import this file again, so imports that take long are in the functions.
 
 
 def measure_all(small: bool, large: bool) -> dict[str, Any]:
-    """Every scene, one after another."""
-    import bench_basin
-    import bench_gradients
-    import bench_import
-    import bench_map
-    import bench_precision
-    import bench_savings
-    import bench_scaling
-    import measure
+    """Every part, one after another."""
+    from benchmarks import engines
+    from benchmarks.reporting import measure
+    from benchmarks.speed import (
+        default_map,
+        derivative_costs,
+        importing,
+        outcomes,
+        precision,
+        savings,
+        scaling,
+    )
 
-    sizes = bench_basin.ErrorScale((4096, 32768, 262_144), slow=1024, truth=1024, repeats=5)
+    sizes = outcomes.Sizes((4096, 32768, 262_144), slow=1024, truth=1024, repeats=5)
     points = [512, 1024] if large else [512]
-    precision: dict[str, Any] = {"n": 16384, "repeats": 7}
-    savings, scaling = bench_savings.ErrorScale(), bench_scaling.ErrorScale()
-    gradients = bench_gradients.ErrorScale()
+    precision_sizes: dict[str, Any] = {"n": 16384, "repeats": 7}
+    savings_sizes, scaling_sizes = savings.Sizes(), scaling.Sizes()
+    derivative_sizes = derivative_costs.Sizes()
     if large:
-        scaling = scaling._replace(maps=(*scaling.maps, (2048, "native", False)))
-        gradients = gradients._replace(body=True)
+        scaling_sizes = scaling_sizes._replace(maps=(*scaling_sizes.maps, (2048, "native", False)))
+        derivative_sizes = derivative_sizes._replace(body=True)
     if small:
         few = ("heyoka batch", "diffrax vmap chunked, tuple", "diffrax vmap whole, (3,)")
-        sizes = bench_basin.ErrorScale((256,), slow=32, truth=16, repeats=1, rivals=few)
+        sizes = outcomes.Sizes((256,), slow=32, truth=16, repeats=1, rivals=few)
         points = [16]
-        precision = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
-        savings, scaling = bench_savings.FEW, bench_scaling.FEW
-        gradients = bench_gradients.FEW
-    before = measure.load()
+        precision_sizes = {"n": 64, "repeats": 2, "tolerances": (1e-6, 1e-9)}
+        savings_sizes, scaling_sizes = savings.FEW, scaling.FEW
+        derivative_sizes = derivative_costs.FEW
+    load_before = measure.load()
     # Fresh processes first, while this one is small.
-    importing = bench_import.compare(1 if small else 15)
-    scenes = itertools.product(points, bench_map.LEVELS, bench_map.ENGINES)
-    maps = [bench_map.measured(level, n, engine) for n, level, engine in scenes]
-    fresh = bench_scaling.in_fresh_processes(scaling)
+    import_times = importing.compare(1 if small else 15)
+    maps = [
+        default_map.measured(level, n, engine)
+        for n, level, engine in itertools.product(points, default_map.LEVELS, engines.NAMES)
+    ]
+    fresh = scaling.in_fresh_processes(scaling_sizes)
     return {
         "machine": measure.machine(),
-        "import": importing,
+        "import": import_times,
         "maps": maps,
-        "precision": bench_precision.alone(**precision),
-        "basin": bench_basin.compare(sizes),
-        "scaling": fresh | bench_scaling.compare(scaling),
-        "gradients": bench_gradients.compare(gradients),
-        "savings": bench_savings.compare(savings),
-        "load": [before, measure.load()],
+        "precision": precision.alone(**precision_sizes),
+        "basin": outcomes.compare(sizes),
+        "scaling": fresh | scaling.compare(scaling_sizes),
+        "gradients": derivative_costs.compare(derivative_sizes),
+        "savings": savings.compare(savings_sizes),
+        "load": [load_before, measure.load()],
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Measure, print, and keep if asked."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--small", action="store_true", help="small sizes: does everything work?")
     size.add_argument("--large", action="store_true", help="larger maps too")
@@ -70,14 +81,9 @@ def main() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    import report
+    from benchmarks.reporting import pages
 
-    results = measure_all(args.small, args.large)
-    text = report.markdown(results)
-    print(text)
-    if args.write:
-        report.keep("results", text, results)
-        report.figure(results["precision"])
+    pages.show("speed", measure_all(args.small, args.large), keep=args.write)
 
 
 if __name__ == "__main__":

@@ -4,21 +4,16 @@ Nothing here imports dipoletop at once: the jaxtyping plugin (see pyproject.toml
 """
 
 import os
-from importlib.metadata import version
 
 import hypothesis
 import jax
 import matplotlib
 import pytest
 
-# Nearly all of the time is XLA's, which compiles some thousand programs and runs each for a moment:
-# without its optimisations, and with its older emitters where it has them, half as much. `.ci/run`
-# also runs what users do, with all of them.
-QUICK = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-OLDER_EMITTERS = version("jaxlib").startswith("0.10.")
-if OLDER_EMITTERS:
-    QUICK += " --xla_cpu_use_fusion_emitters=false"
-os.environ.setdefault("XLA_FLAGS", QUICK)
+import quick
+
+# `.ci/run` also runs what users do, with all of XLA's optimisations.
+os.environ.setdefault("XLA_FLAGS", quick.FLAGS)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -35,7 +30,7 @@ def compile_lanes_as_users_do():
     """With the older emitters the last bits of a lane depend on its place."""
     from dipoletop._engines.jax_engine import CPU_OPTIONS
 
-    if OLDER_EMITTERS:
+    if quick.OLDER_EMITTERS:
         CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
 
 

@@ -1,13 +1,12 @@
 """The verdict for any body, against long integration and the regions of the transverse top."""
 
-import importlib.util
-import pathlib
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.accuracy import long_runs
+from benchmarks.problems import random_bodies as labels
 from dipoletop import Level
 from dipoletop._base.types import Outcome, Stop
 from dipoletop.bodies import Body
@@ -17,17 +16,6 @@ from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 LANES = 16  # of each kind of body
 MANY = 320  # states to be judged: always as many, so that a level compiles once
 LEVELS = {"1": Level.ORDER_1, "2": Level.ORDER_2, "semi": Level.SEMI}
-
-
-def _script():
-    path = pathlib.Path(__file__).parents[2] / "benchmarks" / "labels.py"
-    spec = importlib.util.spec_from_file_location("labels", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-labels = _script()
 
 
 def principal(rng, n, position):
@@ -61,7 +49,7 @@ def isotropic(rng, n, low, high):
     return omega * (speed / np.linalg.norm(omega, axis=1))[:, None]
 
 
-@pytest.fixture(scope="module", params=["1"])  # `benchmarks/bench_labels.py` has them all
+@pytest.fixture(scope="module", params=["1"])  # `benchmarks/accuracy/labels.py` has them all
 def runs(request):
     """Dipole on the largest, the middle and the smallest axis, and on none; the last oblate."""
     rng = np.random.default_rng(7)
@@ -70,7 +58,7 @@ def runs(request):
     smallest = np.tile([0.5, 0.58, 1.0], (LANES, 1)), np.tile([1.0, 0.0, 0.0], (LANES, 1))
     j, dipole = (np.concatenate(part) for part in zip(largest, middle, none, smallest, strict=True))
     sample = turned(rng, j, dipole, isotropic(rng, 4 * LANES, 0.03, 0.15))
-    return labels.compare(request.param, sample, 20.0, budgets=(20_000, 30_000))
+    return long_runs.compare(request.param, sample, 20.0, budgets=(20_000, 30_000))
 
 
 def test_axis_of_the_dipole_decides(runs):

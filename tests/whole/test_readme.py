@@ -1,5 +1,6 @@
-"""The README: its example runs as printed, its commands are those of the house, its links lead."""
+"""The README: its example runs as printed; its commands, names and links lead somewhere."""
 
+import pkgutil
 import re
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
+from dipoletop.cli import main
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -55,6 +57,31 @@ def test_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     share, low, high, count = map(float, numbers.groups())
     assert low - 0.01 < 0.5894 < high + 0.01
     assert count == round(1000 * share)
+
+
+def test_first_screen_holds_the_essentials():
+    assert len(README.splitlines()) <= 120
+    screen = "\n".join(README.splitlines()[:48])
+    assert "pip install . && dipoletop map" in screen
+    assert "notebooks/figures/map.png" in screen
+    assert blocks("python")[0] in screen
+
+
+def test_names_in_the_first_table_exist():
+    table = re.search(r"^\| to … .*?\n\n", README, re.DOTALL | re.MULTILINE)[0]
+    for row in table.split("\n")[2:-2]:
+        owner = ""
+        for name in re.findall(r"`(\.?[A-Za-z]\w*(?:\.\w+)*)", row.split("|")[2]):
+            full = owner + name if name.startswith(".") else name
+            owner = full.rpartition(".")[0]
+            pkgutil.resolve_name(f"dipoletop.{full}")  # raises if there is none
+
+
+def test_commands_of_the_command_line_exist():
+    for words in re.findall(r"\bdipoletop ([a-z]+(?: [a-z]+)?)`", README):
+        command = main
+        for word in words.split():
+            command = command.commands[word]
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)]+)\)", README))))

@@ -12,7 +12,7 @@ start, and about |ω∞| at the end, where ω lies along the dipole. The estimat
 
     C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n.
 
-C and MIDWAY were measured (benchmarks/bench_residual.py). C is far below n, since Dopri8 estimates
+C and MIDWAY were measured (benchmarks/accuracy/residual.py). C is far below n, since Dopri8 estimates
 the error of the lower of its two orders, and since errors of different steps partly cancel; MIDWAY
 exceeds 1, since a motion can be more sensitive on its way than at both ends.
 

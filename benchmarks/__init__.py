@@ -1,0 +1,1 @@
+"""Benchmarks of dipoletop. How to run them is in README.md."""

@@ -1,0 +1,1 @@
+"""How right the results are: labels, ω∞ and derivatives against independent computations."""

@@ -1,0 +1,129 @@
+"""Derivatives of ω∞ against differences: near the boundary and far from it, at every level.
+
+First ones from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the inertia tensor,
+the dipole and ω₀. Second ones of tops by `jax.hessian`.
+
+    python -m benchmarks.accuracy.derivatives --first semi --second     a look
+    python -m benchmarks.accuracy.derivatives --write                   kept: results/derivatives.md
+"""
+
+import argparse
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dipoletop as dt
+from benchmarks.accuracy.differences import Function, certain, chosen_steps, differences, off
+from benchmarks.problems.families import NAMES, TRUTH, Family, with_guide
+from benchmarks.reporting import derivatives as page
+from benchmarks.reporting import measure, pages
+from dipoletop import Level, equation_at
+
+RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
+LARGEST = 0.3  # |ω₀|: where all levels hold
+NEAREST = 400  # the nearest starts, among which the starts near the boundary are chosen
+FAR = 0.3  # least ω∞/|ω₀| of starts far from it
+
+
+def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
+    """Random residual rows: the nearest to the boundary, and those with ω∞ beyond `FAR`.
+
+    The distance from the boundary is Newton's estimate, ω∞/|∇ω∞|.
+    """
+    rows = guide.draw(pool)
+    sizes = np.linalg.norm(rows[:, -3:], axis=1)
+    rows, sizes = rows[sizes < LARGEST], sizes[sizes < LARGEST]
+    basin = guide.sweep(rows, TRUTH)
+    values, soon = np.abs(basin.omega_inf), basin.time < guide.patience
+    slopes = np.linalg.norm(guide.slopes(rows, RTOLS[0]), axis=1)
+    residual = (values > 0) & (slopes > 0) & soon
+    near = np.argsort(values[residual] / slopes[residual])[:NEAREST]
+    return {"near": rows[residual][near], "far": rows[(values > FAR * sizes) & soon][:count]}
+
+
+def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
+    """First derivatives, by sweeps."""
+    asked, guide, count = with_guide(name, count)
+    return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
+
+
+def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
+    """Second derivatives, by `jax.hessian` of `residual_rotation`."""
+    asked, guide, count = with_guide(level, count)
+    directions = jnp.asarray(asked.directions)
+
+    @jax.jit
+    def hessian(row: Any, rtol: Any) -> Any:
+        def value(moves: Any) -> Any:
+            x = row + moves @ directions
+            return dt.residual_rotation(equation_at(level, x[0]), x[1:], rtol=rtol)
+
+        return jax.hessian(value)(jnp.zeros(len(directions)))
+
+    def hessians(rows: np.ndarray, rtol: float) -> np.ndarray:
+        return np.array([hessian(jnp.asarray(row), jnp.asarray(rtol)) for row in rows])
+
+    return compared(asked, guide, (hessians, asked.slopes, guide.slopes), count, pool)
+
+
+def compared(
+    asked: Family, guide: Family, functions: tuple[Any, Function, Function], count: int, pool: int
+) -> list[dict[str, Any]]:
+    """Errors of derivatives near the boundary and far from it, at each tolerance.
+
+    `functions`: the derivatives to check, the function that they are derivatives of, and this
+    function in the guide.
+    """
+    derivative, function, guiding = functions
+    ways, lines = asked.directions, []
+    for place, rows in drawn(guide, count, pool).items():
+        steps = chosen_steps(guiding, rows, ways)
+        clear = certain(differences(guiding, rows, ways, steps))[:count]
+        exact, apart = differences(function, rows[clear], ways, steps[clear])
+        sure = certain((exact, apart))
+        rows, exact, apart = rows[clear[sure]], exact[sure], apart[sure]
+        skipped = int(clear[-1]) + 1 - len(rows)
+        exact = exact.reshape(len(rows), *[len(ways)] * (1 if exact.shape[-1] == 1 else 2))
+        distance = np.abs(guide.values(rows)[:, 0]) / np.linalg.norm(guide.slopes(rows), axis=1)
+        lines.append(
+            {"of": asked.name, "by": asked.by, "place": place, "starts": len(rows)}
+            | {"skipped": skipped, "distance": float(np.median(distance))}
+            | {"apart": off(exact + apart.reshape(exact.shape), exact)}
+            | {"off": {f"{rtol:.0e}": off(derivative(rows, rtol), exact) for rtol in RTOLS}}
+        )
+    return lines
+
+
+def keep(order: str, rows: list[dict[str, Any]]) -> None:
+    """Write rows into the results, in the place of older ones of the same family."""
+    every = {name: [] for name in page.ORDERS} | dict(pages.read("derivatives"))
+    others = [row for row in every[order] if row["of"] != rows[0]["of"]]
+    every[order] = sorted(others + rows, key=lambda row: NAMES.index(row["of"]))
+    pages.save("derivatives", every)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--points", type=int, default=50, help="of each kind of start")
+    parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
+    parser.add_argument("--first", nargs="*", choices=NAMES, default=NAMES, help="default: all")
+    parser.add_argument(
+        "--second", nargs="*", choices=list(Level), default=list(Level), help="default: all"
+    )
+    parser.add_argument("--write", action="store_true", help="keep the results of each family")
+    args = parser.parse_args()
+    run = {"run": measure.this_run()}
+    pieces = [("first", first, name, args.points) for name in args.first]
+    pieces += [("second", second, name, max(args.points // 5, 1)) for name in args.second]
+    for order, measured, name, count in pieces:
+        rows = [row | run for row in measured(name, count, args.pool)]
+        print(page.table(rows), flush=True)
+        if args.write:
+            keep(order, rows)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    main()

@@ -1,0 +1,73 @@
+"""Derivatives by central differences of order 6, with a step size at which two of them agree."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
+WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
+RATIO = 0.4  # of a step to the one before
+STEPS = 3e-3 * RATIO ** np.arange(8)  # sizes; next to the boundary short ones are needed
+CERTAIN = 1e-8  # differences that agree worse prove nothing
+
+Function = Callable[[np.ndarray], np.ndarray]
+"""From rows of arguments to a row of values for each."""
+
+
+def chosen_steps(
+    function: Function,
+    rows: Float[np.ndarray, "n k"],
+    directions: Float[np.ndarray, "*n d k"],
+    among: Float[np.ndarray, "s"] = STEPS,
+) -> Float[np.ndarray, "n d"]:
+    """For each row and direction the step size whose difference agrees best with the next ones'."""
+    n, d = len(rows), directions.shape[-2]
+    every = along(function, rows, directions, np.tile(among[:, None, None], (1, n, d)))
+    apart = np.max(np.abs(np.diff(every, axis=0)), axis=-1)
+    apart = np.nan_to_num(np.maximum(apart[1:], apart[:-1]), nan=np.inf)
+    return among[np.argmin(apart, axis=0) + 1]
+
+
+def along(
+    function: Function,
+    rows: Float[np.ndarray, "n k"],
+    directions: Float[np.ndarray, "*n d k"],
+    steps: Float[np.ndarray, "s n d"],
+) -> Float[np.ndarray, "s n d c"]:
+    """Central differences of order 6 of c functions, with steps of their own."""
+    moves = SHIFTS[:, None, None, None, None] * steps[..., None] * directions
+    around = rows[:, None] + moves
+    values = function(around.reshape(-1, rows.shape[1])).reshape(*around.shape[:-1], -1)
+    return np.tensordot(WEIGHTS, values, 1) / steps[..., None]
+
+
+def differences(
+    function: Function,
+    rows: Float[np.ndarray, "n k"],
+    directions: Float[np.ndarray, "*n d k"],
+    steps: Float[np.ndarray, "n d"] | None = None,
+) -> tuple[Float[np.ndarray, "n d c"], Float[np.ndarray, "n d c"]]:
+    """Derivatives of c functions of rows, and the distance of two step sizes' results."""
+    fine = chosen_steps(function, rows, directions) if steps is None else steps
+    both = along(function, rows, directions, np.stack([fine, fine / RATIO]))
+    return both[0], np.abs(both[0] - both[1])
+
+
+def largest(each: np.ndarray) -> np.ndarray:
+    """The largest size in each row."""
+    return np.max(np.abs(each), axis=tuple(range(1, each.ndim)))
+
+
+def certain(estimates: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The rows at which two step sizes agree well enough."""
+    sure = np.flatnonzero(largest(estimates[1]) < CERTAIN * largest(estimates[0]))
+    if sure.size == 0:
+        raise SystemExit(f"Differences agree to {CERTAIN:.0e} at no start: take a larger --pool.")
+    return sure
+
+
+def off(derivatives: np.ndarray, exact: np.ndarray) -> dict[str, float]:
+    """Errors over the largest element of each derivative."""
+    error = largest(derivatives - exact) / largest(exact)
+    return {"median": float(np.median(error)), "largest": float(np.max(error))}

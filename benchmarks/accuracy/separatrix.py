@@ -1,0 +1,66 @@
+"""The separatrix of order 1 by Taylor series in 80-bit numbers, without any certificate."""
+
+from typing import Any
+
+import numpy as np
+
+from dipoletop import Outcome
+
+HALVINGS = 6  # 2^HALVINGS angles in each round of the search
+ORDER = 26  # of the Taylor series
+
+
+def _series(d: np.longdouble, y: np.ndarray) -> np.ndarray:
+    """Taylor coefficients (ORDER + 1, 3, N) of the solution of (4.2)–(4.4), written out anew."""
+    c = np.zeros((ORDER + 1, *y.shape), np.longdouble)
+    c[0] = y
+    drag, axial = np.zeros((2, ORDER + 1, y.shape[1]), np.longdouble)
+    w1, w2, w3 = c[:, 0], c[:, 1], c[:, 2]
+    for k in range(ORDER):
+
+        def product(a: np.ndarray, b: np.ndarray, k: int = k) -> np.ndarray:
+            return np.sum(a[: k + 1] * b[k::-1], axis=0)
+
+        s1, s2, s3 = product(c, c)
+        drag[k] = s1 + s2 + s3 + d * (1 + d) * s3
+        axial[k] = (s1 + s2 + s3 + d * (2 * s1 - s2)) / (1 - d)
+        rate = [d * product(w2, w3), -d * product(w1, w3) - product(drag, w2), -product(axial, w3)]
+        c[k + 1] = np.stack(rate) / (k + 1)
+    return c
+
+
+def outcomes(delta: float, omegas: np.ndarray) -> np.ndarray:
+    """Outcomes of starts (3, N): each runs until precession, or the line, clearly wins."""
+    d, y = np.longdouble(delta), np.array(omegas, np.longdouble)
+    labels, live = np.zeros(y.shape[1], int), np.arange(y.shape[1])
+    while live.size:
+        c = _series(d, y[:, live])
+        sizes = np.sqrt(np.sum(c**2, axis=1))
+        reach = [(sizes[0] / sizes[k]) ** (1 / np.longdouble(k)) for k in (ORDER - 1, ORDER)]
+        h = np.minimum(*reach) * np.exp(np.longdouble(-2))
+        new = c[ORDER]
+        for lower in c[-2::-1]:
+            new = new * h + lower
+        y[:, live] = new
+        w1, w2, w3 = new
+        stop = np.abs(d * w3) > 6 * (w1**2 + w2**2)
+        line = (w1 * w2) ** 2 + (d * w3) ** 2 < 1e-4 * w1**4
+        labels[live] = np.where(stop, Outcome.STOP, np.where(line, Outcome.RESIDUAL, 0))
+        live = live[~(stop | line)]
+    return labels
+
+
+def starts_at(phi: np.ndarray) -> np.ndarray:
+    """Starts with ω⊥ = ω₃ = 1/5 at the angles φ, shape (3, N)."""
+    fifth = np.longdouble(1) / 5
+    return np.stack([fifth * np.cos(phi), fifth * np.sin(phi), np.full_like(phi, fifth)])
+
+
+def separatrix(delta: float, rounds: int) -> tuple[Any, Any]:
+    """Two neighbouring angles φ between which starts with ω⊥ = ω₃ = 1/5 change their outcome."""
+    low, high = np.longdouble(0), np.longdouble(1)
+    for _ in range(rounds):
+        phi = low + (high - low) * np.arange(2**HALVINGS + 1) / np.longdouble(2**HALVINGS)
+        last = np.flatnonzero(np.diff(outcomes(delta, starts_at(phi))))[0]
+        low, high = phi[last], phi[last + 1]
+    return low, high

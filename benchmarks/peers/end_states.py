@@ -1,0 +1,217 @@
+"""End states at a fixed time by every method, one core, and the reference to compare with.
+
+A method is `prepare(omegas, rtol) -> task`. What depends on the problem and the tolerance is made
+once; the task, which returns the end states, is what is timed.
+"""
+
+import functools
+import importlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from benchmarks import engines
+from benchmarks.problems import mixed_basin
+
+try:
+    import heyoka
+except ImportError:
+    heyoka = None
+
+DELTA, AMPLITUDE, TIME = -0.2, 0.2, 1000.0
+MAX_STEPS = 4096
+CHUNK = 512  # starts in one vmap of diffrax: the fastest of 32, 128, 512 and 4096
+SCIPY = "scipy DOP853"  # so slow that it gets a few starts, once
+FEW = 64
+
+Starts = Float[np.ndarray, "n 3"]
+Task = Callable[[], Starts]
+Method = Callable[[Starts, float], Task]
+
+
+def starts(n: int) -> Starts:
+    """Isotropic starts; the i-th does not depend on how many there are."""
+    return mixed_basin.isotropic(n, AMPLITUDE)
+
+
+def by_dipoletop(omegas: Starts, rtol: float, engine: str) -> Task:
+    """dipoletop, all starts in the queue of an engine."""
+    size = len(omegas)
+    atol, last = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
+    bounds = engines.limits(rtol, atol, MAX_STEPS, last)
+    equation = dt.TransverseReduced(jnp.full(size, DELTA))
+
+    def advance() -> Starts:
+        y0 = omegas.T if engine == "native" else jnp.asarray(omegas.T)
+        return np.asarray(engines.integrate(engine, equation, y0, bounds, until="time").y).T
+
+    return advance
+
+
+@functools.cache
+def _solver(as_tuple: bool) -> Callable[..., Any]:
+    def field(t: Any, y: Any, delta: Any) -> Any:
+        rate = mixed_basin.rate(delta, y)
+        return rate if as_tuple else jnp.stack(rate)
+
+    def solve(omega: Any, delta: Any, rtol: Any) -> Any:
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(field),
+            diffrax.Dopri8(),
+            0.0,
+            TIME,
+            None,
+            tuple(omega) if as_tuple else omega,
+            args=delta,
+            saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * AMPLITUDE),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
+        end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+        return jnp.stack(end) if as_tuple else end
+
+    return jax.jit(jax.vmap(solve, in_axes=(0, None, None)))
+
+
+def by_diffrax(omegas: Starts, rtol: float, as_tuple: bool) -> Task:
+    """diffrax, Dopri8 under vmap, the state a tuple of scalars or a vector (3,)."""
+    chunks = range(0, len(omegas), CHUNK)
+    solve = _solver(as_tuple)
+    return lambda: np.concatenate([solve(omegas[k : k + CHUNK], DELTA, rtol) for k in chunks])
+
+
+def heyoka_batch(omegas: Starts, rtol: float) -> Task:
+    """heyoka in batch mode; scaled by |ω₀|, because its tolerance is absolute below 1.
+
+    All coefficients are numbers known to its compiler (the others get δ at run time). Twice and
+    four times the SIMD width are no faster, and two threads are no faster than one.
+    """
+    assert heyoka is not None
+    width = heyoka.recommended_simd_size()
+    y = heyoka.make_vars("y1", "y2", "y3")
+    integrator = heyoka.taylor_adaptive_batch(
+        list(zip(y, mixed_basin.rate(DELTA, y, AMPLITUDE), strict=True)),
+        np.zeros((3, width)),
+        tol=rtol,
+        compact_mode=False,
+        fast_math=True,
+    )
+
+    def advance() -> Starts:
+        batches = -(-len(omegas) // width)
+        padded = np.minimum(np.arange(batches * width), len(omegas) - 1)
+        scaled = (omegas[padded] / AMPLITUDE).reshape(batches, width, 3)
+        blocks = np.ascontiguousarray(scaled.swapaxes(1, 2))
+        state = integrator.state  # a view
+        for block in blocks:
+            state[:] = block
+            integrator.set_time(0.0)
+            integrator.propagate_until(AMPLITUDE * TIME)
+            block[:] = state
+        return AMPLITUDE * blocks.swapaxes(1, 2).reshape(-1, 3)[: len(omegas)]
+
+    return advance
+
+
+def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
+    """heyoka, one start after another, scaled as in batch mode."""
+    assert heyoka is not None
+    y = heyoka.make_vars("y1", "y2", "y3")
+    integrator = heyoka.taylor_adaptive(
+        list(zip(y, mixed_basin.rate(DELTA, y, AMPLITUDE), strict=True)),
+        np.zeros(3),
+        tol=rtol,
+        compact_mode=False,
+        fast_math=True,
+    )
+
+    def advance() -> Starts:
+        ends = omegas / AMPLITUDE
+        state = integrator.state  # a view
+        for end in ends:
+            state[:] = end
+            integrator.time = 0.0
+            integrator.propagate_until(AMPLITUDE * TIME)
+            end[:] = state
+        return AMPLITUDE * ends
+
+    return advance
+
+
+def by_scipy(omegas: Starts, rtol: float) -> Task:
+    """scipy's DOP853, one start after another, the first few of them."""
+
+    def end(omega: Any) -> Any:
+        def rate(t: float, y: Any) -> Any:
+            return mixed_basin.rate(DELTA, y)
+
+        span, scale = (0.0, TIME), rtol * AMPLITUDE
+        return solve_ivp(rate, span, omega, method="DOP853", rtol=rtol, atol=scale).y[:, -1]
+
+    return lambda: np.array([end(omega) for omega in omegas[:FEW]])
+
+
+def _in_long_double(omegas: Starts) -> Starts:
+    """heyoka, one start after another, in extended precision."""
+    assert heyoka is not None
+    w = heyoka.make_vars("w1", "w2", "w3")
+    integrator = heyoka.taylor_adaptive(
+        list(zip(w, mixed_basin.rate(DELTA, w), strict=True)),
+        np.zeros(3, np.longdouble),
+        fp_type=np.longdouble,
+        tol=np.longdouble(1e-19),
+    )
+    ends = np.empty_like(omegas)
+    for end, omega in zip(ends, omegas, strict=True):
+        integrator.time = np.longdouble(0)
+        integrator.state[:] = omega
+        integrator.propagate_until(np.longdouble(TIME))
+        end[:] = integrator.state
+    return ends
+
+
+def reference(omegas: Starts) -> tuple[Starts, str]:
+    """The end states to compare with, and their source; without heyoka of a few starts only."""
+    few = by_scipy(omegas, 1e-13)()
+    extended = np.finfo(np.longdouble).eps < 1e-18
+    if heyoka is None or not extended:
+        return few, f"scipy DOP853, rtol 1e-13, {len(few)} starts: errors below 1e-12 mean little"
+    ends = _in_long_double(omegas)
+    apart = np.max(np.abs(few - ends[: len(few)])) / AMPLITUDE
+    about = f"heyoka in 80-bit arithmetic, tolerance 1e-19 (scipy DOP853 at 1e-13: {apart:.0e} off)"
+    return ends, about
+
+
+def methods() -> tuple[dict[str, Method], list[str]]:
+    """The methods that can run here by name, and a line for each that cannot."""
+    everybody: dict[str, Method] = {
+        "dipoletop, native engine": partial(by_dipoletop, engine="native"),
+        "dipoletop, JAX engine": partial(by_dipoletop, engine="jax"),
+        "diffrax vmap, tuple": partial(by_diffrax, as_tuple=True),
+        "diffrax vmap, (3,)": partial(by_diffrax, as_tuple=False),
+    }
+    missing = []
+    if heyoka is None:
+        missing.append("heyoka: left out (not installed)")
+    else:
+        heyoka.llvm_state.set_diskcache_enabled(False)  # all methods compile
+        everybody |= {"heyoka batch": heyoka_batch, "heyoka scalar": heyoka_scalar}
+    try:
+        peer: Any = importlib.import_module("benchmarks.peers.with_numbalsoda")
+    except ImportError as error:
+        missing.append(f"numbalsoda: left out ({error})")
+    else:
+        given = {"delta": DELTA, "amplitude": AMPLITUDE, "time": TIME}
+        for name in peer.SOLVERS:
+            everybody[f"numbalsoda {name}"] = partial(peer.prepare, solver=name, **given)
+    return everybody | {SCIPY: by_scipy}, missing

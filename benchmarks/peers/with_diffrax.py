@@ -1,0 +1,131 @@
+"""diffrax: Dopri8 with an event, under vmap, on all cores.
+
+A vmap of an adaptive loop is lockstep: a batch costs its slowest lane. So there are three ways
+of driving it, each a plan of (width, steps). `whole`: one vmap over all starts. `chunked`:
+starts sorted by |ω| (so that slow ones are together), one vmap for each chunk. `repacked`: a few
+steps at a time, finished starts dropped in between, narrower batches for the long tail.
+"""
+
+import functools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter, process_time
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from benchmarks.problems import mixed_basin
+
+
+@functools.cache
+def _solver(as_tuple: bool, max_steps: int) -> Callable:
+    """A jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
+
+    def field(t: Any, y: Any, delta: Any) -> Any:
+        rate = mixed_basin.rate(delta, y)
+        return rate if as_tuple else jnp.stack(rate)
+
+    def decided(t: Any, y: Any, delta: Any, **unused: Any) -> Any:
+        return mixed_basin.certificate(delta, y, jnp) != mixed_basin.UNDECIDED
+
+    def solve(delta: Any, omega: Any, rtol: Any, amplitude: Any) -> Any:
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(field),
+            diffrax.Dopri8(),
+            t0=0.0,
+            t1=mixed_basin.HORIZON,
+            dt0=None,
+            y0=tuple(omega) if as_tuple else omega,
+            args=delta,
+            saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * amplitude),
+            event=diffrax.Event(decided),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=max_steps,
+            throw=False,
+        )
+        end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+        state = jnp.stack(end) if as_tuple else end
+        return state, mixed_basin.certificate(delta, state, jnp), solution.stats["num_steps"]
+
+    return jax.jit(jax.vmap(solve, in_axes=(0, 0, None, 0)))
+
+
+def _plan(way: str, lanes: int, most: int) -> list[tuple[int, int]]:
+    """Widths and steps, widest first: a round takes the widest that the running starts fill."""
+    return {
+        "whole": [(lanes, most)],
+        "chunked": [(32, most)],
+        "repacked": [(512, 16), (128, 64), (32, 256), (8, most)],
+    }[way]
+
+
+def _classify(
+    deltas: Float[np.ndarray, " n"],
+    omegas: Float[np.ndarray, "n 3"],
+    rtol: float,
+    plan: list[tuple[int, int]],
+    solvers: dict[int, Callable],
+) -> tuple[Int[np.ndarray, " n"], int]:
+    """Labels, and how many lane steps were made (padding not counted)."""
+    labels = mixed_basin.certificate(deltas, omegas.T)
+    live = np.flatnonzero(labels == mixed_basin.UNDECIDED)
+    amplitude = np.linalg.norm(omegas, axis=1)
+    live = live[np.argsort(amplitude[live])]
+    states = omegas.copy()
+    budget, made = plan[-1][1], 0
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        while live.size and budget > 0:
+            width, steps = next((p for p in plan if p[0] <= live.size), plan[-1])
+            chunks = -(-live.size // width)
+            # The last chunk is filled up with copies of its last lane.
+            packed = live[np.minimum(np.arange(chunks * width), live.size - 1)]
+
+            def solve(lanes: Any, advance: Callable = solvers[steps]) -> Any:
+                batch = (deltas[lanes], states[lanes], rtol, amplitude[lanes])
+                return jax.device_get(advance(*batch))
+
+            rounds = list(threads.map(solve, packed.reshape(chunks, width)))
+            ends, decided, count = (
+                np.concatenate(part)[: live.size] for part in zip(*rounds, strict=True)
+            )
+            states[live], labels[live] = ends, decided
+            made += int(count.sum())
+            budget -= steps
+            live = live[decided == mixed_basin.UNDECIDED]
+    return labels, made
+
+
+def run(
+    deltas: Float[np.ndarray, " n"],
+    omegas: Float[np.ndarray, "n 3"],
+    rtol: float,
+    *,
+    as_tuple: bool = True,
+    way: str = "repacked",
+    max_steps: int = mixed_basin.MAX_STEPS,
+) -> dict[str, Any]:
+    """Labels of all starts by diffrax; the state a tuple of scalars or a vector (3,)."""
+    undecided = mixed_basin.certificate(deltas, omegas.T) == mixed_basin.UNDECIDED
+    plan = _plan(way, int(undecided.sum()), max_steps)
+    begin = perf_counter()
+    solvers = {steps: _solver(as_tuple, steps) for _, steps in plan}
+    for width, steps in plan:  # a start that stops at once, so that only compilation is timed
+        start = np.tile([[0.1, 0.0, 0.0]], (width, 1))
+        jax.block_until_ready(solvers[steps](np.full(width, 0.1), start, rtol, np.ones(width)))
+    ready, spent = perf_counter(), process_time()
+    labels, made = _classify(deltas, omegas, rtol, plan, solvers)
+    return {
+        "labels": labels,
+        "seconds": perf_counter() - ready,
+        "processor_seconds": process_time() - spent,
+        "compile_seconds": ready - begin,
+        "steps": made,
+        "note": f"diffrax {diffrax.__version__}, {way}, state "
+        f"{'a tuple of scalars' if as_tuple else 'of shape (3,)'}, {os.cpu_count()} threads",
+    }

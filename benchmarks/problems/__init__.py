@@ -1,0 +1,1 @@
+"""Starts and bodies at random, as every benchmark draws them."""

@@ -1,0 +1,1 @@
+"""Clocks, tables, and the pages in results/ that they are written to."""

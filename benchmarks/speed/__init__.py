@@ -1,0 +1,1 @@
+"""What runs cost: time, steps, memory, compilation."""

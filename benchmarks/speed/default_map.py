@@ -1,0 +1,152 @@
+"""The default map: time, memory, compilations. Each in a fresh process, because of the memory.
+
+python -m benchmarks.speed.default_map order-1 512 native     one line of JSON
+python -m benchmarks.speed.default_map memory 512 native 0    memory of one sweep only (1: its
+                                                              result goes to the disk)
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import dipoletop as dt
+from benchmarks import engines
+from benchmarks.reporting import measure
+
+LEVELS = ("order-1", "semi")
+REPEATS = 3
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+def measured(*arguments: Any) -> dict[str, Any]:
+    """The result of `report`, or after "memory" of `memory`, in a fresh process."""
+    return measure.in_fresh_process(__name__, *arguments)
+
+
+def report(level: str, points: int, engine: str) -> dict[str, Any]:
+    """The first and later sweeps over points × points starts, and compilations at other values."""
+    before = peak_memory()
+    grid = dt.symmetry_cell(points, points)
+    basin, first = measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))
+
+    def again() -> measure.Record:
+        return measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))[1]
+
+    later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
+    peak = peak_memory()
+    return {
+        "level": basin.level,
+        "engine": basin.attrs["engine"],
+        "points": points,
+        "first": first,
+        "later": later,
+        "starts_per_second": points**2 / later["seconds"]["median"],
+        "steps": float(basin.steps.mean()),
+        "fractions": {name: share.share for name, share in basin.fractions().items()},
+        "peak_bytes": peak,
+        "import_bytes": before,
+        "compilations": _compilations(level, grid, engine),
+    }
+
+
+def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
+    """Memory of the first sweep with value, order 1, its result in memory or on the disk."""
+    before = peak_memory()
+    grid = dt.symmetry_cell(points, points)
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "basin" if stored else None
+        _, clocks = measure.timed(lambda: sweep("order-1", grid, -0.2, 1e-8, engine, store))
+    about = {"points": points, "engine": engine, "stored": stored}
+    return about | clocks | {"import_bytes": before, "peak_bytes": peak_memory()}
+
+
+def tops(level: str, delta: float) -> Callable[..., Any]:
+    """The starts of a map over φ and ω₃, ω⊥ = 0.2."""
+    return lambda w3, phi: (dt.equation_at(level, delta), dt.cylindrical(0.2, w3, phi))
+
+
+def sweep(
+    level: str, grid: dt.Grid, delta: float, rtol: float, engine: str, store: Any = None
+) -> dt.Basin:
+    """A map over a grid of φ and ω₃, ω⊥ = 0.2."""
+    settings = {"rtol": rtol, "engine": engine, "store": store}
+    return dt.sweep(tops(level, delta), grid, progress=False, **settings)
+
+
+def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
+    """Programs compiled when δ, starts, times and tolerance change and nothing else does."""
+    omegas = jax.random.normal(jax.random.key(0), (256, 3))
+    deltas = jnp.linspace(-0.4, 0.4, 256)
+    times = jnp.linspace(0.0, 100.0, 11)
+
+    calls: dict[str, Callable[[float, float], Any]] = {
+        "sweep": lambda factor, rtol: sweep(level, grid, -0.2 * factor, rtol, engine),
+        "classify_many": lambda factor, rtol: dt.classify_many(
+            dt.equation_at(level, factor * deltas), factor * omegas, rtol=rtol, engine=engine
+        ),
+        "classify": lambda factor, rtol: dt.classify(
+            dt.equation_at(level, -0.2 * factor), factor * omegas[0], rtol=rtol
+        ),
+        "simulate": lambda factor, rtol: dt.simulate(
+            dt.equation_at(level, -0.2 * factor), factor * omegas[0], ts=factor * times, rtol=rtol
+        ),
+    }
+    counts = {}
+    for name, call in calls.items():
+        call(1.0, 1e-8)
+        counts[name] = _compiled(lambda call=call: call(0.9, 1e-9))
+    return counts
+
+
+def _compiled(task: Callable[[], Any]) -> int:
+    """How many programs are compiled during the task, in any thread."""
+    seen: list[str] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        seen.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        task()
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    return seen.count(COMPILED) + seen.count(engines.COMPILING)
+
+
+def peak_memory() -> int | None:
+    """The largest resident memory of this process, bytes; None where the system does not report it.
+
+    Linux's own counter first: getrusage counts the process that started this one, too.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
+        if "VmHWM" in lines:
+            return 1024 * int(lines["VmHWM"].split()[0])
+    try:
+        import resource
+    except ImportError:
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scene", choices=(*LEVELS, "memory"), help="a level, or memory only")
+    parser.add_argument("points", type=int, help="on each axis")
+    parser.add_argument("engine", choices=engines.NAMES)
+    parser.add_argument("stored", type=int, nargs="?", default=0, help="1: the result to the disk")
+    args = parser.parse_args()
+    if args.scene == "memory":
+        print(json.dumps(memory(args.points, args.engine, bool(args.stored))))
+    else:
+        print(json.dumps(report(args.scene, args.points, args.engine)))

@@ -1,0 +1,81 @@
+"""Work and precision: end states at a fixed time, cost against true error.
+
+Isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The error is the largest
+component of the difference from a reference, over |ω₀|. Every method has one core, in a process
+that may use no other, because XLA counts the cores once.
+
+    python -m benchmarks.speed.precision 16384 7 1e-6 1e-9     starts, repeats, tolerances: JSON
+"""
+
+import argparse
+import json
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+import scipy
+
+from benchmarks.peers.end_states import AMPLITUDE, SCIPY, Starts, Task, methods, reference, starts
+from benchmarks.reporting import measure
+
+TOLERANCES = tuple(10.0**-k for k in range(6, 13))
+
+
+def alone(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
+    """`compare` in a process with one core."""
+    with measure.confined(1):
+        return measure.in_fresh_process(__name__, n, repeats, *tolerances)
+
+
+def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, Any]:
+    """Cost and true error of all methods at all tolerances."""
+    omegas = starts(n)
+    truth, about = reference(omegas)
+    everybody, missing = methods()
+    cases, first = {}, {}
+    for name, prepare in everybody.items():
+        for rtol in tolerances:
+            ready, clocks = measure.timed(lambda p=prepare, rtol=rtol: _warm(p(omegas, rtol)))
+            first.setdefault(name, clocks["seconds"])
+            cases[name, rtol] = partial(_case, ready)
+    slow = tuple(case for case in cases if case[0] == SCIPY)
+    records = measure.interleaved(cases, repeats, once=slow)
+    rows = [
+        measure.summary(runs) | {"name": name, "rtol": rtol} | _errors(runs[0]["ends"], truth)
+        for (name, rtol), runs in records.items()
+    ]
+    about = {"starts": n, "repeats": repeats, "reference": about, "missing": missing}
+    return about | {"scipy": scipy.__version__, "first_seconds": first, "rows": rows}
+
+
+def _warm(task: Task) -> Task:
+    task()
+    return task
+
+
+def _case(task: Task) -> dict[str, Any]:
+    ends, clocks = measure.timed(task)
+    return clocks | {"ends": ends}
+
+
+def _errors(ends: Starts, truth: Starts) -> dict[str, float]:
+    """Over the starts that both have."""
+    both = min(len(ends), len(truth))
+    return {"starts": len(ends)} | errors(ends[:both], truth[:both])
+
+
+def errors(ends: Starts, truth: Starts) -> dict[str, float]:
+    """The largest and the median error of all starts."""
+    error = np.max(np.abs(ends - truth), axis=1) / AMPLITUDE
+    return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("starts", type=int)
+    parser.add_argument("repeats", type=int)
+    parser.add_argument("tolerances", type=float, nargs="*", default=TOLERANCES)
+    args = parser.parse_args()
+    print(json.dumps(compare(args.starts, args.repeats, tuple(args.tolerances))))
