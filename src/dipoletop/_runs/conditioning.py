@@ -12,9 +12,9 @@ start, and about |ω∞| at the end, where ω lies along the dipole. The estimat
 
     C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n.
 
-C and MIDWAY were measured (benchmarks/accuracy/residual.py). C is far below n, since Dopri8 estimates
-the error of the lower of its two orders, and since errors of different steps partly cancel; MIDWAY
-exceeds 1, since a motion can be more sensitive on its way than at both ends.
+C and MIDWAY were measured (benchmarks/accuracy/residual.py). C is far below n, since Dopri8
+estimates the error of the lower of its two orders, and since errors of different steps partly
+cancel; MIDWAY exceeds 1, since a motion can be more sensitive on its way than at both ends.
 
 The gradient at the start is that of differences. Each start is run three more times, with
 component i of ω₀ moved by h·sᵢ:
