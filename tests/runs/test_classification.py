@@ -15,7 +15,7 @@ from dipoletop._base.stopping import FINISHED
 from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines.interface import EndStates
 from dipoletop._runs.classification import Classification, classification_of
-from dipoletop.equations.tangent import Tangent, Together
+from dipoletop.equations.tangent import Tangent
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
 
@@ -110,8 +110,9 @@ def test_variations_keep_the_certificate_of_their_equation():
     for equation, certified in ((ORDER_ONE, True), (Faster(0.1), False)):
         parameters = jax.tree.map(jnp.ones_like, equation)
         parameters = jax.tree.map(lambda leaf: leaf[None], parameters)
-        for kind in (Tangent, Together):
-            varied = kind(equation, parameters, jnp.zeros((1, 3)), jnp.asarray(0.2))
+        for basis in (False, True):
+            variations = equation, parameters, jnp.zeros((1, 3)), jnp.asarray(0.2)
+            varied = Tangent(*variations, basis=basis)
             assert bool(varied.verdict(state).certified_for(varied)) == certified
 
 
