@@ -112,9 +112,10 @@ def equilibria(equation: Any) -> Equilibria:
     Example:
         >>> from dipoletop import Body, Full
         >>> from dipoletop.stability import equilibria
-        >>> equilibria(Full(Body([[2, 0, 0], [0, 3, 0], [0, 0, 4]], [0, 5, 0]))).direction.tolist()
+        >>> inertia = [[2, 0, 0], [0, 3, 0], [0, 0, 4]]
+        >>> equilibria(Full(Body(inertia, [0, 5, 0]))).direction.round(12).tolist()
         [0.0, 1.0, 0.0]
-        >>> equilibria(Full(Body([[2, 0, 0], [0, 3, 0], [0, 0, 4]], [3, 4, 0]))).direction.tolist()
+        >>> equilibria(Full(Body(inertia, [3, 4, 0]))).direction.tolist()
         [nan, nan, nan]
     """
     check_single(equation)
@@ -150,10 +151,10 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
         >>> import jax.numpy as jnp
         >>> from dipoletop import TransverseReduced
         >>> from dipoletop.stability import spectrum
-        >>> found = spectrum(TransverseReduced(delta=-0.2), jnp.array([0.1, 0, 0]))
-        >>> [f"{x:.6f}" for x in found.eigenvalues.real.tolist()]
+        >>> line = spectrum(TransverseReduced(delta=-0.2), jnp.array([0.1, 0, 0]))
+        >>> [f"{x:.6f}" for x in line.eigenvalues.real.tolist()]
         ['0.000000', '-0.005000', '-0.010000']
-        >>> bool(found.stable)
+        >>> bool(line.stable)
         True
     """
     check_single(equation)

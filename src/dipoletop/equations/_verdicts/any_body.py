@@ -7,10 +7,10 @@ and y = (x_a, ±x_b)/|w|, the motion across the residual line Ω = w n is (`resi
 
 A residual rotation is shown by a Lyapunov function. Let P solve ℓᵀP + Pℓ = −1 at the present w,
 V = yᵀPy, and V₀ its present value. Suppose that V ≤ V₀, and that w has changed by no more than a
-part η. If −(ℓᵀP + Pℓ) ≥ ¾ for all w in that range, and the odd terms are so small that they take
-no more than a third of that, then V′ ≤ −½|y|², hence ∫|y|² ≤ 2V₀, and the change of ln |w| is at
-most ½|g| ∫|y|² ≤ |g| V₀ = η. So each of the two bounds follows from the other, and both hold for
-all later times: y → 0, and w tends to a limit within η of its present value.
+part η. If −(ℓᵀP + Pℓ) ≥ ¾ in that range of w (checked at its ends), and the odd terms are so small
+that they take no more than a third of that, then V′ ≤ −½|y|², hence ∫|y|² ≤ 2V₀, and the change of
+ln |w| is at most ½|g| ∫|y|² ≤ |g| V₀ = η. So each of the two bounds follows from the other, and
+both hold for all later times: y → 0, and w tends to a limit within η of its present value.
 
 A stop is shown by balance. d/dt(E − d₁·d₂) = −|d₂|², d₁ and d₂ the derivatives of d in space, is
 exact for the full equation. At small amplitude it holds for the reduced levels, too, up to smaller
@@ -73,6 +73,7 @@ class Attraction(NamedTuple):
     shown: Flag
     """Whether the Lyapunov function shows it."""
     omega_inf: Real
+    """The limit of w."""
     error: Real
     """Estimated error of `omega_inf`, relative."""
     slope: Real

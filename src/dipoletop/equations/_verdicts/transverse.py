@@ -138,8 +138,8 @@ def first_order(delta: Real, w: Vector) -> Verdict:
 
     omega_inf, error, slope = _where_constant(constant, w1, residual_first_order(d, w))
     off = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
-    series = piecewise_conserved(omega_inf, off), error, slope
-    series = _on_axis(axis, d, w, series, w3 == 0)
+    omega_inf = piecewise_conserved(omega_inf, off)
+    series = _on_axis(axis, d, w, (omega_inf, error, slope), w3 == 0)
     stop, residual = (axis | rotating) & finite, (residual | constant) & finite
     return _decided(
         residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, series
