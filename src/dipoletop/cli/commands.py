@@ -228,7 +228,7 @@ def simulate(**options: Any) -> None:
 
     from .. import plots
     from .._runs.classify import classify
-    from .._runs.trajectory import simulate
+    from .._runs.simulate import simulate
     from ..equations.transverse import equation_at
     from . import maps as _mapping
     from . import run_report as _run_report
