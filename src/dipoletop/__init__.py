@@ -15,7 +15,8 @@ from ._runs.classification import Classification
 from ._runs.classify import classify
 from ._runs.classify_many import classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
-from ._runs.trajectory import Trajectory, simulate
+from ._runs.simulate import simulate
+from ._runs.trajectory import Trajectory
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
 from .equations import (
     Full,

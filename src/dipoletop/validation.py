@@ -20,7 +20,7 @@ from ._base.types import Equation, Outcome
 from ._maps.grids import Sample
 from ._runs.classify import classify
 from ._runs.classify_many import classify_many
-from ._runs.trajectory import simulate
+from ._runs.simulate import simulate
 from .equations.rigid import Reduced, SemiReduced
 from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.types import Equation
-from .._runs.trajectory import Trajectory, simulate
+from .._runs.simulate import simulate
+from .._runs.trajectory import Trajectory
 
 COLUMNS = "tau,omega_1,omega_2,omega_3,energy,power"
 

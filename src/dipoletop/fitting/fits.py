@@ -21,7 +21,8 @@ from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget, tolerance
 from .._maps.problems import Problem
-from .._runs.trajectory import Trajectory, simulate
+from .._runs.simulate import simulate
+from .._runs.trajectory import Trajectory
 from ..equations._common import is_full, physical
 
 LEAST_GAIN = 1e-6  # share of chi2 that a Gauss–Newton step would remove: less is a minimum

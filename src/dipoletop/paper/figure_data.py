@@ -14,7 +14,8 @@ from .._base.types import Equation
 from .._maps.basin import Basin
 from .._maps.grids import Grid
 from .._maps.sweep import sweep
-from .._runs.trajectory import Trajectory, simulate
+from .._runs.simulate import simulate
+from .._runs.trajectory import Trajectory
 from ..equations.levels import Level
 from ..equations.transverse import cylindrical, equation_at
 from ..plots.plane import CLASSES
