@@ -11,15 +11,10 @@ ORDER = """_base | bodies | radiation particles | equations | exact planar _bran
     | fitting | plots | paper | cli"""
 RANK = {page: rank for rank, pages in enumerate(ORDER.split("|")) for page in pages.split()}
 # Exceptions by page, and why. The lists shall become shorter: an entry without need fails.
-UPWARDS = {
-    ("_branch", "_engines"): "the engine of the full equations is not in its wing yet",
-    ("continuation", "plots"): "its functions that draw will move to plots",
-    ("continuation", "paper"): "the same: they take the style of the figures",
-}
+UPWARDS = {("continuation", "plots"): "its deprecated functions that draw"}
 INSIDE_FUNCTIONS = {  # and any in cli: a command imports what it needs, so `--help` is quick
     ("continuation", "plots"): "matplotlib",
-    ("continuation", "paper"): "matplotlib",
-    ("_maps", "_maps"): "a basin loads itself from a store, and a store knows basins",
+    ("_engines", "_engines"): "numba",
 }
 
 
