@@ -81,7 +81,7 @@ def assemble(equation: Equation, ends: EndStates, scale: Tolerances) -> Classifi
     settled = known & _endings.settled(verdict, scale, 1.0)
     slopes = None
     if isinstance(equation, Tangent):
-        sure = settled & _endings.smooth(verdict, scale[0])
+        sure = settled & _endings.slopes_settled(verdict, scale[0])
         sure = sure & ~((verdict.outcome == Outcome.STOP) & equation.astray(y, scale[0]))
         slopes = jnp.where(sure[None], equation.slopes(y), jnp.nan)
     return Classification(
