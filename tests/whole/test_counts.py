@@ -22,6 +22,7 @@ from dipoletop._engines import native_engine, step
 from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import NARROW, JaxEngine
 from dipoletop._engines.native_engine import WIDTH, NativeEngine
+from dipoletop._engines.vector_code import MachineCode
 
 # Steps of a run of the mixed basin at rtol 1e-8, by level and `value`: (least mean, mean, longest).
 STEPS = {
@@ -253,13 +254,14 @@ def test_length_of_the_right_hand_sides(name):
 def test_length_of_the_native_code(monkeypatch):
     written = []
 
-    def writer(*arguments):
-        written.append(Writer(*arguments))
+    def builder(*arguments):
+        written.append(VectorBuilder(*arguments))
         return written[-1]
 
-    Writer = _llvm.Writer
-    monkeypatch.setattr(_llvm, "Writer", writer)
-    monkeypatch.setattr(_llvm, "machine_code", lambda text: (0, None))
-    native_engine._Program(dt.TransverseReduced(jnp.zeros(8)), 3, diffrax.Dopri8(), "value", None)
+    VectorBuilder = _llvm.VectorBuilder
+    monkeypatch.setattr(_llvm, "VectorBuilder", builder)
+    monkeypatch.setattr(_llvm, "machine_code", lambda text: MachineCode(0, None))
+    equation = dt.TransverseReduced(jnp.zeros(8))
+    native_engine._Program.compile(equation, 3, diffrax.Dopri8(), "value", None)
     for part, name in zip(written, INSTRUCTIONS, strict=True):
-        in_room(part.count, INSTRUCTIONS[name])
+        in_room(part.instructions, INSTRUCTIONS[name])

@@ -53,9 +53,8 @@ class BranchEngine:
         )
 
 
-# Two such programs at once waited for each other as long as they had batched calls of LAPACK, see
-# `_base/dense`. Without these and without the lock, 60 calls by 4 threads return. The lock stays so
-# that one thread compiles for all.
+# Two such programs at once waited for each other as long as they made batched calls of LAPACK, see
+# `_base/dense`. The lock is kept for caution: without it 60 calls by 4 threads return today.
 _one_at_a_time = threading.Lock()
 
 

@@ -49,20 +49,9 @@ class JaxEngine:
         self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """See `Engine`; the runs are on the device of `y0`."""
-        device = next(iter(y0.devices()))
-        run = functools.partial(
-            _compiled(device.platform), equation, y0, limits, self.solver, until
-        )
-        size = min(self.width, y0.shape[1])
-        leaves, structure = jax.tree.flatten((equation, y0, limits, self.solver))
-        kinds = tuple((x.shape, x.dtype) for x in leaves if eqx.is_array(x))
-        key = (structure, kinds, until, size, device)
-        if key in _seen:
-            return run(size)
-        with _first_call:  # or every thread would compile the same program
-            ends = run(size)
-            _seen.add(key)
-            return ends
+        platform = next(iter(y0.devices())).platform
+        width = min(self.width, y0.shape[1])
+        return _jitted(platform)(equation, y0, limits, self.solver, until, width)
 
     def classify(
         self,
@@ -81,12 +70,21 @@ class JaxEngine:
         )
 
 
-_seen: set[Any] = set()
-_first_call = threading.Lock()
+_wrapper_lock = threading.Lock()
+
+
+def _jitted(platform: str) -> Any:
+    """`_integrate` under `jit`, the same wrapper for all threads.
+
+    Of one wrapper JAX compiles a program once, even if several threads call it at once. Without the
+    lock `functools.cache` lets two threads make a wrapper each, which compile the program twice.
+    """
+    with _wrapper_lock:
+        return _make_wrapper(platform)
 
 
 @functools.cache
-def _compiled(platform: str) -> Any:
+def _make_wrapper(platform: str) -> Any:
     jit: Any = eqx.filter_jit
     return jit(_integrate, compiler_options=CPU_OPTIONS) if platform == "cpu" else jit(_integrate)
 

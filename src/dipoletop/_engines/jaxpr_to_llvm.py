@@ -1,14 +1,15 @@
 """From a traced function of one lane to machine code for a block of lanes.
 
 The jaxpr of the function is written out scalar by scalar as straight-line LLVM code, in which
-every value is a vector over the lanes: loops of fixed length are unrolled, arrays exist while the
-code is written and not when it runs. Floats are float64; what has no such form is `Unsupported`.
+every value is a vector over the lanes. Loops of fixed length are unrolled. Arrays are arrays of
+LLVM values while the code is written; when it runs there are none. A function that has no such form
+is `Unsupported`.
 """
 
 import functools
 import itertools
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +18,12 @@ from jax.extend.core import ClosedJaxpr, Literal
 from llvmlite import ir
 
 from .interface import Unsupported
-from .vector_code import COMPARE, FLOAT, Writer, is_float, machine_code
+from .vector_code import BITWISE, COMPARE, FLOAT, MachineCode, VectorBuilder, machine_code
 
-Value = np.ndarray  # of numbers, known now, or of LLVM values (dtype object), known at run time
+Value = np.ndarray
+"""An array of numbers that are known already, or (dtype object) of LLVM values."""
 
-_BITS = {"and": "and_", "or": "or_", "xor": "xor"}
+_LONG = ir.IntType(64)
 _FUNCTIONS = {"sqrt", "exp", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
 _FUNCTIONS |= {"exp2", "asin", "acos", "atan", "sinh", "cosh"}
 _ROUND = ("round", "roundeven")  # by lax.RoundingMethod
@@ -33,8 +35,8 @@ _MOVES |= {"rev": (0,), "pad": (0, 1)}
 """Primitives that only move data, and which operands are data; the others are indices."""
 
 
-def _lanes(value: Value, dtype: Any, w: Writer) -> Value:
-    """The array with LLVM values as entries."""
+def _as_vectors(value: Value, dtype: Any, w: VectorBuilder) -> Value:
+    """The array with LLVM values as entries, constants among them."""
     if value.dtype == object:
         return value
     return _array([w.constant(x, dtype) for x in value.ravel()], value.shape)
@@ -51,26 +53,28 @@ def _fold(combine: Callable[[Any, Any], Any], value: Value, axes: Sequence[int])
     kept = [axis for axis in range(value.ndim) if axis not in axes]
     shape = tuple(value.shape[axis] for axis in kept)
     rows = value.transpose(*kept, *axes).reshape(*shape, -1)
-    entries = [functools.reduce(combine, rows[at]) for at in np.ndindex(*shape)]
+    entries = [functools.reduce(combine, rows[index]) for index in np.ndindex(*shape)]
     return _array(entries, shape)
 
 
-def _moved(name: str, eqn: Any, values: list[Value], data: Sequence[int], w: Writer) -> Value:
-    """Run the primitive itself on the numbers of the entries, to see where they go."""
+def _move_by_numbers(
+    name: str, eqn: Any, values: list[Value], data: Sequence[int], w: VectorBuilder
+) -> Value:
+    """Move entries: run the primitive itself on their numbers, and look where these go."""
     if any(v.dtype == object for i, v in enumerate(values) if i not in data):
         raise Unsupported(f"{name} with indices that are not known beforehand")
     dtype = eqn.outvars[0].aval.dtype
-    parts = [_lanes(values[i], dtype, w) for i in data]
+    parts = [_as_vectors(values[i], dtype, w) for i in data]
     ends = np.cumsum([0, *(part.size for part in parts)])
-    places = [jnp.asarray(v) if i not in data else None for i, v in enumerate(values)]
-    for i, part, start in zip(data, parts, ends[:-1], strict=True):
-        places[i] = jnp.arange(start, start + part.size, dtype="int32").reshape(part.shape)
-    went = np.asarray(eqn.primitive.bind(*places, **eqn.params))
-    return np.concatenate([part.ravel() for part in parts])[went]
+    numbers = [jnp.asarray(v) if i not in data else None for i, v in enumerate(values)]
+    for i, part, first in zip(data, parts, ends[:-1], strict=True):
+        numbers[i] = jnp.arange(first, first + part.size, dtype="int32").reshape(part.shape)
+    order = np.asarray(eqn.primitive.bind(*numbers, **eqn.params))
+    return np.concatenate([part.ravel() for part in parts])[order]
 
 
-def _placed(name: str, params: dict[str, Any], values: list[Value]) -> Value | None:
-    """The common primitives that only move data, in numpy."""
+def _rearrange(name: str, params: dict[str, Any], values: list[Value]) -> Value | None:
+    """The result of one of the common primitives that only move data, in NumPy."""
     x = values[0]
     if name == "slice":
         strides = params["strides"] or [1] * x.ndim
@@ -99,7 +103,7 @@ def _is_zero(entry: Any) -> bool:
     return isinstance(entry, ir.Constant) and all(e.constant == 0 for e in entry.constant)
 
 
-def _dot(params: dict[str, Any], a: Value, b: Value, w: Writer) -> Value:
+def _dot(params: dict[str, Any], a: Value, b: Value, w: VectorBuilder) -> Value:
     """dot_general, written out."""
     (sum_a, sum_b), (batch_a, batch_b) = params["dimension_numbers"]
     letters = itertools.count()
@@ -113,36 +117,36 @@ def _dot(params: dict[str, Any], a: Value, b: Value, w: Writer) -> Value:
     size = dict(zip(name_a + name_b, a.shape + b.shape, strict=True))
     shape = tuple(size[n] for n in batch + free)
     entries = []
-    for at in np.ndindex(*shape):
-        place = dict(zip(batch + free, at, strict=True))
+    for index in np.ndindex(*shape):
+        place = dict(zip(batch + free, index, strict=True))
         terms = []
         for s in np.ndindex(*(size[n] for n in summed)):
             place |= dict(zip(summed, s, strict=True))
             x, y = a[tuple(place[n] for n in name_a)], b[tuple(place[n] for n in name_b)]
-            if not (_is_zero(x) or _is_zero(y)):  # a weight of a sum
+            if not (_is_zero(x) or _is_zero(y)):  # as many weights of a tableau are
                 terms.append(w.arithmetic("mul", x, y))
         none = w.constant(0, params["preferred_element_type"] or "float64")
         entries.append(functools.reduce(functools.partial(w.arithmetic, "add"), terms or [none]))
     return _array(entries, shape)
 
 
-def _arg_extreme(name: str, eqn: Any, value: Value, w: Writer) -> Value:
-    """Where the largest or smallest entry is, the first of equals."""
+def _arg_extreme(name: str, eqn: Any, value: Value, w: VectorBuilder) -> Value:
+    """The index of the largest or smallest entry, the first of equal ones."""
     (axis,) = eqn.params["axes"]
     dtype = eqn.outvars[0].aval.dtype
     rows = np.moveaxis(value, axis, -1)
-    found = []
-    for at in np.ndindex(*rows.shape[:-1]):
-        best, index = rows[at][0], w.constant(0, dtype)
-        for i, entry in enumerate(rows[at][1:], 1):
+    indices = []
+    for lane in np.ndindex(*rows.shape[:-1]):
+        best, index = rows[lane][0], w.constant(0, dtype)
+        for i, entry in enumerate(rows[lane][1:], 1):
             better = w.compare("gt" if name == "argmax" else "lt", entry, best)
             best = w.select(better, entry, best)
             index = w.select(better, w.constant(i, dtype), index)
-        found.append(index)
-    return _array(found, rows.shape[:-1])
+        indices.append(index)
+    return _array(indices, rows.shape[:-1])
 
 
-def _scan(eqn: Any, values: list[Value], w: Writer) -> list[Value]:
+def _scan(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """A loop of fixed length, unrolled."""
     p = eqn.params
     split = p["num_consts"], p["num_consts"] + p["num_carry"]
@@ -164,55 +168,70 @@ def _stack(column: Sequence[Value]) -> Value:
     return np.stack(column)
 
 
-def _select(which: Any, cases: Sequence[Any], dtype: Any, w: Writer) -> Any:
-    """The case of that number, or of that truth."""
+def _select(which: Any, cases: Sequence[Any], dtype: Any, w: VectorBuilder) -> Any:
+    """The case of that number; of False or True, the first or the second."""
     if np.dtype(dtype).kind == "b":
         return w.select(which, cases[1], cases[0])
-    found = cases[0]
+    result = cases[0]
     for i, case in enumerate(cases[1:], 1):
-        found = w.select(w.compare("eq", which, w.constant(i, dtype)), case, found)
-    return found
+        result = w.select(w.compare("eq", which, w.constant(i, dtype)), case, result)
+    return result
 
 
-def _elementwise(name: str, eqn: Any, w: Writer) -> Callable[..., Any] | None:
-    """What one entry of the result is made of, entry by entry."""
-    dtype = eqn.invars[0].aval.dtype
-    params, new = eqn.params, eqn.outvars[0].aval.dtype
-    one = functools.partial(w.constant, 1, dtype)
-    table: dict[str, Callable[..., Any]] = {
-        "max": functools.partial(w.extreme, "max"),
-        "min": functools.partial(w.extreme, "min"),
-        "neg": lambda a: (
-            w.note(w.builder.fneg(a))
-            if is_float(a)
-            else w.arithmetic("sub", w.constant(0, dtype), a)
-        ),
-        "abs": lambda a: w.absolute(a, dtype),
-        "sign": lambda a: w.sign(a, dtype),
-        "log": w.logarithm,
-        "square": lambda a: w.arithmetic("mul", a, a),
-        "rsqrt": lambda a: w.arithmetic("div", one(), w.function("sqrt", a)),
-        "integer_pow": lambda a: w.power(a, params["y"]),
-        "round": lambda a: w.function(_ROUND[int(params["rounding_method"])], a),
-        "is_finite": lambda a: w.compare("lt", w.absolute(a, dtype), w.constant(np.inf, dtype)),
-        "not": lambda a: w.note(w.builder.not_(a)),
-        "select_n": lambda which, *cases: _select(which, cases, dtype, w),
-        "clamp": lambda low, a, high: w.extreme("min", w.extreme("max", low, a), high),
-        "convert_element_type": lambda a: w.convert(a, dtype, new),
-    }
-    table |= {n: functools.partial(w.arithmetic, n) for n in FLOAT}
-    table |= {n: functools.partial(w.compare, n) for n in COMPARE}
-    table |= {n: functools.partial(w.function, n) for n in _FUNCTIONS}
-    for n, method in _BITS.items():
-        table[n] = lambda a, b, method=method: w.note(getattr(w.builder, method)(a, b))
-    return table.get(name)
+class _Operation(NamedTuple):
+    """An elementwise operation of a jaxpr, applied to one entry of each operand."""
+
+    w: VectorBuilder
+    params: dict[str, Any]
+    dtype: Any
+    """Of the first operand."""
+    result_dtype: Any
+
+    def constant(self, number: int | float) -> Any:
+        return self.w.constant(number, self.dtype)
+
+
+_ELEMENTWISE: dict[str, Callable[..., Any]] = {
+    "max": lambda op, a, b: op.w.extreme("max", a, b),
+    "min": lambda op, a, b: op.w.extreme("min", a, b),
+    "neg": lambda op, a: op.w.negative(a, op.dtype),
+    "abs": lambda op, a: op.w.absolute(a, op.dtype),
+    "sign": lambda op, a: op.w.sign(a, op.dtype),
+    "log": lambda op, a: op.w.logarithm(a),
+    "square": lambda op, a: op.w.arithmetic("mul", a, a),
+    "rsqrt": lambda op, a: op.w.arithmetic("div", op.constant(1), op.w.function("sqrt", a)),
+    "integer_pow": lambda op, a: op.w.power(a, op.params["y"]),
+    "round": lambda op, a: op.w.function(_ROUND[int(op.params["rounding_method"])], a),
+    "is_finite": lambda op, a: op.w.compare("lt", op.w.absolute(a, op.dtype), op.constant(np.inf)),
+    "not": lambda op, a: op.w.bitwise_not(a),
+    "select_n": lambda op, which, *cases: _select(which, cases, op.dtype, op.w),
+    "clamp": lambda op, low, a, high: op.w.extreme("min", op.w.extreme("max", low, a), high),
+    "convert_element_type": lambda op, a: op.w.convert(a, op.dtype, op.result_dtype),
+}
+"""Primitives that act on every entry alone, besides those that have an instruction."""
+
+
+def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any] | None:
+    """From the entries of the operands to that of the result, if the primitive is elementwise."""
+    if name in FLOAT:
+        return functools.partial(w.arithmetic, name)
+    if name in COMPARE:
+        return functools.partial(w.compare, name)
+    if name in _FUNCTIONS:
+        return functools.partial(w.function, name)
+    if name in BITWISE:
+        return functools.partial(w.bitwise, name)
+    if name not in _ELEMENTWISE:
+        return None
+    dtype, result_dtype = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
+    return functools.partial(_ELEMENTWISE[name], _Operation(w, eqn.params, dtype, result_dtype))
 
 
 _REDUCE = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
 _REDUCE |= {"reduce_and": "and", "reduce_or": "or"}
 
 
-def _apply(eqn: Any, values: list[Value], w: Writer) -> list[Value]:
+def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """The results of one equation of a jaxpr."""
     name = eqn.primitive.name
     if name in _INNER:
@@ -221,16 +240,16 @@ def _apply(eqn: Any, values: list[Value], w: Writer) -> list[Value]:
         return _scan(eqn, values, w)
     if name in _UNCHANGED:
         return values
-    if all(v.dtype != object for v in values):  # known beforehand
-        found = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
-        return [np.asarray(v) for v in (found if eqn.primitive.multiple_results else [found])]
+    if all(v.dtype != object for v in values):  # known already
+        results = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
+        return [np.asarray(v) for v in (results if eqn.primitive.multiple_results else [results])]
     if name in _MOVES:
-        return [_moved(name, eqn, values, _MOVES[name], w)]
+        return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
     kinds = [v.aval.dtype for v in eqn.invars]
-    values = [_lanes(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
-    moved = _placed(name, eqn.params, values)
-    if moved is not None:
-        return [moved]
+    values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
+    rearranged = _rearrange(name, eqn.params, values)
+    if rearranged is not None:
+        return [rearranged]
     if name == "dot_general":
         return [_dot(eqn.params, values[0], values[1], w)]
     if name in ("argmax", "argmin"):
@@ -247,8 +266,8 @@ def _apply(eqn: Any, values: list[Value], w: Writer) -> list[Value]:
     return [_array(entries, arrays[0].shape)]
 
 
-def _write(closed: Any, values: list[Value], w: Writer) -> list[Value]:
-    """Write a jaxpr's instructions; the results."""
+def _write(closed: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
+    """Write the instructions of a jaxpr; returns its results."""
     jaxpr, consts = (
         (closed.jaxpr, closed.consts) if isinstance(closed, ClosedJaxpr) else (closed, [])
     )
@@ -264,61 +283,77 @@ def _write(closed: Any, values: list[Value], w: Writer) -> list[Value]:
     return [read(v) for v in jaxpr.outvars]
 
 
-def compiled(function: Any, rows: Any, shared: Any, width: int) -> tuple[int, Any]:
-    """Machine code that does rows = function(rows, shared) to `width` lanes of a table.
+class _TableAccess:
+    """Loads and stores of the numbers of a table, in the function that is being written."""
+
+    def __init__(self, w: VectorBuilder, first: Any, stride: Any, shared: Any) -> None:
+        self.w, self.vector = w, w.vector("float64")
+        self.first, self.stride, self.shared = first, stride, shared
+
+    def load_rows(self, rows: Iterator[int], leaf: Any) -> Value:
+        """The next rows, as an array like `leaf`."""
+        entries = []
+        for _ in range(leaf.size):
+            raw = self.w.builder.load(self._place(next(rows)), align=8)
+            entries.append(self.w.convert(raw, "float64", leaf.dtype))
+        return _array(entries, leaf.shape)
+
+    def load_shared(self, i: int, leaf: Any) -> Value:
+        """The i-th of the shared numbers, the same in all lanes."""
+        w = self.w
+        number = w.builder.load(w.builder.gep(self.shared, [ir.Constant(_LONG, i)]))
+        undefined = ir.Constant(self.vector, None)
+        one = w.builder.insert_element(undefined, number, ir.Constant(_LONG, 0))
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), w.width), [0] * w.width)
+        vector = w.builder.shuffle_vector(one, ir.Constant(self.vector, None), mask)
+        return _array([w.convert(vector, "float64", leaf.dtype)], leaf.shape)
+
+    def store(self, row: int, number: Any, dtype: Any) -> None:
+        raw = self.w.convert(number, dtype, "float64")
+        self.w.builder.store(raw, self._place(row), align=8)
+
+    def _place(self, row: int) -> Any:
+        """The address of a row."""
+        b = self.w.builder
+        start = b.gep(self.first, [b.mul(self.stride, ir.Constant(_LONG, row))])
+        return b.bitcast(start, self.vector.as_pointer())
+
+
+def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -> MachineCode:
+    """Machine code that does rows = function(rows, shared) for `width` lanes of a table.
 
     Args:
         function: from a pytree of rows and one of shared numbers to a pytree like `rows`.
-        rows: what stands in the table's rows, in order; leaves with a trailing axis of one lane.
+        rows: the rows of the table, in order; leaves with a trailing axis of one lane.
         shared: scalars that all lanes share.
-        width: lanes treated together.
+        width: lanes that are done together.
 
     Returns:
-        The address of `void (double *first, int64 stride, double *shared)`, where row i begins at
-        first + i·stride, and what keeps it alive. Every number is stored as a float64.
+        A function `void (double *first, int64 stride, double *shared)`; row i begins at
+        first + i·stride. Every number of the table is a float64.
 
     Raises:
         Unsupported: the function cannot be written as straight-line code.
     """
-    shape = (jax.eval_shape(lambda *x: x, rows, shared),)
-    jaxpr = jax.make_jaxpr(lambda pair: jax.tree.leaves(function(*pair)))(*shape)
-    double, long = ir.DoubleType(), ir.IntType(64)
+    shapes = jax.eval_shape(lambda *x: x, rows, shared)
+    jaxpr = jax.make_jaxpr(lambda pair: jax.tree.leaves(function(*pair)))(shapes)
+    double = ir.DoubleType().as_pointer()
     module = ir.Module("lanes")
-    kind = ir.FunctionType(ir.VoidType(), [double.as_pointer(), long, double.as_pointer()])
-    entry = ir.Function(module, kind, "treat")
-    w = Writer(ir.IRBuilder(entry.append_basic_block()), width)
-    first, stride, given = entry.args
-    wide = w.vector("float64")
-
-    def place(row: int) -> Any:
-        start = w.builder.gep(first, [w.builder.mul(stride, ir.Constant(long, row))])
-        return w.builder.bitcast(start, wide.as_pointer())
-
-    count = itertools.count()
-
-    def load(leaf: Any) -> Value:
-        entries = []
-        for _ in range(leaf.size):
-            raw = w.builder.load(place(next(count)), align=8)
-            entries.append(w.convert(raw, "float64", leaf.dtype))
-        return _array(entries, leaf.shape)
-
-    def spread(i: int, leaf: Any) -> Value:
-        number = w.builder.load(w.builder.gep(given, [ir.Constant(long, i)]))
-        one = w.builder.insert_element(ir.Constant(wide, None), number, ir.Constant(long, 0))
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
-        vector = w.builder.shuffle_vector(one, ir.Constant(wide, None), mask)
-        return _array([w.convert(vector, "float64", leaf.dtype)], leaf.shape)
-
-    leaves = [load(leaf) for leaf in jax.tree.leaves(shape[0][0])]
-    numbers = [spread(i, leaf) for i, leaf in enumerate(jax.tree.leaves(shape[0][1]))]
-    kinds = [v.aval.dtype for v in jaxpr.jaxpr.outvars]
-    row = itertools.count()
+    kind = ir.FunctionType(ir.VoidType(), [double, _LONG, double])
+    kernel = ir.Function(module, kind, "treat")
+    w = VectorBuilder(ir.IRBuilder(kernel.append_basic_block()), width)
+    table = _TableAccess(w, *kernel.args)
+    numbers = itertools.count()
+    leaves = [table.load_rows(numbers, leaf) for leaf in jax.tree.leaves(shapes[0])]
+    given = [table.load_shared(i, leaf) for i, leaf in enumerate(jax.tree.leaves(shapes[1]))]
     before = [entry for leaf in leaves for entry in leaf.ravel()]
-    for value, dtype in zip(_write(jaxpr, leaves + numbers, w), kinds, strict=True):
-        for number in _lanes(value, dtype, w).ravel():
-            at = next(row)
-            if number is not before[at]:
-                w.builder.store(w.convert(number, dtype, "float64"), place(at), align=8)
+    results = _write(jaxpr, leaves + given, w)
+    dtypes = [variable.aval.dtype for variable in jaxpr.jaxpr.outvars]
+    row = itertools.count()
+    for value, dtype in zip(results, dtypes, strict=True):
+        for number in _as_vectors(value, dtype, w).ravel():
+            here = next(row)
+            if number is not before[here]:
+                table.store(here, number, dtype)
     w.builder.ret_void()
     return machine_code(str(module))

@@ -1,7 +1,7 @@
 """The native engine: the steps of the JAX engine in machine code, for float64 on processors.
 
 `step.begin` and `step.advance`, traced for one lane, are compiled to vector instructions
-(`jaxpr_to_llvm`, `vector_code`); a loop around them refills a lane as soon as it is finished. The
+(`jaxpr_to_llvm`); a loop around them refills a lane as soon as it is idle (`native_queue`). The
 equation's `lift` and the function that finishes the runs are compiled, too, since a call of JAX
 costs as much as a thousand runs. It needs numba.
 """
@@ -10,31 +10,26 @@ import functools
 import threading
 from concurrent.futures import wait
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, final, no_type_check
+from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numba
 import numpy as np
 from jaxtyping import Array, Float
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 
 from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
-from .._base.stopping import RUNNING, Until
+from .._base.stopping import Until
 from .._base.tolerances import Tolerances
 from . import step
 from .interface import EndStates, Finish, Limits, T, Unsupported
 from .jaxpr_to_llvm import compiled
+from .native_queue import KINDS, WIDTH, work_off
+from .vector_code import MachineCode
 
-WIDTH = 8  # lanes stepped together
-SHARE = 256  # starts from which a thread of its own pays
-KINDS = {"float64": ir.DoubleType(), "int64": ir.IntType(64), "int32": ir.IntType(32)}
-KINDS |= {"bool": ir.IntType(8)}  # numbers in arrays
+SHARE = 256  # runs from which on a thread of its own pays
 
 
 @final
@@ -56,7 +51,7 @@ class NativeEngine:
         Raises:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
-        prepare(equation, until, finish=finish, solver=self.solver)
+        _program(equation, until, self.solver, finish)
 
     def end_states(
         self,
@@ -66,17 +61,17 @@ class NativeEngine:
         *,
         until: Until = "value",
     ) -> EndStates:
-        """See `Engine`; in NumPy, on one core, equal to those of `JaxEngine` but for rounding.
+        """See `Engine`; in NumPy, on one core, equal to those of `JaxEngine` except for rounding.
 
         Raises:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
-        program = prepare(equation, until, n=y0.shape[0], solver=self.solver)
-        at, size = program.rows.at, y0.shape[1]
+        program = _program(equation, until, self.solver, n=y0.shape[0])
+        rows, size = program.layout.rows.lanes, y0.shape[1]
         y, t = np.empty(y0.shape), np.empty(size)
         steps, status = np.empty(size, "int32"), np.empty(size, "int32")
-        ends = [(at.y, y), (at.t, t), (at.steps, steps), (at.status, status)]
-        block_steps = program.run(equation, limits, (at.y, y0), ends, 1)
+        wanted = [(rows.y, y), (rows.t, t), (rows.steps, steps), (rows.status, status)]
+        block_steps = program.run(equation, limits, (rows.y, y0), wanted, threads=1)
         return EndStates(y, t, steps, status, np.array([block_steps, 0]))
 
     def classify(
@@ -87,246 +82,190 @@ class NativeEngine:
         limits: Limits,
         *,
         until: Until,
-        device: Device | None = None,
+        device: Device,
         threads: int = 1,
     ) -> T:
-        """See `Engine`; in NumPy. The device is any processor."""
-        program = prepare(equation, until, finish=finish, solver=self.solver)
-        rows, size = program.rows, limits.t1.shape[0]
-        found = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.found)
-        ends = list(zip(*map(jax.tree.leaves, (rows.found, found)), strict=True))
-        program.run(equation, limits, (rows.omegas, omegas), ends, threads)
-        return found
-
-
-def _call(typing: Any, address: Any, first: Any, stride: Any, shared: Any) -> Any:
-    """Call the machine code at an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        double, long = ir.DoubleType().as_pointer(), ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [double, long, double]).as_pointer()
-        code, first, stride, shared = args
-        start, numbers = (builder.inttoptr(x, double) for x in (first, shared))
-        builder.call(builder.inttoptr(code, kind), [start, stride, numbers])
-        return context.get_dummy_value()
-
-    return types.void(types.intp, types.intp, types.intp, types.intp), generate
-
-
-def _claim(typing: Any, counter: Any, many: Any) -> Any:
-    """Raise a counter that threads share: what it was."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address, many = args
-        place = builder.inttoptr(address, ir.IntType(64).as_pointer())
-        return builder.atomic_rmw("add", place, many, "monotonic")
-
-    return types.intp(types.intp, types.intp), generate
-
-
-def _load(typing: Any, address: Any) -> Any:
-    """The float64 at an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(builder.inttoptr(args[0], ir.DoubleType().as_pointer()))
-
-    return types.float64(types.intp), generate
-
-
-def _store(typing: Any, address: Any, number: Any, kind: Any) -> Any:
-    """Put a number at an address, as the type of that kind."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address, number, kind = args
-        after = builder.append_basic_block()
-        choice = builder.switch(kind, after)
-        for i, element in enumerate(KINDS.values()):
-            block = builder.append_basic_block()
-            choice.add_case(ir.Constant(kind.type, i), block)
-            builder.position_at_end(block)
-            value = number if element == number.type else builder.fptosi(number, element)
-            builder.store(value, builder.inttoptr(address, element.as_pointer()))
-            builder.branch(after)
-        builder.position_at_end(after)
-        return context.get_dummy_value()
-
-    return types.void(types.intp, types.float64, types.intp), generate
-
-
-_treat: Any = intrinsic(_call)
-_take: Any = intrinsic(_claim)
-_get: Any = intrinsic(_load)
-_put: Any = intrinsic(_store)
-
-_LIST, _ROWS = numba.float64[::1], numba.intp[:, ::1]
-_SIZES, _CODES = numba.types.UniTuple(numba.intp, 4), numba.types.UniTuple(numba.intp, 3)
-
-
-@numba.njit(nogil=True)
-@no_type_check  # numba reads the functions themselves, not a checker around them
-def _write_out(end, ended, places, count, shared, kept):
-    """What is wanted of some ends, to where it belongs."""
-    if end != 0:
-        _treat(end, ended.ctypes.data, WIDTH, shared.ctypes.data)
-    for row, address, stride, kind in kept:
-        for lane in range(count):
-            _put(address + places[lane] * stride, ended[row, lane], kind)
-
-
-@numba.njit([numba.intp(_CODES, _SIZES, numba.intp[::1], _ROWS, _ROWS, _LIST)], nogil=True)
-@no_type_check
-def _work(codes, sizes, queue, given, kept, shared):
-    """Work off a queue, which others may do at the same time; how many steps the block made.
-
-    There are three blocks of lanes: the next starts, those at work, and the last ends. Where there
-    is no code, 0, nothing is to be done.
-
-    Args:
-        codes: of what is to be done to each block.
-        sizes: starts, rows, those of them that run, and the row of the status.
-        queue: counts the starts that are taken.
-        given: what the starts begin with, `_places`.
-        kept: where what is kept of the ends goes, likewise.
-        shared: the numbers that all lanes share.
-    """
-    begin, advance, end = codes
-    size, rows, alive, status = sizes
-    number = shared.ctypes.data
-    fresh, block, ended = np.zeros((rows, WIDTH)), np.zeros((alive, WIDTH)), np.zeros((rows, WIDTH))
-    slot, places = np.full(WIDTH, -1), np.zeros(WIDTH, np.intp)
-    first = at = last = count = sweeps = 0
-    while True:
-        running = 0
-        for lane in range(WIDTH):
-            while block[status, lane] != RUNNING:
-                if slot[lane] >= 0:
-                    for row in range(alive):
-                        ended[row, count] = block[row, lane]
-                    places[count] = slot[lane]
-                    count += 1
-                    if count == WIDTH:
-                        _write_out(end, ended, places, count, shared, kept)
-                        count = 0
-                    slot[lane] = -1
-                if at == last:
-                    if at < size:
-                        at = min(_take(queue.ctypes.data, WIDTH), size)
-                    first, last = at, min(at + WIDTH, size)
-                    if at == last:
-                        break
-                    for row, address, step, _ in given:
-                        for k in range(WIDTH):
-                            fresh[row, k] = _get(address + min(at + k, size - 1) * step)
-                    _treat(begin, fresh.ctypes.data, WIDTH, number)
-                for row in range(alive):
-                    block[row, lane] = fresh[row, at - first]
-                slot[lane] = at
-                at += 1
-            running += block[status, lane] == RUNNING
-        if running == 0:
-            _write_out(end, ended, places, count, shared, kept)
-            return sweeps
-        _treat(advance, block.ctypes.data, WIDTH, number)
-        sweeps += 1
+        """See `Engine`; in NumPy. The device is not used: every processor is the same."""
+        program = _program(equation, until, self.solver, finish)
+        rows, size = program.layout.rows, limits.t1.shape[0]
+        result = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.result)
+        wanted = list(zip(*map(jax.tree.leaves, (rows.result, result)), strict=True))
+        program.run(equation, limits, (rows.omegas, omegas), wanted, threads)
+        return result
 
 
 class _Table(NamedTuple):
-    """What the rows of a table of lanes hold, each a number of every lane."""
+    """What a table of lanes holds; each of its numbers is a row, with one entry for each lane."""
 
-    at: step.LaneState
+    lanes: step.LaneState
     omegas: Any
-    found: Any
-    """What `finish` gives."""
+    """ω₀, if the lift is compiled, too."""
+    result: Any
+    """What `Finish` gives, if there is one."""
 
 
-class _Program:
-    """Machine code: `step.begin` and `step.advance`; with a `finish` also that and the lift."""
+@dataclass(frozen=True)
+class _Layout:
+    """Which rows of a table hold what, in the order of the leaves."""
 
-    def __init__(
-        self, equation: Any, n: int, solver: Any, until: Until, finish: Finish[Any] | None
-    ):
-        arrays, static = eqx.partition(equation, _is_array)
+    rows: Any
+    """A `_Table` with a slice in the place of every array."""
+    total: int
 
-        def whole(at: step.LaneState) -> Any:
-            return eqx.combine(at.equation, static)
-
-        def begin(table: _Table, shared: Any) -> _Table:
-            at, omegas, _ = table
-            y = at.y if omegas is None else whole(at).lift(omegas)
-            limits = Limits(shared[0], at.atol, at.t1, shared[1])
-            begun = step.begin(whole(at), y, limits, int(solver.order(None)), until)
-            return table._replace(at=eqx.filter(begun, eqx.is_array))
-
-        def advance(at: step.LaneState, shared: Any) -> Any:
-            rtol, max_steps = shared
-            complete = eqx.tree_at(lambda at: at.equation, at, whole(at))
-            return eqx.filter(step.advance(complete, rtol, max_steps, solver, until), eqx.is_array)
-
-        def found(at: step.LaneState, shared: Any) -> Any:
-            ends = EndStates(at.y, at.t, at.steps, at.status)
-            return finish and finish(whole(at), ends, Tolerances(shared[0], at.atol))
-
-        def end(table: _Table, shared: Any) -> _Table:
-            return table._replace(found=found(table.at, shared))
-
-        def one(leaf: Any) -> Array:
-            return jnp.zeros((*leaf.shape[:-1], 1), leaf.dtype)
-
-        y, size, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
-        fields = jax.tree.map(one, arrays)
-        at = step.LaneState(y, y, size, size, size, count, count, fields, size, size)
-        shared = jnp.zeros(()), jnp.zeros((), int)
-        self.found = jax.eval_shape(found, at, shared)
-        table = _Table(at, finish and jnp.zeros((3, 1)), jax.tree.map(one, self.found))
-        parts = (begin, table), (advance, at), *([(end, table)] if finish else [])
-        codes = [compiled(function, given, shared, WIDTH) for function, given in parts]
-        self._alive = [engine for _, engine in codes]
-        self._codes = tuple(address for address, _ in [*codes, (0, None)][:3])
+    @classmethod
+    def of(cls, table: _Table) -> "_Layout":
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
-        self.rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        self._sizes = ends[-1], self.rows.at.t1.stop, self.rows.at.status.start
+        return cls(jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:])), ends[-1])
 
-    def run(self, equation: Any, limits: Limits, begun: Any, ends: Any, threads: int) -> int:
-        """How many steps all lanes together made.
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """The number of rows, that of the rows of a lane at work, and the row of its status."""
+        return self.total, self.rows.lanes.t1.stop, self.rows.lanes.status.start
+
+
+class _Functions(NamedTuple):
+    """The functions of a table of lanes that are compiled; `shared` is (rtol, max_steps)."""
+
+    static: Any
+    """The equation without its arrays."""
+    solver: diffrax.AbstractERK
+    until: Until
+    apply: Finish[Any] | None
+
+    def equation(self, lanes: step.LaneState) -> Any:
+        return eqx.combine(lanes.equation, self.static)
+
+    def begin(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
+        lanes, omegas, _ = table
+        y = lanes.y if omegas is None else self.equation(lanes).lift(omegas)
+        limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
+        order = int(self.solver.order(None) or 0)
+        begun = step.begin(self.equation(lanes), y, limits, order, self.until)
+        return table._replace(lanes=eqx.filter(begun, eqx.is_array))
+
+    def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
+        whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
+        return eqx.filter(step.advance(whole, *shared, self.solver, self.until), eqx.is_array)
+
+    def result(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Any:
+        if self.apply is None:
+            return None
+        ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
+        return self.apply(self.equation(lanes), ends, Tolerances(shared[0], lanes.atol))
+
+    def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
+        return table._replace(result=self.result(table.lanes, shared))
+
+
+@dataclass(frozen=True)
+class _Kernels:
+    """Machine code for a block of lanes."""
+
+    begin: MachineCode
+    advance: MachineCode
+    finish: MachineCode | None
+
+    @property
+    def addresses(self) -> tuple[int, int, int]:
+        """Their addresses, 0 where there is none."""
+        return self.begin.address, self.advance.address, self.finish.address if self.finish else 0
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Machine code for all equations of one structure."""
+
+    kernels: _Kernels
+    layout: _Layout
+    result: Any
+    """Shapes and types of what `Finish` gives for one lane."""
+
+    @classmethod
+    def compile(
+        cls,
+        equation: Any,
+        n: int,
+        solver: diffrax.AbstractERK,
+        until: Until,
+        finish: Finish[Any] | None,
+    ) -> "_Program":
+        arrays, static = eqx.partition(equation, _is_array)
+        functions = _Functions(static, solver, until, finish)
+
+        def one_lane(leaf: Any) -> Array:
+            return jnp.zeros((*leaf.shape[:-1], 1), leaf.dtype)
+
+        y, number, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
+        fields = jax.tree.map(one_lane, arrays)
+        lanes = step.LaneState(y, y, number, number, number, count, count, fields, number, number)
+        shared = jnp.zeros(()), jnp.zeros((), int)
+        result = jax.eval_shape(functions.result, lanes, shared)
+        omegas = None if finish is None else jnp.zeros((3, 1))
+        table = _Table(lanes, omegas, jax.tree.map(one_lane, result))
+        kernels = _Kernels(
+            compiled(functions.begin, table, shared, WIDTH),
+            compiled(functions.advance, lanes, shared, WIDTH),
+            None if finish is None else compiled(functions.finish, table, shared, WIDTH),
+        )
+        return cls(kernels, _Layout.of(table), result)
+
+    def run(
+        self,
+        equation: Any,
+        limits: Limits,
+        begun: tuple[slice, Any],
+        wanted: list[tuple[slice, np.ndarray]],
+        threads: int,
+    ) -> int:
+        """Integrate N runs.
 
         Args:
             equation: with a trailing axis of N lanes on its arrays.
             limits: tolerances, end times and budget.
             begun: the rows that the lanes begin with, and their values, shape (..., N).
-            ends: pairs of rows that are wanted in the end, and contiguous arrays for them.
+            wanted: the rows that are wanted in the end, and contiguous arrays for them.
             threads: how many work off the queue, at most.
+
+        Returns:
+            How many steps the blocks of lanes made.
         """
-        at, size = self.rows.at, limits.t1.shape[0]
-        parameters = map(jax.tree.leaves, (at.equation, eqx.filter(equation, _is_array)))
-        pairs = begun, (at.atol, limits.atol), (at.t1, limits.t1), *zip(*parameters, strict=True)
-        held = [(rows, np.asarray(values, float).reshape(-1, size)) for rows, values in pairs]
-        given = np.array([place for pair in held for place in _places(*pair)])
-        kept = np.array([p for rows, out in ends for p in _places(rows, out.reshape(-1, size))])
+        rows, size = self.layout.rows.lanes, limits.t1.shape[0]
+        parameters = map(jax.tree.leaves, (rows.equation, eqx.filter(equation, _is_array)))
+        pairs = begun, (rows.atol, limits.atol), (rows.t1, limits.t1)
+        given = [
+            (place, np.asarray(values, float).reshape(-1, size))
+            for place, values in (*pairs, *zip(*parameters, strict=True))
+        ]
+        inputs = np.array([each for pair in given for each in _transfers(*pair)])
+        outputs = np.array(
+            [each for place, out in wanted for each in _transfers(place, out.reshape(-1, size))]
+        )
         shared = np.array([limits.rtol, limits.max_steps], float)
         queue = np.zeros(1, np.intp)
-        sizes = size, *self._sizes
 
         def work(*_arrays: Any) -> int:
-            return _work(self._codes, sizes, queue, given, kept, shared)
+            sizes = size, *self.layout.sizes
+            return work_off(self.kernels.addresses, sizes, queue, inputs, outputs, shared)
 
-        # Addresses do not keep their arrays: every thread holds them until it ends.
-        work = functools.partial(work, held, ends)
+        # An address does not keep its array: every thread holds the arrays until it ends.
+        work = functools.partial(work, given, wanted)
         threads = min(threads, -(-size // SHARE))
         return _in_threads(work, threads, queue, size) if threads > 1 else work()
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
+    """The sum of what `work` returns in several threads."""
     parts = [pool(threads).submit(work) for _ in range(threads)]
     try:
         return sum(part.result() for part in parts)
     finally:
-        queue[0] = size  # after an interruption nobody takes any more
+        queue[0] = size  # after an interruption no thread takes another run
         wait(parts)
 
 
-def _places(rows: slice, values: np.ndarray) -> list[tuple[int, ...]]:
-    """For each of some rows: its number, where it begins, how far its numbers are apart, kind."""
+def _transfers(rows: slice, values: Float[np.ndarray, "m N"] | np.ndarray) -> list[tuple[int, ...]]:
+    """A transfer of each row to or from an array, see `native_queue`."""
     first, (down, along) = values.ctypes.data, values.strides
     kind = list(KINDS).index(values.dtype.name)
     return [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
@@ -338,50 +277,49 @@ def _is_array(leaf: Any) -> bool:
 
 
 _programs: dict[Any, _Program | Unsupported] = {}
-_compiling = threading.Lock()
+_compile_lock = threading.Lock()
 
 
-def prepare(
+def _program(
     equation: Any,
     until: Until,
+    solver: diffrax.AbstractERK,
+    finish: Finish[Any] | None = None,
     *,
     n: int | None = None,
-    finish: Finish[Any] | None = None,
-    solver: Any = None,
 ) -> _Program:
     """The program for all equations of this structure, compiled once.
 
     Args:
         equation: with a trailing axis of lanes on its arrays.
         until: when a lane is finished.
-        n: numbers of a state; None: those that the equation lifts to.
+        solver: the method.
         finish: what will be applied to the end states, if anything.
-        solver: `diffrax.Dopri8()` by default.
+        n: the size of a state; None: of one that the equation lifts to.
 
     Raises:
         Unsupported: the equation, or its verdict, has no straight-line code.
     """
-    solver = diffrax.Dopri8() if solver is None else solver
     leaves, structure = jax.tree.flatten((equation, solver))
     kinds = tuple(((x.shape[:-1], x.dtype) if _is_array(x) else x) for x in leaves)
     n = _lifted_size(structure, kinds) if n is None else n
     key = (structure, kinds, n, finish, until)
-    with _compiling:
+    with _compile_lock:
         if key not in _programs:
             try:
                 with report_compile_time():
-                    _programs[key] = _Program(equation, n, solver, until, finish)
+                    _programs[key] = _Program.compile(equation, n, solver, until, finish)
             except Unsupported as reason:
                 _programs[key] = reason
-    found = _programs[key]
-    if isinstance(found, Unsupported):
-        raise found
-    return found
+    program = _programs[key]
+    if isinstance(program, Unsupported):
+        raise program
+    return program
 
 
 @functools.cache
 def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
-    """How many numbers a state has that an equation lifts to."""
+    """The size of a state that an equation lifts to."""
     lane = (jax.ShapeDtypeStruct((*x[0], 1), x[1]) if isinstance(x, tuple) else x for x in kinds)
     equation, _ = jax.tree.unflatten(structure, lane)
     return eqx.filter_eval_shape(lambda e, w: e.lift(w), equation, jnp.zeros((3, 1))).shape[0]

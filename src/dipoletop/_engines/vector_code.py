@@ -1,13 +1,13 @@
 """Vector instructions: LLVM code in which every value is one number for each of some lanes."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import binding, ir
 
 from .interface import Unsupported
 
-LONGEST = 300_000  # instructions; beyond, the compiler takes longer than the runs
+LONGEST = 300_000  # instructions; longer code takes longer to compile than to run
 
 
 FLOAT = {
@@ -20,6 +20,7 @@ FLOAT = {
 }
 INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
 COMPARE = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+BITWISE = {"and": "and_", "or": "or_", "xor": "xor"}
 TYPES: dict[Any, Any] = {
     np.dtype("float64"): ir.DoubleType(),
     np.dtype("float32"): ir.FloatType(),
@@ -29,11 +30,11 @@ TYPES: dict[Any, Any] = {
 }
 
 
-class Writer:
+class VectorBuilder:
     """Writes the instructions of one function; values are vectors of `width` lanes."""
 
     def __init__(self, builder: ir.IRBuilder, width: int):
-        self.builder, self.width, self.count = builder, width, 0
+        self.builder, self.width, self.instructions = builder, width, 0
 
     def vector(self, dtype: Any) -> ir.VectorType:
         kind = TYPES.get(np.dtype(dtype))
@@ -46,9 +47,9 @@ class Writer:
         python = np.asarray(number, dtype).item()
         return ir.Constant(kind, [ir.Constant(kind.element, python)] * self.width)
 
-    def note(self, value: Any) -> Any:
-        self.count += 1
-        if self.count > LONGEST:
+    def _count(self, value: Any) -> Any:
+        self.instructions += 1
+        if self.instructions > LONGEST:
             raise Unsupported(f"more than {LONGEST} instructions")
         return value
 
@@ -58,17 +59,17 @@ class Writer:
         suffix = f"v{self.width}{'f64' if kind.element == ir.DoubleType() else 'f32'}"
         module = self.builder.module
         full = f"llvm.{name}.{suffix}"
-        found = module.globals.get(full)
-        if found is None:
-            found = ir.Function(module, ir.FunctionType(kind, [kind] * len(args)), full)
-        return self.note(self.builder.call(found, args, fastmath=flags))
+        intrinsic = module.globals.get(full)
+        if intrinsic is None:
+            intrinsic = ir.Function(module, ir.FunctionType(kind, [kind] * len(args)), full)
+        return self._count(self.builder.call(intrinsic, args, fastmath=flags))
 
     def arithmetic(self, name: str, a: Any, b: Any) -> Any:
         if is_float(a):
-            return self.note(getattr(self.builder, FLOAT[name])(a, b, flags=("contract",)))
+            return self._count(getattr(self.builder, FLOAT[name])(a, b, flags=("contract",)))
         if name not in INTEGER:
             raise Unsupported(f"{name} of integers")
-        return self.note(getattr(self.builder, INTEGER[name])(a, b))
+        return self._count(getattr(self.builder, INTEGER[name])(a, b))
 
     def compare(self, name: str, a: Any, b: Any) -> Any:
         sign = COMPARE[name]
@@ -77,14 +78,25 @@ class Writer:
         else:
             bits = a.type.element.width
             make = self.builder.icmp_unsigned if bits == 1 else self.builder.icmp_signed
-        return self.note(make(sign, a, b))
+        return self._count(make(sign, a, b))
+
+    def negative(self, a: Any, dtype: Any) -> Any:
+        if is_float(a):
+            return self._count(self.builder.fneg(a))
+        return self.arithmetic("sub", self.constant(0, dtype), a)
+
+    def bitwise_not(self, a: Any) -> Any:
+        return self._count(self.builder.not_(a))
+
+    def bitwise(self, name: str, a: Any, b: Any) -> Any:
+        return self._count(getattr(self.builder, BITWISE[name])(a, b))
 
     def select(self, flag: Any, yes: Any, no: Any) -> Any:
-        return self.note(self.builder.select(flag, yes, no))
+        return self._count(self.builder.select(flag, yes, no))
 
     def extreme(self, name: str, a: Any, b: Any) -> Any:
-        """The larger or smaller; one that is not a number wins, as in JAX."""
-        if is_float(a):  # the sign of a zero does not matter, and costs much
+        """The larger or smaller one; NaN if one is NaN, as in JAX."""
+        if is_float(a):  # the sign of a zero does not matter, and is expensive to get right
             return self.function("maximum" if name == "max" else "minimum", a, b, flags=("nsz",))
         return self.select(self.compare("gt" if name == "max" else "lt", a, b), a, b)
 
@@ -107,15 +119,17 @@ class Writer:
         if new.kind == "b":
             return self.compare("ne", a, self.constant(0, old))
         if old.kind == "b":
-            return self.note(b.uitofp(a, kind) if new.kind == "f" else b.zext(a, kind))
+            return self._count(b.uitofp(a, kind) if new.kind == "f" else b.zext(a, kind))
         if old.kind == new.kind:
             wider = new.itemsize > old.itemsize
             names = {"f": ("fptrunc", "fpext"), "i": ("trunc", "sext")}[new.kind]
-            return self.note(getattr(b, names[wider])(a, kind))
-        return self.note(b.sitofp(a, kind) if new.kind == "f" else b.fptosi(a, kind))
+            return self._count(getattr(b, names[wider])(a, kind))
+        return self._count(b.sitofp(a, kind) if new.kind == "f" else b.fptosi(a, kind))
 
     def logarithm(self, a: Any) -> Any:
-        """Natural logarithm: in single precision without a call for every lane, else the library's.
+        """Natural logarithm: in double precision that of the library, which is called lane by lane.
+
+        In single precision own code without calls:
 
         a = 2ⁿ(1 + f), 1 + f between √½ and √2; ln(1 + f) = 2 artanh s, s = f/(2 + f).
         """
@@ -127,7 +141,7 @@ class Writer:
             return self.constant(x, "int32")
 
         low = self.compare("lt", a, self.constant(2.0**-126, "float32"))  # 0, or subnormal
-        bits = self.note(
+        bits = self._count(
             self.builder.bitcast(
                 self.select(low, make("mul", a, self.constant(2.0**23, "float32")), a),
                 self.vector("int32"),
@@ -135,10 +149,10 @@ class Writer:
         )
         root = 0x3F3504F3  # √½
         above = make("sub", bits, integer(root))
-        power = self.note(self.builder.ashr(above, integer(23)))
+        power = self._count(self.builder.ashr(above, integer(23)))
         power = make("sub", power, self.select(low, integer(23), integer(0)))
-        rest = self.note(self.builder.and_(above, integer(0x7FFFFF)))
-        rest = self.note(
+        rest = self._count(self.builder.and_(above, integer(0x7FFFFF)))
+        rest = self._count(
             self.builder.bitcast(make("add", rest, integer(root)), self.vector("float32"))
         )
         f = make("sub", rest, one)
@@ -150,10 +164,10 @@ class Writer:
         whole = make(
             "mul", self.convert(power, "int32", "float32"), self.constant(np.log(2), "float32")
         )
-        found = make("add", whole, make("mul", s, series))
-        found = self.select(self.compare("lt", a, self.constant(np.inf, "float32")), found, a)
-        missing = self.select(self.compare("lt", a, zero), self.constant(np.nan, "float32"), found)
-        return self.select(self.compare("eq", a, zero), self.constant(-np.inf, "float32"), missing)
+        result = make("add", whole, make("mul", s, series))
+        result = self.select(self.compare("lt", a, self.constant(np.inf, "float32")), result, a)
+        result = self.select(self.compare("lt", a, zero), self.constant(np.nan, "float32"), result)
+        return self.select(self.compare("eq", a, zero), self.constant(-np.inf, "float32"), result)
 
     def sign(self, a: Any, dtype: Any) -> Any:
         zero, one = self.constant(0, dtype), self.constant(1, dtype)
@@ -171,8 +185,16 @@ def is_float(a: Any) -> bool:
     return isinstance(a.type.element, ir.FloatType | ir.DoubleType)
 
 
-def machine_code(text: str) -> tuple[int, Any]:
-    """Compile for this processor."""
+class MachineCode(NamedTuple):
+    """A compiled function."""
+
+    address: int
+    owner: Any
+    """What keeps the code alive."""
+
+
+def machine_code(text: str) -> MachineCode:
+    """Compile the function `treat` of a module for this processor."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     target = binding.Target.from_default_triple()
@@ -188,4 +210,4 @@ def machine_code(text: str) -> tuple[int, Any]:
     passes.getModulePassManager().run(module, passes)
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
-    return engine.get_function_address("treat"), engine
+    return MachineCode(engine.get_function_address("treat"), engine)
