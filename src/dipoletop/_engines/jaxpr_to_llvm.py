@@ -1,8 +1,9 @@
 """From a traced function of one lane to machine code for a block of lanes.
 
 The jaxpr of the function is written out scalar by scalar as straight-line LLVM code, in which
-every value is a vector over the lanes: loops of fixed length are unrolled, arrays exist while the
-code is written and not when it runs. Floats are float64; what has no such form is `Unsupported`.
+every value is a vector over the lanes. Loops of fixed length are unrolled. Arrays are arrays of
+LLVM values while the code is written; when it runs there are none. A function that has no such form
+is `Unsupported`.
 """
 
 import functools
@@ -34,8 +35,8 @@ _MOVES |= {"rev": (0,), "pad": (0, 1)}
 """Primitives that only move data, and which operands are data; the others are indices."""
 
 
-def _lanes(value: Value, dtype: Any, w: VectorBuilder) -> Value:
-    """The array with LLVM values as entries."""
+def _as_vectors(value: Value, dtype: Any, w: VectorBuilder) -> Value:
+    """The array with LLVM values as entries, constants among them."""
     if value.dtype == object:
         return value
     return _array([w.constant(x, dtype) for x in value.ravel()], value.shape)
@@ -56,14 +57,14 @@ def _fold(combine: Callable[[Any, Any], Any], value: Value, axes: Sequence[int])
     return _array(entries, shape)
 
 
-def _moved(
+def _move_by_numbers(
     name: str, eqn: Any, values: list[Value], data: Sequence[int], w: VectorBuilder
 ) -> Value:
     """Move entries: run the primitive itself on their numbers, and look where these go."""
     if any(v.dtype == object for i, v in enumerate(values) if i not in data):
         raise Unsupported(f"{name} with indices that are not known beforehand")
     dtype = eqn.outvars[0].aval.dtype
-    parts = [_lanes(values[i], dtype, w) for i in data]
+    parts = [_as_vectors(values[i], dtype, w) for i in data]
     ends = np.cumsum([0, *(part.size for part in parts)])
     numbers = [jnp.asarray(v) if i not in data else None for i, v in enumerate(values)]
     for i, part, first in zip(data, parts, ends[:-1], strict=True):
@@ -72,7 +73,7 @@ def _moved(
     return np.concatenate([part.ravel() for part in parts])[order]
 
 
-def _placed(name: str, params: dict[str, Any], values: list[Value]) -> Value | None:
+def _rearrange(name: str, params: dict[str, Any], values: list[Value]) -> Value | None:
     """The result of one of the common primitives that only move data, in NumPy."""
     x = values[0]
     if name == "slice":
@@ -243,12 +244,12 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
         results = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
         return [np.asarray(v) for v in (results if eqn.primitive.multiple_results else [results])]
     if name in _MOVES:
-        return [_moved(name, eqn, values, _MOVES[name], w)]
+        return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
     kinds = [v.aval.dtype for v in eqn.invars]
-    values = [_lanes(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
-    moved = _placed(name, eqn.params, values)
-    if moved is not None:
-        return [moved]
+    values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
+    rearranged = _rearrange(name, eqn.params, values)
+    if rearranged is not None:
+        return [rearranged]
     if name == "dot_general":
         return [_dot(eqn.params, values[0], values[1], w)]
     if name in ("argmax", "argmin"):
@@ -350,7 +351,7 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
     dtypes = [variable.aval.dtype for variable in jaxpr.jaxpr.outvars]
     row = itertools.count()
     for value, dtype in zip(results, dtypes, strict=True):
-        for number in _lanes(value, dtype, w).ravel():
+        for number in _as_vectors(value, dtype, w).ravel():
             here = next(row)
             if number is not before[here]:
                 table.store(here, number, dtype)

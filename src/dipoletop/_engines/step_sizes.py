@@ -1,7 +1,7 @@
-"""Step sizes: how large an error is, which one is allowed, and how long the first step is.
+"""Step sizes: the error of a step, the error that is allowed, and the first step.
 
-Errors are relative to the present |ω|, not to that of the start: a top may be caught in its
-residual rotation after |ω| has fallen by many orders of magnitude, and ω∞ is decided there.
+Errors are relative to the present |ω|, not to |ω₀|: a top may be captured into residual rotation
+after |ω| has fallen by many orders of magnitude, and ω∞ is decided there.
 """
 
 import functools
@@ -18,13 +18,13 @@ from .._base.linalg import largest
 from .._base.tolerances import Tolerances
 from .._base.types import ErrorScale, Real, State
 
-FIRST = 2.5  # the first step over time scale · tolerance^(1/order); the longest good one: 2.5 to 6
+FIRST = 2.5  # the first step, in units of time scale · tolerance^(1/order); accepted up to 2.5 … 6
 
 
 def error_ratio(
     sizes: ErrorScale, error: State, ends: Any, tolerances: Tolerances
 ) -> Float[Array, "*lanes"]:
-    """The largest component of the error of a step over what (rtol, atol) allow."""
+    """The largest component of error over allowed error, of a step between the states `ends`."""
     rtol, atol = tolerances
     allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
     return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
@@ -33,10 +33,11 @@ def error_ratio(
 def first_step(
     equation: Any, sizes: ErrorScale, y: State, f: State, tolerances: Tolerances, order: int
 ) -> Real:
-    """Step size to begin with: that of a step whose error is about the tolerance.
+    """The first step size, with which the error of the step is about the tolerance.
 
-    With y, ẏ, ÿ measured by the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order): in
-    proportion to the time scale, whatever the unit of time is.
+    With y, ẏ and ÿ in units of the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order).
+    It is proportional to the time scale, whatever the unit of time. As in Hairer, Nørsett, Wanner,
+    *Solving Ordinary Differential Equations I*, section II.4, ÿ comes from a short Euler step.
     """
     ratio = functools.partial(
         error_ratio, sizes, ends=(y, jnp.zeros_like(y)), tolerances=tolerances
@@ -47,7 +48,7 @@ def first_step(
     f1 = equation(h0, y + h0[None] * f, None)
     d2 = jnp.maximum(ratio(f1 - f) / h0, jnp.finfo(h0.dtype).tiny)
     time = jnp.minimum(100 * h0, jnp.sqrt(d0 / d2))
-    time = jnp.minimum(time, float(jnp.finfo(h0.dtype).max) ** 0.5)  # where squares underflow
+    time = jnp.minimum(time, float(jnp.finfo(h0.dtype).max) ** 0.5)  # |ω|² may underflow
     return jnp.where(moves, FIRST * time / root(jnp.where(moves, d0, 1.0), order), h0)
 
 
@@ -64,8 +65,8 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
     Attributes:
         rtol: relative tolerance.
         atol: absolute tolerance.
-        sizes: what the relative error of each component is measured by.
-        pid: what chooses the next step.
+        sizes: the magnitude that the relative error of each component refers to.
+        pid: the controller that chooses the next step.
     """
 
     rtol: Real
@@ -75,7 +76,7 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
 
     def __init__(self, rtol: Real, atol: Real, sizes: ErrorScale) -> None:
         self.rtol, self.atol, self.sizes = rtol, atol, sizes
-        least = jnp.finfo(jnp.result_type(float)).tiny  # diffrax divides by what is allowed
+        least = jnp.finfo(jnp.result_type(float)).tiny  # diffrax divides by the allowed error
         self.pid = diffrax.PIDController(rtol, jnp.maximum(atol, least), norm=self.norm)
 
     @staticmethod
@@ -103,6 +104,6 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        """See diffrax; it looks at y₀ and y₁ only to measure the error."""
+        """See diffrax; y₀ and y₁ only scale the error there, so their sizes take their place."""
         ends = self.sizes(y0), self.sizes(y1_candidate)
         return self.pid.adapt_step_size(t0, t1, *ends, args, y_error, error_order, controller_state)

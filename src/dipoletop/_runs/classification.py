@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, refuse
-from .._base.stopping import BROKEN, Until, settled, smooth
+from .._base.stopping import BROKEN, Until, settled, slopes_settled
 from .._base.text import with_error
 from .._base.tolerances import Tolerances
 from .._base.types import Equation, Outcome, Real, Stop, Verdict
@@ -124,7 +124,7 @@ def classification_of(
     known = decided & settled(verdict, tolerances, 1.0)
     slopes = None
     if isinstance(equation, Tangent):
-        certain = known & smooth(verdict, tolerances.rtol)
+        certain = known & slopes_settled(verdict, tolerances.rtol)
         certain &= ~(
             (verdict.outcome == Outcome.STOP) & equation.may_cross_boundary(y, tolerances.rtol)
         )

@@ -1,6 +1,8 @@
-"""The lane engines: they agree with diffrax, and no lane disturbs another."""
+"""All engines: they agree with diffrax, and no lane disturbs another."""
 
 import functools
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import diffrax
@@ -12,13 +14,11 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.stopping import BROKEN, EXHAUSTED, FINISHED
-from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines import jax_engine
-from dipoletop._engines.interface import Limits
+from dipoletop._engines.branch_engine import BranchEngine
+from dipoletop._engines.interface import Engine, Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._engines.step import advance, begin
-from dipoletop._engines.step_sizes import first_step
 
 RNG = np.random.default_rng(5)
 N = 384  # a multiple of every block width, as the tiles of a sweep are
@@ -34,6 +34,13 @@ def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
     return Limits(
         jnp.asarray(rtol), rtol * size, jnp.full(starts.shape[1], t1), jnp.asarray(max_steps)
     )
+
+
+def test_three_engines():
+    """Each has the whole interface; a name is what a user asks for, or reads in `attrs`."""
+    engines = JaxEngine(), NativeEngine(), BranchEngine()
+    assert all(isinstance(engine, Engine) for engine in engines)
+    assert [engine.name for engine in engines] == ["jax", "native", "branch"]
 
 
 @both
@@ -109,19 +116,6 @@ def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
     assert np.array_equal(np.asarray(ends.steps)[others], np.asarray(clean.steps)[others])
 
 
-def test_the_first_step_is_nearly_as_long_as_it_may_be():
-    """At every time scale: in proportion to it, and the next step is hardly longer."""
-    speeds = 10.0 ** jnp.linspace(-30, 3, 34)
-    given = limits(speeds[None])
-    begun = begin(dt.RotatorReduced(), speeds[None], given, 8, "time")
-    scaled = np.asarray(begun.h * speeds**2)
-    np.testing.assert_allclose(scaled, scaled[0], rtol=1e-9)
-    later = advance(begun, given.rtol, given.max_steps, diffrax.Dopri8(), "time")
-    growth = np.asarray(later.h / begun.h)
-    assert np.all((growth > 1) & (growth < 4)), growth
-    assert np.all(np.asarray(later.t) > 0)
-
-
 @both
 def test_budget_is_counted_in_steps(engine):
     ends = engine.end_states(
@@ -194,21 +188,6 @@ def test_a_right_hand_side_that_depends_on_time(solver, engine):
     assert float(jnp.max(jnp.abs(ends.y - jnp.exp(rates * jnp.sin(2.0))[None]))) < 1e-4
 
 
-def test_time_adds_up_without_loss():
-    """A hundred thousand steps of 0.1, of which a plain sum loses the last four digits."""
-    count, start = 100_000, jnp.ones((2, 1))
-    equation, limit = Decay(jnp.zeros(1)), limits(start, t1=1e9, max_steps=2 * count)
-    at = begin(equation, start, limit, 3, "time")
-
-    def step(_, at):
-        at = eqx.tree_at(lambda at: at.h, at, jnp.full(1, 0.1))
-        return advance(at, limit.rtol, limit.max_steps, diffrax.Bosh3(), "time")
-
-    found = float(jax.jit(lambda at: jax.lax.fori_loop(0, count, step, at))(at).t[0])
-    assert found == count * 0.1
-    assert sum([0.1] * count) != found
-
-
 class Explosion(Decay):
     """y′ = +y³: runs away in a finite time and is never decided."""
 
@@ -259,54 +238,16 @@ def test_a_second_call_with_other_values_compiles_nothing():
         assert jax_engine._jitted("cpu")._cached._cache_size() == before
 
 
-def size(y):
-    """What errors are measured by: ω⊥ across the axis, and along it ω₃ or ω⊥ min(ω⊥, 1)."""
-    across = max(abs(y[0]), abs(y[1]))
-    return np.array([across, across, max(abs(y[2]), across * min(across, 1.0))])
+def test_threads_share_one_wrapper(monkeypatch):
+    """Every wrapper compiles the program anew, so threads that start together must not make two."""
+    made = []
 
+    def slowly(function):
+        time.sleep(0.05)
+        made.append(function)
+        return function
 
-def reference_steps(rate, y, t1, rtol):
-    """One run by the rules that `step` states, in plain Python: steps tried, and the end."""
-    tableau = diffrax.Dopri8().tableau
-    tolerances = Tolerances(jnp.asarray(rtol), jnp.zeros(()))
-    order = int(diffrax.Dopri8().order(None))
-    field = lambda t, y, args: jnp.asarray(rate(y))  # noqa: E731
-    ours = lambda y: jnp.asarray(size(np.asarray(y)))  # noqa: E731
-    begun = jnp.asarray(y), jnp.asarray(rate(y))
-    h = float(first_step(field, ours, *begun, tolerances, order))
-    t, steps = 0.0, 0
-    while t < t1:
-        last, k = h >= t1 - t, [rate(y)]
-        h = min(h, t1 - t)
-        for row in tableau.a_lower:
-            k.append(rate(y + h * np.asarray(row) @ np.array(k)))
-        new = y + h * tableau.b_sol @ np.array(k)
-        error = np.abs(h * tableau.b_error @ np.array(k))
-        ratio = np.max(error / (rtol * np.maximum(size(y), size(new))))
-        steps += 1
-        if ratio <= 1:
-            y, t = new, t1 if last else t + h
-        # the order, 8, is a power of two: no rounding of it
-        h *= np.clip(0.9 * ratio ** (-1 / 8), 0.2, 10.0 if ratio <= 1 else 1.0)
-    return steps, y
-
-
-@both
-@pytest.mark.parametrize("rtol", [1e-5, 1e-9])
-def test_steps_are_those_of_the_rules(engine, rtol):
-    """A step is accepted if its error is at most the tolerance, and not if it is twice that."""
-    starts, deltas = np.asarray(STARTS[:, :128]), np.asarray(DELTAS[:128])
-    still = eqx.tree_at(lambda x: x.atol, limits(STARTS[:, :128], rtol, 40.0), jnp.zeros(128))
-    equation = dt.TransverseSemi(jnp.asarray(deltas))
-    ends = engine.end_states(equation, STARTS[:, :128], still, until="time")
-    for i in range(0, 128, 4):
-
-        def rate(w, d=deltas[i]):
-            r2 = -d * w[0] * w[2] - (w @ w + d * (1 + d) * w[2] ** 2) * w[1]
-            r3 = (d * w[1] ** 2 - w @ w) * w[2]
-            matrix = np.array([[1, 2 * w[0]], [-2 * w[0], 1 - d]])
-            return np.array([d * w[1] * w[2], *np.linalg.solve(matrix, [r2, r3])])
-
-        steps, end = reference_steps(rate, starts[:, i], 40.0, rtol)
-        assert int(ends.steps[i]) == steps
-        np.testing.assert_allclose(ends.y[:, i], end, rtol=0, atol=1e-11)
+    monkeypatch.setattr(eqx, "filter_jit", slowly)
+    with ThreadPoolExecutor(4) as threads:
+        wrappers = list(threads.map(jax_engine._jitted, ["no platform"] * 4))
+    assert len(set(map(id, wrappers))) == len(made) == 1

@@ -1,0 +1,65 @@
+"""Which engine takes an equation, and what is said where one cannot."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop._engines import select
+
+
+class Growing(eqx.Module):
+    """y′ = −erf(y): a function that has no vector instruction."""
+
+    rate: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -self.rate[None] * jax.lax.erf(y)
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        done = y[0] < 0.5
+        return jnp.where(done, 2, 0), jnp.where(done, 0.0, jnp.nan), done
+
+
+def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
+    equation, starts = Growing(jnp.ones(3)), jnp.ones((3, 3))
+    with pytest.warns(UserWarning, match=r"The JAX engine runs, .*Growing .*operation erf"):
+        found = dt.classify_many(equation, starts)
+    assert np.array_equal(found.outcome, [2, 2, 2])
+    with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' here, .*erf"):
+        dt.classify_many(equation, starts, engine="native")
+
+
+class Fading(Growing):
+    """y′ = −r y, which the native engine can take."""
+
+    def __call__(self, t, y, args=None):
+        return -self.rate[None] * y
+
+
+def test_without_numba_jax_runs(monkeypatch):
+    equation, start = Fading(jnp.ones(1)), jnp.ones((1, 3))
+    grid = dt.Grid(w3=[0.6, 0.9])
+
+    def swept():
+        return dt.sweep(lambda w3: (Fading(1 + w3), w3 * jnp.ones(3)), grid)
+
+    assert swept().attrs["engine"] == "native"
+    monkeypatch.setattr(select, "_native_engine", lambda: (None, "numba cannot be imported (gone)"))
+    assert swept().attrs["engine"] == "jax"
+    assert dt.classify_many(equation, start).outcome == [dt.Outcome.STOP]
+    with pytest.raises(ValueError, match=r"'native', but numba cannot be imported \(gone\)"):
+        dt.classify_many(equation, start, engine="native")
+
+
+def test_an_unknown_engine_is_refused():
+    message = r"Argument `engine` must be 'auto', 'jax' or 'native', but is 'fast'\."
+    with pytest.raises(ValueError, match=message):
+        dt.classify_many(dt.TransverseReduced(-0.2), jnp.ones((1, 3)), engine="fast")
