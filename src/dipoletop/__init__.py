@@ -11,9 +11,12 @@ from ._maps.basin import Basin
 from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
 from ._maps.store import StoreDamaged
 from ._maps.sweep import sweep
-from ._runs.classify_many import Classification, classify, classify_many
+from ._runs.classification import Classification
+from ._runs.classify import classify
+from ._runs.classify_many import classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
-from ._runs.trajectory import Trajectory, simulate
+from ._runs.simulate import simulate
+from ._runs.trajectory import Trajectory
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
 from .equations.levels import Level
 from .equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi

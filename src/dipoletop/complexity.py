@@ -15,7 +15,7 @@ from ._base.tolerances import budget, check_settings, whole
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points
 from ._maps.sweep import Problem, sweep
-from ._runs.classify_many import UNCHECKED
+from ._runs.classification import UNCHECKED
 from .boundary import fate
 
 AROUND = (-1, 0, 1)  # a point and its two companions, in units of ε

@@ -21,7 +21,8 @@ from ._branch import march as manifold
 from ._maps.grids import Points
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
-from ._runs.trajectory import Trajectory, simulate
+from ._runs.simulate import simulate
+from ._runs.trajectory import Trajectory
 from .uncertainty import box, numbers
 
 Observe = Callable[[Trajectory], Float[Array, "..."]]

@@ -19,7 +19,7 @@ from ._maps.basin import Basin, Share, wilson
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
-from ._runs.classify_many import UNCHECKED
+from ._runs.classification import UNCHECKED
 from .boundary.crossings import UNDECIDED, fate
 
 

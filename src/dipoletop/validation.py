@@ -17,8 +17,9 @@ from jaxtyping import Array, Float
 from . import exact, radiation
 from ._base.types import Outcome
 from ._maps.grids import Sample
-from ._runs.classify_many import classify, classify_many
-from ._runs.trajectory import simulate
+from ._runs.classify import classify
+from ._runs.classify_many import classify_many
+from ._runs.simulate import simulate
 from .equations.rigid import Reduced, SemiReduced
 from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 

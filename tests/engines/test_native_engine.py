@@ -12,7 +12,7 @@ from dipoletop._engines import native_engine
 from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._runs import classify_many as outcomes
+from dipoletop._runs.classification import classification_of
 
 RNG = np.random.default_rng(11)
 
@@ -80,7 +80,7 @@ def test_threads_share_the_queue():
 
     def found(threads):
         options = {"until": "value", "device": jax.devices()[0], "threads": threads}
-        return NativeEngine().classify(outcomes.assemble, equation, starts, limits, **options)
+        return NativeEngine().classify(classification_of, equation, starts, limits, **options)
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
 

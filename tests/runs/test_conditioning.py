@@ -11,7 +11,6 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.types import Outcome
-from dipoletop.equations.levels import equation
 
 TRUTH = [
     (
@@ -52,7 +51,7 @@ def of_level(level):
 def test_values_of_many_are_as_exact_as_they_say(level, engine):
     deltas, starts, exact = of_level(level)
     for rtol, largest in ((1e-8, 1e-3), (1e-11, 3e-6)):
-        found = dt.classify_many(equation(level, deltas), starts, rtol=rtol, engine=engine)
+        found = dt.classify_many(dt.equation_at(level, deltas), starts, rtol=rtol, engine=engine)
         assert np.all(found.outcome == Outcome.RESIDUAL)
         assert np.all(np.abs(found.omega_inf - exact) <= TRUSTED * found.omega_inf_error)
         assert np.all(found.omega_inf_error <= largest * np.abs(exact))
@@ -64,7 +63,7 @@ def test_values_of_one_are_as_exact_as_they_say(level):
 
     @jax.jit
     def found(delta, start):
-        top = equation(level, delta)
+        top = dt.equation_at(level, delta)
         return dt.classify(top, start), dt.residual_rotation(top, start, rtol=1e-11)
 
     for delta, start, value in zip(deltas, starts, exact, strict=True):
@@ -76,8 +75,12 @@ def test_values_of_one_are_as_exact_as_they_say(level):
 
 def test_a_value_beside_a_derivative_is_that_value():
     level, delta, start, value = TRUTH[0]
-    both = jax.value_and_grad(lambda d: dt.residual_rotation(equation(level, d), jnp.array(start)))
-    assert float(both(delta)[0]) == pytest.approx(value, rel=1e-6)
+
+    def rotation(delta):
+        return dt.residual_rotation(dt.equation_at(level, delta), jnp.array(start))
+
+    value_and_slope = jax.value_and_grad(rotation)(delta)
+    assert float(value_and_slope[0]) == pytest.approx(value, rel=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from dipoletop import adaptive, boundary, continuation, particles, planar, plots
 equation, start, times = dt.TransverseReduced(-0.2), jnp.array([0.2, 0.1, 0.2]), jnp.arange(3.0)
 grid = dt.Grid(w3=[0.1, 0.2], phi=[0.0, 1.0])
 basin = dt.Basin(grid.dims, grid.shape, grid.coords, {"outcome": np.zeros(4)}, {})
+many = dt.TransverseReduced(jnp.array([0.1, 0.2]))
 two = dt.Body(jnp.stack([jnp.eye(3)] * 2), start)
 ends = {"z": np.zeros(1)}
 found = boundary.Crossings(min, ends, ends, np.zeros((1, 2)), np.ones((1, 2), int), {"rtol": 1e-8})
@@ -31,6 +32,7 @@ for code in json.load(sys.stdin):
         print(json.dumps([type(error).__name__, str(error)]))
 """
 EQUATION = "must be an equation of motion, callable and with methods .*, but is"
+SINGLE = "must be a single one, but is a batch"
 CASES = {
     "dt.simulate(field, start, times)": f"`equation` {EQUATION} of type function, .* no `lift`",
     "dt.simulate(start, equation, times)": f"`equation` {EQUATION} of type ArrayImpl",
@@ -38,7 +40,10 @@ CASES = {
     "dt.simulate(dt.TransverseSemi, start, times)": f"`equation` {EQUATION} the class Transverse",
     "dt.simulate(planar.Planar(0.1), start, times)": f"`equation` {EQUATION} of type Planar",
     "dt.simulate(None, start, times)": f"`equation` {EQUATION} None",
+    "dt.simulate(equation, 0.1, times)": r"`omega0` must have shape \(n,\), but has shape \(\)",
+    "dt.simulate(equation, None, times)": r"`omega0` must be a real array of shape \(n,\), but is",
     "dt.classify(field, start)": f"`equation` {EQUATION} of type function",
+    "dt.classify(equation, start, max_steps=2.5)": "`max_steps` must be a positive whole number, b",
     "dt.classify_many(field, start[None])": f"`equations` {EQUATION} of type function",
     "dt.classify(equation, start, value='no')": "`value` must be True, False or 'unchecked', but",
     "dt.residual_rotation(field, start)": f"`equation` {EQUATION} of type function",
@@ -82,6 +87,25 @@ CASES = {
     "plots.compare(basin, basin, axes=[1])": "`axes` must be a pair of axes, or None, but has 1",
     "plots.trajectory('x')": "`trajectory` must be a Trajectory, but is 'x'",
     "plots.unfold(dt)": "`basin` must be a Basin, but is of type module",
+    "dt.residual_rotation(many, start)": f"`equation` {SINGLE}",
+    "dt.residual_rotation(equation, start, max_steps=2**32)": "`max_steps` must be at most 214748",
+    "dt.decay_time(many, start)": f"`equation` {SINGLE}",
+    "dt.spectrum(many, start)": f"`equation` {SINGLE}",
+    "dt.equilibria(many)": f"`equation` {SINGLE}",
+    "dt.equilibria(dt.TransverseSemi)": f"`equation` {EQUATION} the class TransverseSemi",
+    "dt.slow_manifold(dt.TransverseFull(many.delta), start)": f"`equation` {SINGLE}",
+    "dt.SemiReduced(many)": "`body` must be a Body, but is of type TransverseReduced",
+    "dt.Reduced(0.1)": "`body` must be a Body, but is 0.1",
+    "dt.Full(None)": "`body` must be a Body, but is None",
+    "dt.cylindrical(-0.1, 0.2, 0.3)": "`w_perp` must not be negative, but is -0.1",
+    "dt.cylindrical(jnp.nan, 0.2, 0.3)": "`w_perp` must be finite, but is nan",
+    "dt.cylindrical(0.1, jnp.inf, 0.3)": "`w3` must be finite, but is inf",
+    "dt.cylindrical([0.1, -0.2], 0.2, 0.3)": "`w_perp` must not be negative, but has",
+    "dt.cylindrical([0.1, 0.2], 0.2, [0.3] * 3)": "`w_perp` must have, with `w3` and",
+    "dt.symmetry_cell(0, 0)": "`n_phi` must be a positive whole number, but is 0",
+    "dt.symmetry_cell(4, 4, -1.0)": "`w3_max` must be positive, but is -1.0",
+    "dt.Sample(2**31)": "`n` must be at most 2147483647, but is 2147483648",
+    "dt.Sample(3, seed=2**70)": "`seed` must be at most",
 }
 
 

@@ -1,4 +1,4 @@
-"""What is said of one object, said of a batch of them."""
+"""Methods of one object, applied to a batch of such objects."""
 
 import functools
 from collections.abc import Callable
@@ -8,22 +8,23 @@ import equinox as eqx
 
 
 def over_batch(axes: Callable[[Any], int]) -> Callable[[Any], Any]:
-    """For methods of an object whose arrays may all have batch axes in front, as from `jax.vmap`.
+    """A decorator for methods of objects that `jax.vmap` may give batch axes in front.
 
     Args:
-        axes: the number of batch axes of an object; it may refuse it, too.
+        axes: gives the number of batch axes of an object; it may refuse the object, too.
 
     Returns:
-        A decorator: the method of each, with the batch axes in front of what it gives.
+        The decorator. Of a batch, the method is called for each object by `vmap`, and its result
+        has the batch axes in front.
     """
 
     def decorate(method: Any) -> Any:
         @functools.wraps(method)
-        def of(self: Any, *given: Any, **named: Any) -> Any:
+        def batched(self: Any, *args: Any, **kwargs: Any) -> Any:
             if axes(self) == 0:
-                return method(self, *given, **named)
-            return eqx.filter_vmap(lambda one: of(one, *given, **named))(self)
+                return method(self, *args, **kwargs)
+            return eqx.filter_vmap(lambda each: batched(each, *args, **kwargs))(self)
 
-        return of
+        return batched
 
     return decorate

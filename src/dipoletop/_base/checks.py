@@ -1,7 +1,7 @@
-"""Bad input: one sentence where the value is known, NaN where it is traced."""
+"""Checks of arguments: a bad value that is known raises; one that is traced becomes NaN."""
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import equinox as eqx
@@ -10,11 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
+from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
 
-LONGEST = 2000  # characters of what a refusal shows of a value
+LONGEST = 2000  # characters of a value that a message shows
 FLAG = (bool, np.bool_)
+NumberLike = (
+    float
+    | int
+    | np.floating
+    | np.integer
+    | RealOrInteger[np.ndarray, ""]
+    | RealOrInteger[Array, ""]
+)
+"""A real number as a user may give it."""
+ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray, "..."] | RealOrInteger[Array, "..."]
+"""Real numbers as a user may give them: an array of JAX or of NumPy, or nested sequences."""
 
 
 def concrete(*values: Any) -> bool:
@@ -23,15 +35,15 @@ def concrete(*values: Any) -> bool:
 
 
 def refuse(name: str, must: str, was: Any) -> NoReturn:
-    """Raise the one sentence that every refusal has."""
-    shown = " ".join(str(was).split())  # some values print over many lines
+    """Raise a ValueError in the one grammar: Argument `name` must …, but …."""
+    shown = " ".join(str(was).split())  # in one line
     if len(shown) > LONGEST:
         shown = shown[:LONGEST] + " …"
     raise ValueError(f"Argument `{name}` must {must}, but {shown}.")
 
 
 def described(value: Any) -> str:
-    """What a value of a wrong kind is, in few words."""
+    """A few words on a value of a wrong kind."""
     if isinstance(value, type):
         return f"is the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
@@ -40,14 +52,14 @@ def described(value: Any) -> str:
 
 
 def instance(name: str, value: Any, kind: Any, must: str = "") -> Any:
-    """`value` if it is of that class."""
+    """`value`, if it is an instance of `kind`; else a refusal."""
     if not isinstance(value, kind):
         refuse(name, must or f"be a {kind.__name__}", described(value))
     return value
 
 
 def flag(name: str, value: Any) -> bool:
-    """True or False, and nothing that merely counts as such."""
+    """True or False; a value that merely counts as one is refused."""
     return bool(instance(name, value, FLAG, "be True or False"))
 
 
@@ -56,10 +68,7 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
     if isinstance(value, str):
         return (value,)
     must = "be a name or a sequence of names"
-    found = tuple(instance(name, value, Iterable, must))
-    for each in found:
-        instance(name, each, str, must)
-    return found
+    return tuple(instance(name, each, str, must) for each in instance(name, value, Iterable, must))
 
 
 def real(
@@ -69,7 +78,7 @@ def real(
 
     A length of -1 in `shape` stands for any length.
     """
-    refuse_orphan()  # here, since whatever computes looks at its numbers first
+    refuse_orphan()  # here, since every computation checks its numbers first
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
@@ -92,9 +101,9 @@ def real(
 
 
 def or_nan(value: Any, valid: Any) -> Any:
-    """`value` where `valid`, else NaN, as are its derivatives.
+    """`value` where `valid`, else NaN, and so are its derivatives.
 
-    (Of `jnp.where(valid, value, nan)` those backwards are 0.)
+    `jnp.where(valid, value, nan)` would have derivatives of 0 in reverse mode.
     """
     return value * jnp.where(valid, 1.0, jnp.nan)
 
@@ -105,7 +114,10 @@ def where_valid(
     valid: Bool[Array, "..."] | Bool[np.ndarray, "..."] | np.bool_,
     must: str,
 ) -> Float[Array, "*s"]:
-    """`value` where `valid` (which broadcasts from the left); else refuse it, or NaN if traced."""
+    """`value`, if all of it is `valid`; else a refusal, or NaN where it is traced.
+
+    `valid` broadcasts from the left.
+    """
     valid = valid.reshape(valid.shape + (1,) * (value.ndim - valid.ndim))
     if concrete(value, valid):
         if not np.all(valid):
@@ -129,16 +141,17 @@ def finite(
 
 
 def subnormal(array: Any) -> np.ndarray:
-    """Which numbers are too small for processors, where JAX takes them for 0; looked at in NumPy.
+    """Which numbers are subnormal; in NumPy.
 
-    A verdict about a start that is *exactly* on an axis would be wrong for them.
+    On processors JAX takes them for 0, so that a start near an axis would get the verdict on a
+    start *exactly* on it.
     """
     values = np.asarray(array)
     return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
 
 
 def check_equation(equation: Any, name: str = "equation") -> None:
-    """Refuse what cannot be an equation of motion, such as a plain function."""
+    """Refuse a value that cannot be an equation of motion, such as a plain function."""
     must = "be an equation of motion, callable and with methods `lift(omega0)` and `omega(y)`"
     if isinstance(equation, type) or not callable(equation):
         refuse(name, must, described(equation))
@@ -148,7 +161,7 @@ def check_equation(equation: Any, name: str = "equation") -> None:
 
 
 def check_verdict(equation: Any, name: str = "equation") -> None:
-    """Refuse what is no equation, or cannot say how its runs end."""
+    """Refuse a value that is no equation, or an equation without a `verdict`."""
     check_equation(equation, name)
     if not callable(getattr(equation, "verdict", None)):
         refuse(
@@ -159,20 +172,20 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
 
 
 def check_body(equation: Any) -> None:
-    """Refuse an equation of which no body is known."""
+    """Refuse an equation without a `body`."""
     if not hasattr(equation, "body"):
         refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
 
 
 def is_single(equation: Any) -> bool:
-    """Whether the equation maps one state to one rate of the same shape."""
+    """Whether the equation maps one state to one rate of the same shape; a batch does not."""
     leaves, structure = jax.tree.flatten(equation)
-    kinds = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) if _many(x) else x for x in leaves)
+    is_array = [isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves]
+    kinds = tuple(
+        jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if array else leaf
+        for leaf, array in zip(leaves, is_array, strict=True)
+    )
     return _maps_one_state(structure, kinds)
-
-
-def _many(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 @functools.lru_cache(maxsize=256)
@@ -184,25 +197,26 @@ def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
     equation = jax.tree.unflatten(structure, kinds)
     try:
         y, change = eqx.filter_eval_shape(rate, equation)
-    except Exception:
-        # One with a batch in front does not fit a single state, but each of the batch does; else
-        # the fault is the equation's own.
-        if not _fits_lane_by_lane(rate, equation):
+    except (TypeError, ValueError):  # as JAX raises where shapes do not fit
+        # All arrays of a batch have its axis in front, and each equation of it fits one state.
+        # Otherwise the fault is the equation's own, and its author is to see it.
+        lengths = {kind.shape[:1] for kind in kinds if isinstance(kind, jax.ShapeDtypeStruct)}
+        if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
             raise
         return False
     return y.shape == change.shape
 
 
-def _fits_lane_by_lane(rate: Any, equation: Any) -> bool:
+def _fits(function: Callable[[Any], Any], equation: Any) -> bool:
     try:
-        eqx.filter_eval_shape(eqx.filter_vmap(rate), equation)
-    except Exception:  # that of the single state is what the user is to see
+        eqx.filter_eval_shape(function, equation)
+    except (TypeError, ValueError):
         return False
     return True
 
 
 def check_single(equation: Any) -> None:
-    """Refuse what is no equation, or a batch of them, where one is wanted."""
+    """Refuse a value that is no equation, and a batch of equations."""
     check_equation(equation)
     if not is_single(equation):
         batch = "is a batch of them (`jax.vmap`, `classify_many` and `sweep` take one)"
@@ -210,21 +224,22 @@ def check_single(equation: Any) -> None:
 
 
 def is_whole_state(omega0: Any) -> bool:
-    """Whether it is not a start ω₀ of shape (3,), but a state as an equation has it."""
+    """Whether an argument is a state of an equation, rather than a start ω₀ of shape (3,)."""
     return real("omega0", omega0, (-1,), batch=False).shape != (3,)
 
 
 def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
-    """The start: lifted from ω₀, or a whole state as it is."""
-    whole = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), jnp.result_type(float))).shape
-    start = finite("omega0", omega0, (-1,), batch=False)
-    if concrete(start) and np.any(lost := subnormal(start)):
-        least = np.finfo(start.dtype).tiny
+    """The initial state: lifted from ω₀, or a whole state as it is."""
+    like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
+    shape = jax.eval_shape(equation.lift, like).shape
+    initial = finite("omega0", omega0, (-1,), batch=False)
+    if concrete(initial) and np.any(lost := subnormal(initial)):
+        least = np.finfo(initial.dtype).tiny
         must = f"have components that are 0 or at least {least:.1e} in size"
-        refuse("omega0", must, f"has {_some(np.asarray(start)[lost])}")
-    if start.shape == (3,):
-        return equation.lift(start)
-    if start.shape != whole:
-        also = "" if whole == (3,) else f", or {whole} for a whole state"
-        refuse("omega0", f"have shape (3,){also}", f"has shape {start.shape}")
-    return start
+        refuse("omega0", must, f"has {_some(np.asarray(initial)[lost])}")
+    if initial.shape == (3,):
+        return equation.lift(initial)
+    if initial.shape != shape:
+        also = "" if shape == (3,) else f", or {shape} for a whole state"
+        refuse("omega0", f"have shape (3,){also}", f"has shape {initial.shape}")
+    return initial

@@ -1,19 +1,23 @@
-"""Forked processes: they have none of JAX's threads, and would wait for them for ever."""
+"""Refusal to compute in a forked process.
+
+A fork copies only the thread that calls it. JAX's own threads are missing in the child, which would
+wait for them for ever: https://docs.python.org/3/library/os.html#os.fork.
+"""
 
 import os
 
 _orphan = False
 
 
-def _note() -> None:
-    from jax._src import xla_bridge  # nothing public tells
+def _after_fork() -> None:
+    from jax._src import xla_bridge  # no public function says whether JAX has computed
 
     global _orphan
     _orphan = xla_bridge.backends_are_initialized()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_note)
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def refuse_orphan() -> None:

@@ -1,4 +1,4 @@
-"""Tolerances and budgets: what they must be, and what `None` means."""
+"""Tolerances and budgets of runs: their checks, and the meaning of `None`."""
 
 import functools
 from typing import Any, NamedTuple
@@ -12,15 +12,28 @@ from .checks import concrete, real, refuse
 from .linalg import length
 
 MAX_STEPS = 50_000
-MOST = 2**31 - 1  # what engines count in 32 bits
-SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # of `sweep`
+MOST = 2**31 - 1  # engines count steps in 32 bits
+SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # arguments passed on to `sweep`
 
 
 class Tolerances(NamedTuple):
-    """Tolerances of a step: its error stays below atol + rtol·|state|, component by component."""
+    """What the error of a step may be in each component: atol + rtol·size, in units of 1/τ₀.
+
+    The size of a component is measured by `sizes_of` the equation.
+    """
 
     rtol: Float[Array, ""]
-    atol: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    """Relative tolerance, the same for all lanes."""
+    atol: Float[Array, "*lanes"]
+    """Absolute tolerance, one for each lane."""
+
+
+def step_tolerances(
+    rtol: Any, atol: Any, omega0: Float[Array, "3"], *, label_only: bool = False
+) -> Tolerances:
+    """The tolerances of a run from ω₀; see `absolute` for what atol = None means."""
+    rtol = tolerance("rtol", rtol)
+    return Tolerances(rtol, absolute(atol, rtol, omega0, label_only=label_only))
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:
@@ -39,19 +52,19 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
 def absolute(
     atol: Any,
     rtol: Float[Array, ""],
-    start: Float[Array, "..."],
+    omega0: Float[Array, "..."],
     axis: int = 0,
     *,
     label_only: bool = False,
 ) -> Float[Array, "*n"]:
-    """`atol`; for None 0, since errors are measured by the present |ω|.
+    """The absolute tolerance; None means 0, since errors are measured by the present |ω|.
 
-    A label does not depend on how exact a motion is that has become slow: if no more is wanted,
-    None means rtol·|ω₀|. The components of ω₀ are on the first or on the last axis, 0 or -1.
+    An outcome does not depend on how exact a motion is once it has become slow: with `label_only`
+    None means rtol·|ω₀|. The components of ω₀ are on the first axis (0) or on the last one (-1).
     """
     if atol is None:
-        return _scaled(rtol, start, label_only, axis)
-    shape = start.shape[1:] if axis == 0 else start.shape[:-1]
+        return _default_atol(rtol, omega0, label_only, axis)
+    shape = omega0.shape[1:] if axis == 0 else omega0.shape[:-1]
     return jnp.broadcast_to(check_atol(atol, shape), shape)
 
 
@@ -66,16 +79,16 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
 
 
 @functools.partial(jax.jit, static_argnames=("label_only", "axis"))
-def _scaled(
-    rtol: Float[Array, ""], start: Float[Array, "..."], label_only: bool, axis: int
+def _default_atol(
+    rtol: Float[Array, ""], omega0: Float[Array, "..."], label_only: bool, axis: int
 ) -> Float[Array, "*n"]:
-    size = length(jnp.moveaxis(start, axis, 0))
-    # A start at rest stays there; any positive tolerance will do for it.
+    size = length(jnp.moveaxis(omega0, axis, 0))
+    # A top at rest stays at rest; any positive tolerance serves it.
     return rtol * jnp.where(size > 0, size if label_only else 0.0, 1.0)
 
 
 def budget(name: str, value: Any) -> int:
-    """A whole number of steps, or of other things; more than 2³¹ − 1 would wrap where counted."""
+    """A positive whole number, of steps for instance, that a counter of 32 bits can hold."""
     return whole(name, value, 1, "be a positive whole number", MOST)
 
 
@@ -86,7 +99,7 @@ def whole(
     must: str = "be a whole number, not negative",
     most: int = 2**63 - 1,
 ) -> int:
-    """A whole number from `least` up to `most`, a signed word of 64 bits if nothing is said."""
+    """A whole number from `least` up to `most`, which is by default that of 64 bits."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         refuse(name, must, f"is {value!r}")
     if value > most:
@@ -95,7 +108,10 @@ def whole(
 
 
 def check_settings(settings: dict[str, Any]) -> None:
-    """Refuse what is no setting of the runs; ω∞ is always wanted, its sign is part of the fate."""
+    """Refuse any other setting than those of runs.
+
+    `value` is none of them, since fates need the sign of ω∞.
+    """
     for name in settings:
         if name not in SETTINGS:
             refuse("settings", f"be among {', '.join(SETTINGS)}", f"hold {name!r}")

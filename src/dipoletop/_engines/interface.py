@@ -32,7 +32,7 @@ class Limits(eqx.Module):
     @property
     def tolerances(self) -> Tolerances:
         """The tolerances alone."""
-        return Tolerances(self.rtol, self.atol)
+        return Tolerances(self.rtol, self.atol)  # pyright: ignore[reportArgumentType]
 
 
 class EndStates(eqx.Module):

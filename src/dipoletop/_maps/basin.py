@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._base.checks import described, refuse
 from .._base.types import Outcome
-from .._runs.classify_many import Classification
+from .._runs.classification import Classification
 
 if TYPE_CHECKING:
     import xarray

@@ -17,7 +17,8 @@ from .._base.stopping import Until
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._engines.interface import Limits
 from .._engines.select import select_engines
-from .._runs.classify_many import TILE, Value, assemble, classify_block, goal, power_of_two
+from .._runs.classification import Value, classification_of, stopping_rule
+from .._runs.classify_many import TILE, classify_block, power_of_two
 from . import store as disk
 from .basin import FIELDS, SLOPE, Basin, columns_of, kind_of
 from .grids import Grid, Points, Sample
@@ -95,8 +96,8 @@ def sweep(
     steps, crew = budget("max_steps", max_steps), worker_devices(devices)
     equation, _ = build(np.zeros(1, int))
     check_verdict(equation)
-    until = goal(equation, value)
-    engines = select_engines(engine, equation, crew, until, assemble)
+    until = stopping_rule(equation, value)
+    engines = select_engines(engine, equation, crew, until, classification_of)
 
     def run(job: int, device: Any) -> tuple[dict[str, np.ndarray], Any]:
         block = build(tiling.points(job))

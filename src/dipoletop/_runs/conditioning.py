@@ -1,176 +1,211 @@
-"""How exact ω∞ is: its condition, by the ends of neighbouring starts.
+"""The part of the error of ω∞ that the integration makes, estimated from neighbouring starts.
 
-A run of n steps, each with an error of at most rtol·|ω|, misses ω∞ by no more than
+ω∞ is a function of the state that is constant along a motion. Step k of a run leaves an error eₖ in
+the state, of at most rtol·s in each component, where s is the size by which errors of ω are
+measured (`scales_of`, |ω| or less). It moves the run to a neighbouring motion, whose ω∞ differs by
+∇ω∞(τₖ)·eₖ. To first order the error of ω∞ after n steps is the sum of these:
 
-    C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n,
+    |Σₖ ∇ω∞(τₖ)·eₖ| ≤ n·rtol·max |s ∂ω∞/∂ω|,
 
-s being what errors of the components of ω₀ are measured by (`scales_of`), |ω₀| or less.
+with the gradient at any time of the run. Two values of |s ∂ω∞/∂ω| are at hand: |s ∂ω∞/∂ω₀| at the
+start, and about |ω∞| at the end, where ω lies along the dipole. The estimate takes both,
 
-Both were measured (benchmarks/bench_residual.py). C is small, since Dopri8 estimates the error of
-the lower one of its two orders; MIDWAY is there since a motion may be more sensitive on its way
-than at its start. The gradient is that of differences: every start is run again with each
-component of ω₀ moved, so no equation needs anything more for it. Near a zero of ω∞, which is the
-border between rotations in opposite senses or of the basin, the gradient is large or infinite;
-where ω∞ is not linear over the distance, not even at the second, smaller one, it is not known.
+    C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n.
+
+C and MIDWAY were measured (benchmarks/bench_residual.py). C is far below n, since Dopri8 estimates
+the error of the lower of its two orders, and since errors of different steps partly cancel; MIDWAY
+exceeds 1, since a motion can be more sensitive on its way than at both ends.
+
+The gradient at the start is that of differences. Each start is run three more times, with
+component i of ω₀ moved by h·sᵢ:
+
+    |s ∂ω∞/∂ω₀|² ≈ Σᵢ [(ω∞(ω₀ + h·sᵢ·eᵢ) − ω∞(ω₀))/h]².
+
+No equation needs anything more for this, unlike first variations. The neighbours may be run at a
+looser tolerance, if the difference h is so much larger that their own errors do not matter. Near a
+zero of ω∞, which is the border between rotations in opposite senses or that of the basin, the
+gradient is large or infinite. There ω∞ is not linear over the distance h; if it is not over the
+second, smaller h either, the error is unknown (infinite).
 """
 
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._base.tolerances import Tolerances
-from .._base.types import Outcome, Real, Verdict
+from .._base.types import Outcome
+from .._engines.interface import Limits
 from ..equations._common import Scales
-
-Run = Callable[[Any, Any], Any]
-"""From starts (3, N) and `Limits` to classifications."""
+from .classification import Classification, Value
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
-COARSE = (1e3, 3.0)  # tolerances of the neighbours over rtol, one after the other
-COARSEST = 1e-4  # the largest of them
-LONG = 400  # steps from which neighbours are farther off, since their own errors are larger
-TURNED = 0.01  # largest distance · steps: beyond, neighbours may be off by a whole turn
-ALONE = 10.0, 30.0  # of a single start: tolerance of the neighbours over rtol; distance over that
-LINEAR = 0.2  # of |ω∞|: the largest change that tells a gradient
+NEIGHBOUR_RTOLS = 1e3, 3.0  # of the neighbours over rtol, at the first and the second try
+LARGEST_RTOL = 1e-4  # of the neighbours
+LONG_RUN = 400  # steps from which the distance grows, as do the errors of the neighbours
+LARGEST_PHASE = 0.01  # of distance · steps: beyond, neighbours may be off by a whole rotation
+SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # of one start: rtol over the run's; distance over rtol
+LINEAR = 0.2  # largest change of ω∞, relative to it, that still gives a gradient
 
 
-def series_error(equation: Any, verdict: Verdict) -> Real:
-    """The error of ω∞ as the formula at the end of a run has it; 0 if ω∞ is constant and exact."""
-    size = jnp.where(verdict.outcome == Outcome.RESIDUAL, jnp.abs(verdict.omega_inf), 0.0)
-    error = (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
-    if not verdict.belongs_to(equation):
-        return error
-    # Where ω₃ underflows ω₁ seems to be constant, and is not.
-    exact = (verdict.error == 0) & (size**2 >= jnp.finfo(size.dtype).tiny)
-    return jnp.where(exact, 0.0, error)
-
-
-def integration_error(value: Any, steps: Any, change: Any, scale: Any) -> Any:
-    """The error of ω∞ by the formula above, with change = |s ∂ω∞/∂ω₀|.
-
-    An absolute tolerance is the worse the slower the top is in the end.
-    """
-    rtol, atol = scale
-    size = abs(value)
-    return (FIXED + PER_STEP * steps) * (rtol + atol / size) * (MIDWAY * size + change)
-
-
-def checked(found: Any, run: Run, omegas: Any, limits: Any, scales: Scales) -> Any:
-    """Classifications with the integration's part of the error of ω∞; NaN for ω∞ if it exceeds it.
+def with_error_estimates(
+    runs: Classification,
+    run: Callable[[Any, Limits], Classification],
+    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
+    limits: Limits,
+    scales: Scales,
+) -> Classification:
+    """Classifications with the error of the integration; ω∞ is NaN where that exceeds it.
 
     Args:
-        found: of the runs, in NumPy, with the rest of the error.
-        run: what made them.
-        omegas: the starts, (3, N).
+        runs: in NumPy, with the error of the formula for ω∞ at their ends.
+        run: classifies starts of shape (3, N) within limits.
+        omegas: the starts ω₀, shape (3, N).
         limits: those of the runs.
-        scales: how the equation measures ω.
+        scales: gives the sizes s of ω₀.
     """
-    ran = integrated(found)
-    if not ran.any():
-        return known(found, 0.0, np)
+    integrated = is_integrated(runs)
+    if not integrated.any():
+        return _with_added_error(runs, 0.0, np)
     starts = np.asarray(omegas)
-    moves = np.eye(3)[:, :, None] * np.asarray(_scaled(scales, starts))
-    scale = float(limits.rtol), np.asarray(limits.atol)
+    steps = np.eye(3)[:, :, None] * np.asarray(_scaled(scales, starts))
+    tolerances = float(limits.rtol), np.asarray(limits.atol)
     with np.errstate(all="ignore"):  # of runs that failed
-        change = _change(found, run, (starts, moves), limits, ran)
-        error = integration_error(found.omega_inf, found.steps, change, scale)
-    return known(found, np.where(ran, error, 0.0), np)
+        gradient = _gradient_by_neighbours(runs, run, (starts, steps), limits, integrated)
+        error = _integration_error(runs.omega_inf, runs.steps, gradient, tolerances)
+    return _with_added_error(runs, np.where(integrated, error, 0.0), np)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _scaled(scales: Scales, starts: Array) -> Array:
-    return scales(starts)
+def _scaled(scales: Scales, omegas: Array) -> Array:
+    return scales(omegas)
 
 
-def _change(found: Any, run: Run, around: Any, limits: Any, wanted: np.ndarray) -> np.ndarray:
-    """|s ∂ω∞/∂ω₀| of the wanted runs; infinite where it cannot be told.
+def _gradient_by_neighbours(
+    runs: Classification,
+    run: Callable[[Any, Limits], Classification],
+    around: tuple[np.ndarray, np.ndarray],
+    limits: Limits,
+    wanted: Bool[np.ndarray, "N"],
+) -> Float[np.ndarray, "N"]:
+    """|s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown.
 
-    `around` are the starts, shape (3, N), and the three directions of their neighbours.
+    `around` are the starts, shape (3, N), and the directions to their neighbours, (3, 3, N).
     """
-    value, (starts, moves) = found.omega_inf, around
-    change, rtol = np.full(value.shape, np.inf, value.dtype), float(limits.rtol)
-    for coarse in dict.fromkeys(max(1.0, min(c, COARSEST / rtol)) for c in COARSE):
-        part = coarse * rtol * np.maximum(1.0, found.steps / LONG)
-        tried = wanted & np.isinf(change) & np.isfinite(value) & (part * found.steps <= TURNED)
+    omega_inf, (starts, directions) = runs.omega_inf, around
+    gradient = np.full(omega_inf.shape, np.inf, omega_inf.dtype)
+    rtol = float(limits.rtol)
+    for looser in dict.fromkeys(max(1.0, min(x, LARGEST_RTOL / rtol)) for x in NEIGHBOUR_RTOLS):
+        distance = looser * rtol * np.maximum(1.0, runs.steps / LONG_RUN)
+        tried = wanted & np.isinf(gradient) & np.isfinite(omega_inf)
+        tried &= distance * runs.steps <= LARGEST_PHASE
         if not tried.any():
             continue
-        looser = replace(
+        looser_limits = replace(
             limits,
-            rtol=coarse * limits.rtol,
-            atol=coarse * np.asarray(limits.atol),
-            t1=np.where(tried, np.inf, 0.0).astype(value.dtype),
+            rtol=looser * limits.rtol,
+            atol=looser * np.asarray(limits.atol),
+            t1=np.where(tried, np.inf, 0.0).astype(omega_inf.dtype),
         )
-        ends = [np.asarray(run(starts + part * move, looser).omega_inf) for move in moves]
-        moved = [(end - value) / value for end in ends]
-        linear = np.max(np.abs(moved), axis=0) <= LINEAR
-        change = np.where(tried & linear, np.linalg.norm(moved, axis=0) / part, change)
-    return change * np.abs(value)
+        neighbours = [
+            np.asarray(run(starts + distance * direction, looser_limits).omega_inf)
+            for direction in directions
+        ]
+        changes = [(neighbour - omega_inf) / omega_inf for neighbour in neighbours]
+        linear = np.max(np.abs(changes), axis=0) <= LINEAR
+        gradient = np.where(tried & linear, np.linalg.norm(changes, axis=0) / distance, gradient)
+    return gradient * np.abs(omega_inf)
 
 
-def checked_alone(
-    run: Callable[..., Any], start: Float[Array, "n"], sizes: Float[Array, "n"], scale: Any
-) -> Any:
-    """The same for one start, traced: run(start, (rtol, atol), whether it is to be run).
+def run_with_error_estimate(
+    run: Callable[[Array, Tolerances, Bool[Array, ""]], Classification],
+    start: Float[Array, "n"],
+    sizes: Float[Array, "n"],
+    tolerances: Tolerances,
+) -> Classification:
+    """One classification with the error of the integration, as `with_error_estimates`; traced.
 
-    `sizes` is what errors of its components are measured by.
+    Args:
+        run: classifies a start by tolerances; the last argument says whether it is to be run.
+        start: ω₀, or a whole state.
+        sizes: what errors of its components are measured by.
+        tolerances: those of the run.
     """
-    rtol, atol = scale
-    most, far = ALONE
-    coarse = jnp.clip(COARSEST / rtol, 1.0, most)
-    part = far * coarse * rtol
+    rtol, atol = tolerances
+    looser = jnp.clip(LARGEST_RTOL / rtol, 1.0, SINGLE_RTOL)
+    distance = SINGLE_DISTANCE * looser * rtol
     n = start.shape[0]
-    moves = jnp.concatenate([jnp.zeros((1, n), start.dtype), part * jnp.diag(sizes)])
-    factors = jnp.where(jnp.arange(n + 1) > 0, coarse, 1.0)
+    # The run itself comes first, its neighbours follow in the same loop, which compiles once.
+    moves = jnp.concatenate([jnp.zeros((1, n), start.dtype), distance * jnp.diag(sizes)])
+    factors = jnp.where(jnp.arange(n + 1) > 0, looser, 1.0)
 
-    def one(wanted: Array, case: Any) -> Any:
+    def next_run(wanted: Bool[Array, ""], case: Any) -> Any:
         move, factor = case
-        found = run(start + move, Tolerances(factor * rtol, factor * atol), wanted)
-        return wanted & integrated(found), found
+        result = run(start + move, Tolerances(factor * rtol, factor * atol), wanted)
+        return wanted & is_integrated(result), result
 
-    _, every = jax.lax.scan(one, jnp.asarray(True), (moves, factors))
-    found = jax.tree.map(lambda x: x[0], every)
-    value = found.omega_inf
-    moved = (every.omega_inf[1:] - value) / jnp.where(value == 0, 1.0, value)
-    linear = jnp.max(jnp.abs(moved)) <= LINEAR
-    change = jnp.where(linear, jnp.sqrt(jnp.sum(moved**2)) / part, jnp.inf) * jnp.abs(value)
-    error = integration_error(value, found.steps.astype(value.dtype), change, scale)
-    return known(found, jnp.where(integrated(found), error, 0.0), jnp)
+    _, runs = jax.lax.scan(next_run, jnp.asarray(True), (moves, factors))
+    result = jax.tree.map(lambda x: x[0], runs)
+    omega_inf = result.omega_inf
+    changes = (runs.omega_inf[1:] - omega_inf) / jnp.where(omega_inf == 0, 1.0, omega_inf)
+    linear = jnp.max(jnp.abs(changes)) <= LINEAR
+    gradient = jnp.where(linear, jnp.sqrt(jnp.sum(changes**2)) / distance, jnp.inf)
+    gradient = gradient * jnp.abs(omega_inf)
+    steps = result.steps.astype(omega_inf.dtype)
+    error = _integration_error(omega_inf, steps, gradient, tolerances)
+    return _with_added_error(result, jnp.where(is_integrated(result), error, 0.0), jnp)
 
 
-def unchecked(found: Any, value: Any, xp: Any) -> Any:
-    """Without steps ω∞ is as exact as the formula that gives it; else there is no estimate."""
-    without = integrated(found)
-    omega_inf = found.omega_inf
+def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) -> Classification:
+    """Classifications whose ω∞ has an unknown error, unless no integration has part in it.
+
+    Without `value` such an ω∞ is NaN. `xp` is NumPy or its counterpart in JAX.
+    """
+    integrated = is_integrated(runs)
+    omega_inf = runs.omega_inf
     if not value:
-        omega_inf = xp.where(without, xp.nan, omega_inf)
-    error = xp.where(without, xp.inf, found.omega_inf_error)
-    return replace(found, omega_inf=omega_inf, omega_inf_error=error)
+        omega_inf = xp.where(integrated, xp.nan, omega_inf)
+    error = xp.where(integrated, xp.inf, runs.omega_inf_error)
+    return replace(runs, omega_inf=omega_inf, omega_inf_error=error)
 
 
-def integrated(found: Any) -> Any:
-    """Whether ω∞ has the error of an integration: not if it is constant, known at once, or 0."""
-    some = (found.outcome == Outcome.RESIDUAL) & (found.steps > 0)
-    return some & (found.omega_inf_error != 0)
+def is_integrated(runs: Classification) -> Any:
+    """Whether ω∞ has the error of an integration: it is not 0, constant, or known at once."""
+    rotates = (runs.outcome == Outcome.RESIDUAL) & (runs.steps > 0)
+    return rotates & (runs.omega_inf_error != 0)
 
 
-def known(found: Any, more: Any, xp: Any) -> Any:
-    """A classification with more error of ω∞; where that exceeds ω∞, it and its slopes are NaN."""
-    error = found.omega_inf_error + more
-    unknown = (found.outcome == Outcome.RESIDUAL) & ~(error < abs(found.omega_inf))
-    value = xp.where(unknown, xp.nan, found.omega_inf)
-    slopes = None if found.slopes is None else xp.where(unknown, xp.nan, found.slopes)
-    return replace(found, omega_inf=value, omega_inf_error=error, slopes=slopes)
-
-
-def is_known(found: Any, change: Any, scale: Any) -> Any:
-    """Whether the error of ω∞ is less than its size, change = |s ∂ω∞/∂ω₀| being known."""
-    value = found.omega_inf
-    error = integration_error(value, found.steps.astype(value.dtype), change, scale)
-    certain = (error < jnp.abs(value)) | ~integrated(found)
+def is_larger_than_its_error(runs: Classification, gradient: Any, tolerances: Tolerances) -> Any:
+    """Whether ω∞ exceeds the error of the integration, by a known gradient |s ∂ω∞/∂ω₀|."""
+    omega_inf = runs.omega_inf
+    steps = runs.steps.astype(omega_inf.dtype)
+    error = _integration_error(omega_inf, steps, gradient, tolerances)
+    certain = (error < jnp.abs(omega_inf)) | ~is_integrated(runs)
     return jax.lax.stop_gradient(certain)
+
+
+def _integration_error(
+    omega_inf: Any, steps: Any, gradient: Any, tolerances: tuple[Any, Any]
+) -> Any:
+    """The error of ω∞ by the formula of this module, with gradient = |s ∂ω∞/∂ω₀|.
+
+    An absolute tolerance weighs the more, the slower the top is in the end.
+    """
+    rtol, atol = tolerances
+    size = abs(omega_inf)
+    return (FIXED + PER_STEP * steps) * (rtol + atol / size) * (MIDWAY * size + gradient)
+
+
+def _with_added_error(runs: Classification, more: Any, xp: ModuleType) -> Classification:
+    """Classifications with more error; where it exceeds ω∞, that and its slopes are NaN."""
+    error = runs.omega_inf_error + more
+    unknown = (runs.outcome == Outcome.RESIDUAL) & ~(error < abs(runs.omega_inf))
+    omega_inf = xp.where(unknown, xp.nan, runs.omega_inf)
+    slopes = None if runs.slopes is None else xp.where(unknown, xp.nan, runs.slopes)
+    return replace(runs, omega_inf=omega_inf, omega_inf_error=error, slopes=slopes)

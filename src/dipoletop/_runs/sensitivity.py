@@ -1,71 +1,91 @@
 """How the residual rotation, and the time to reach it, move with the body and with the start."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jax.flatten_util import ravel_pytree
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .. import radiation
-from .._base.checks import check_body, check_single, check_verdict, or_nan, real, where_valid
+from .._base.checks import (
+    ArrayLike,
+    NumberLike,
+    check_body,
+    check_single,
+    check_verdict,
+    or_nan,
+    real,
+    where_valid,
+)
 from .._base.forward_mode import forward_differentiable
 from .._base.linalg import dot, length, scale
-from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
-from .._base.types import Equation
-from .._branch import march as manifold
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
+from .._base.types import Equation, State
+from .._branch.march import crossing, is_full, physical
 from .._engines.step_sizes import Controller
 from ..equations._common import Sizes, scales_of, sizes_of
 from ..equations._verdicts.nonsmooth import infinity
 from ..equations.tangent import Together
-from .classify_many import UNCHECKED, Value, classified
-from .conditioning import is_known
+from .classification import UNCHECKED, Value
+from .classify import classify_with_tangents
+from .conditioning import is_larger_than_its_error
 
 
 def residual_rotation(
     equation: Equation,
-    omega0: Any,
+    omega0: ArrayLike,
     *,
-    rtol: Any = 1e-10,
-    atol: Any = None,
-    max_steps: Any = MAX_STEPS,
+    rtol: NumberLike = 1e-10,
+    atol: NumberLike | None = None,
+    max_steps: int | np.integer = MAX_STEPS,
 ) -> Float[Array, ""]:
     """ω∞ = lim n·ω(τ), the residual rotation of dω/dτ = equation(ω) from ω(0) = ω₀.
 
     May be jitted, vmapped, and differentiated with respect to the arrays of the equation and to
-    ω₀: forwards, backwards and again, at a memory that does not grow with the run. ω∞ is constant
-    along a trajectory, so its derivative is that of the local formula ω∞(p, y) at the end of the
-    run, carried there by the first variations; the run goes on until this formula's derivatives
-    are certain, so that they are those of the limit, not of the moment of stopping.
+    ω₀: in forward and in reverse mode and repeatedly, at a memory that does not grow with the run.
+    ω∞ is constant along a trajectory, so its derivative is that of the local formula ω∞(p, y) at
+    the end of the run, carried there by the first variations. The run goes on until the
+    derivatives of this formula are certain, so that they are those of the limit.
+
+    | case | derivatives |
+    |---|---|
+    | the top stops, as do all near it | 0 |
+    | undecided, failed, or the estimated error of ω∞ exceeds ω∞ | NaN |
+    | a stop so near to a boundary that it is uncertain within the tolerances | NaN |
+    | on an axis of decaying spin, which is a boundary, other than axis 3 | NaN |
+    | along a change that turns the dipole off its principal axis | infinite |
+    | δ = 0 (a body: equal moments across the dipole), along changes of δ, if ω₁ = 0 | infinite |
+    | order 1 with ω₃ = 0, along changes of ω₃, if ω₁ = 0 or δ ≤ −1/2 | infinite |
+
+    The infinite ones stand where ω∞ has a jump or a kink: in the first case all residual rotation
+    ends, in the others ω₁ is no longer constant. Infinity is 1e302, or the like, since that times 0
+    is 0. Partial derivatives are taken component by component: they are infinite even where a
+    combined change, such as a rotation of the whole body, would keep the dipole on its principal
+    axis. If the dipole lies there only to rounding, as in a body with oblique axes, derivatives
+    hold along changes that keep it there. A `sweep` knows the change, and tells these cases apart.
+    A derivative with respect to one element of an inertia tensor breaks its symmetry; only those
+    along symmetric changes have a meaning.
 
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         rtol: relative tolerance of every step. The errors of ω∞ and of its derivatives are larger
-            where these change fast with ω₀; those of second ones are rtol^(4/5) or so.
-        atol: absolute tolerance; None means none, since errors are measured by the present |ω|.
-        max_steps: budget.
+            where these change fast with ω₀; those of second derivatives are about rtol^(4/5).
+        atol: absolute tolerance of every step; None means 0, since errors are measured by the
+            present |ω|.
+        max_steps: largest number of steps; a run that needs more is undecided.
 
     Returns:
         ω∞ in units of 1/τ₀, signed, along the dipole: 0 for a stop; NaN if the run failed or is
-        undecided, or if the estimated error exceeds ω∞. Derivatives are 0 where the top stops as
-        all its neighbours do, and NaN where there are none: of what is undecided or failed, so near
-        to a boundary that a stop is not
-        sure within the tolerances, and on an axis of decaying spin (a boundary) but for axis 3. A
-        derivative with respect to one element of an inertia tensor breaks its symmetry; only those
-        along symmetric changes have a meaning. Derivatives are infinite (1e302, or the like, since
-        that times 0 is 0) along changes that turn the dipole away from its principal axis, which
-        ends all residual rotation, and along those from where ω₁ is constant to where it is not,
-        if ω∞ has a jump or a kink there: δ = 0 (of a body: equal moments across the dipole) with
-        ω₁ = 0, and at order 1 ω₃ = 0 with ω₁ = 0 or δ ≤ −1/2. Each number of the body is taken
-        alone: so also along changes that only together keep the dipole on its axis, as turning
-        all does. But if it lies there but for rounding, as in a body that lies askew, derivatives
-        hold along changes that keep it there. A `sweep`, which knows the change, tells them apart.
+        undecided, or if the estimated error exceeds ω∞.
 
     Raises:
         ValueError: bad arguments.
@@ -79,89 +99,114 @@ def residual_rotation(
     """
     check_verdict(equation)
     check_single(equation)
-    equation = manifold.physical(equation)
+    equation = physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
+    tolerances = step_tolerances(rtol, atol, start)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
     leaves, structure = jax.tree.flatten((arrays, start))
-    rtol = tolerance("rtol", rtol)
-    limits = rtol, absolute(atol, rtol, start)
-
-    def ends(equation: Any, start: Any, limits: Any, value: Value) -> Any:
-        rtol, atol = limits
-        return classified(equation, start, rtol=rtol, atol=atol, max_steps=max_steps, value=value)
-
-    def value(leaves: Any, limits: Any) -> Float[Array, ""]:
-        arrays, start = jax.tree.unflatten(structure, leaves)
-        return ends(eqx.combine(arrays, rest), start, limits, True).omega_inf
-
-    def with_slopes(x: Float[Array, "n"], settings: Any) -> Float[Array, "1+n"]:
-        back, limits = settings
-        arrays, start = jax.tree.unflatten(structure, back(x))
-        _, push = jax.linearize(back, x)
-        parameters, starts = jax.tree.unflatten(structure, jax.vmap(push)(jnp.eye(x.size)))
-        # Else +s in one and −s in another would leave a plausible number of what is infinite.
-        irregular = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))  # independent numbers
-        equation = Together(eqx.combine(arrays, rest), parameters, starts, length(start))
-        found = ends(equation, start, limits, UNCHECKED)
-        endless = infinity(x.dtype) * (irregular + jnp.sum(x - jax.lax.stop_gradient(x)))
-        slopes = jnp.where(jnp.isinf(found.slopes), endless, found.slopes)
-        by_start = found.slopes[-3:]  # the start is what varies last, always
-        each = jnp.where(jnp.isinf(by_start), 0.0, by_start) * scales_of(equation)(start)
-        return or_nan(jnp.append(found.omega_inf, slopes), is_known(found, length(each), limits))
-
-    return _with_gradient(value, with_slopes)(leaves, limits)
+    runs = _Runs(rest, structure, max_steps)
+    return _with_gradient(runs.omega_inf, runs.omega_inf_and_slopes)(leaves, tolerances)
 
 
-def _with_gradient(value: Callable[..., Array], with_slopes: Callable[..., Array]) -> Any:
-    """`value(leaves, settings)`, differentiated by `with_slopes(x, (back, settings))`.
+@dataclass(frozen=True)
+class _Runs:
+    """Runs of one equation, by the numbers of its arrays and of ω₀."""
 
-    There x holds the leaves that vary, and the last one in any case; back(x) is all leaves. The
-    value comes first.
+    rest: Any
+    """The equation without its arrays."""
+    structure: Any
+    """How the numbers make the arrays of the equation and ω₀."""
+    max_steps: int | np.integer
+
+    def omega_inf(self, leaves: list[Array], tolerances: Tolerances) -> Float[Array, ""]:
+        """ω∞, with an estimate of its error."""
+        arrays, start = jax.tree.unflatten(self.structure, leaves)
+        equation = eqx.combine(arrays, self.rest)
+        return self._classified(equation, start, tolerances, True).omega_inf
+
+    def omega_inf_and_slopes(
+        self, x: Float[Array, "n"], constants: tuple["_Leaves", Tolerances]
+    ) -> Float[Array, "1+n"]:
+        """ω∞, and its derivatives by the varying numbers x."""
+        leaves_of, tolerances = constants
+        arrays, start = jax.tree.unflatten(self.structure, leaves_of(x))
+        _, push = jax.linearize(leaves_of, x)
+        parameters, starts = jax.tree.unflatten(self.structure, jax.vmap(push)(jnp.eye(x.size)))
+        equation = Together(eqx.combine(arrays, self.rest), parameters, starts, length(start))
+        run = self._classified(equation, start, tolerances, UNCHECKED)
+        slopes = jnp.where(jnp.isinf(run.slopes), _infinities(x), run.slopes)
+        by_start = run.slopes[-3:]  # ω₀ is always the last of what varies
+        gradient = jnp.where(jnp.isinf(by_start), 0.0, by_start) * scales_of(equation)(start)
+        known = is_larger_than_its_error(run, length(gradient), tolerances)
+        return or_nan(jnp.append(run.omega_inf, slopes), known)
+
+    def _classified(self, equation: Any, start: Array, tolerances: Tolerances, value: Value) -> Any:
+        """A `Classification` in arrays of JAX."""
+        rtol, atol = tolerances
+        return classify_with_tangents(
+            equation, start, rtol=rtol, atol=atol, max_steps=self.max_steps, value=value
+        )
+
+
+def _infinities(x: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Large numbers in place of infinity, one for each variable, infinite derivatives included.
+
+    They are unequal, so that infinite contributions of several variables cannot cancel to a sum
+    that looks finite.
+    """
+    unequal = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))
+    return infinity(x.dtype) * (unequal + jnp.sum(x - jax.lax.stop_gradient(x)))
+
+
+def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., Array]) -> Any:
+    """The function `value(leaves, constants)` with derivatives from another function.
+
+    That is value_and_slopes(x, (leaves_of, constants)), where the vector x holds all leaves that
+    vary, and the last leaf in any case; leaves_of(x) are all leaves. The value comes first.
     """
 
     @jax.custom_jvp
-    def wrapped(leaves: Any, settings: Any) -> Array:
-        return value(leaves, settings)
+    def wrapped(leaves: list[Array], constants: Any) -> Array:
+        return value(leaves, constants)
 
     def rule(primals: Any, tangents: Any) -> Any:
-        (leaves, settings), (changes, _) = primals, tangents
-        still = [isinstance(change, SymbolicZero) for change in changes]
-        moving = [k for k in range(len(leaves)) if not still[k] or k == len(leaves) - 1]
-        x, unravel = ravel_pytree([leaves[k] for k in moving])
-        along = [jnp.zeros_like(leaves[k]) if still[k] else changes[k] for k in moving]
+        (leaves, constants), (changes, _) = primals, tangents
+        fixed = [isinstance(change, SymbolicZero) for change in changes]
+        varying = [k for k in range(len(leaves)) if not fixed[k] or k == len(leaves) - 1]
+        x, unravel = ravel_pytree([leaves[k] for k in varying])
+        along = [jnp.zeros_like(leaves[k]) if fixed[k] else changes[k] for k in varying]
         change, _ = ravel_pytree(along)
-        back = _Back(
-            tuple(moving), unravel, [None if k in moving else leaf for k, leaf in enumerate(leaves)]
-        )
-        found, *slopes = forward_differentiable(with_slopes)(x, (back, settings))
-        return found, jnp.stack(slopes) @ change
+        others = [None if k in varying else leaf for k, leaf in enumerate(leaves)]
+        leaves_of = _Leaves(tuple(varying), unravel, others)
+        omega_inf, *slopes = forward_differentiable(value_and_slopes)(x, (leaves_of, constants))
+        return omega_inf, jnp.stack(slopes) @ change
 
     wrapped.defjvp(rule, symbolic_zeros=True)
     return wrapped
 
 
-class _Back(eqx.Module):
-    """From the vector of what varies to all leaves."""
+class _Leaves(eqx.Module):
+    """From the vector of those that vary to all leaves."""
 
-    moving: tuple[int, ...] = eqx.field(static=True)
+    varying: tuple[int, ...] = eqx.field(static=True)
     unravel: Callable[..., Any] = eqx.field(static=True)
-    fixed: list[Any]
+    others: list[Any]
 
     def __call__(self, x: Float[Array, "n"]) -> list[Array]:
-        leaves = list(self.fixed)
-        for k, leaf in zip(self.moving, self.unravel(x), strict=True):
+        leaves = list(self.others)
+        for k, leaf in zip(self.varying, self.unravel(x), strict=True):
             leaves[k] = leaf
         return leaves
 
 
 def decay_time(
     equation: Equation,
-    omega0: Any,
-    share: Any = 0.5,
+    omega0: ArrayLike,
+    share: NumberLike = 0.5,
     *,
-    rtol: Any = 1e-10,
-    atol: Any = None,
-    max_steps: Any = MAX_STEPS,
+    rtol: NumberLike = 1e-10,
+    atol: NumberLike | None = None,
+    max_steps: int | np.integer = MAX_STEPS,
 ) -> Float[Array, ""]:
     """τ at which a top has lost a share of the energy that it will ever lose.
 
@@ -173,13 +218,14 @@ def decay_time(
             physical branch.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         share: between 0 and 1, both excluded.
-        rtol: relative tolerance.
-        atol: absolute tolerance; None means none, since errors are measured by the present |ω|.
-        max_steps: budget.
+        rtol: relative tolerance of every step.
+        atol: absolute tolerance of every step; None means 0, since errors are measured by the
+            present |ω|.
+        max_steps: largest number of steps; a run that needs more is undecided.
 
     Returns:
         τ in units of τ₀; NaN, as are its derivatives, where ω∞ is not known, and if the top has
-        nothing to lose.
+        no energy to lose.
 
     Raises:
         ValueError: bad arguments.
@@ -194,64 +240,78 @@ def decay_time(
     check_verdict(equation)
     check_single(equation)
     check_body(equation)
-    equation = manifold.physical(equation)
+    equation = physical(equation)
     start = real("omega0", omega0, (3,), batch=False)
     part = real("share", share, batch=False)
     part = where_valid("share", part, (part > 0) & (part < 1), "lie between 0 and 1")
-    rtol = tolerance("rtol", rtol)
-    limits = rtol, absolute(atol, rtol, start)
+    tolerances = step_tolerances(rtol, atol, start)
     steps = budget("max_steps", max_steps)
-    inf = residual_rotation(equation, start, rtol=rtol, atol=limits[1], max_steps=steps)
+    rtol, atol = tolerances
+    omega_inf = residual_rotation(equation, start, rtol=rtol, atol=atol, max_steps=steps)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    x, back = ravel_pytree((arrays, start, inf, part))
+    variables, unravel = ravel_pytree((arrays, start, omega_inf, part))
 
-    def time(x: Float[Array, "n"], limits: Any) -> Float[Array, ""]:
-        arrays, start, inf, part = back(x)
-        return _time_of_energy(eqx.combine(arrays, rest), start, (inf, part), (*limits, steps))
+    def time(variables: Float[Array, "n"], tolerances: Tolerances) -> Float[Array, ""]:
+        arrays, start, omega_inf, part = unravel(variables)
+        varied = eqx.combine(arrays, rest)
+        return _time_of_energy(varied, start, (omega_inf, part), tolerances, steps)
 
-    return forward_differentiable(time)(x, limits)
+    return forward_differentiable(time)(variables, tolerances)
 
 
 @eqx.filter_jit
-def _time_of_energy(equation: Any, start: Array, wanted: Any, limits: Any) -> Float[Array, ""]:
-    """τ at which the energy has fallen far enough, wanted = (ω∞, share)."""
-    inf, share = wanted
+def _time_of_energy(
+    equation: Any,
+    start: Array,
+    target: tuple[Array, Array],
+    tolerances: Tolerances,
+    max_steps: int,
+) -> Float[Array, ""]:
+    """τ at which the energy has fallen far enough, target = (ω∞, share)."""
+    omega_inf, share = target
     dipole = equation.body.dipole
-    along = scale(inf / jnp.sqrt(dot(dipole, dipole)), dipole)
+    residual_omega = scale(omega_inf / jnp.sqrt(dot(dipole, dipole)), dipole)
 
-    def energy(y: Array) -> Array:
+    def energy(y: State) -> Array:
         return radiation.kinetic_energy(equation.body, equation.omega(y))
 
     y0 = equation.lift(start)
-    first, last = energy(y0), radiation.kinetic_energy(equation.body, along)
+    first, last = energy(y0), radiation.kinetic_energy(equation.body, residual_omega)
     level = first - share * (first - last)
-    falls = (first > last) & jnp.isfinite(inf)
-    if manifold.is_full(equation):
-        rtol, _, windows = limits
-        windows = jnp.where(falls, windows, 0)
-        return manifold.crossing(equation, start, lambda y: energy(y) - level, rtol, windows)
+    falls = (first > last) & jnp.isfinite(omega_inf)
+    if is_full(equation):
+        windows = jnp.where(falls, max_steps, 0)
+        return crossing(equation, start, lambda y: energy(y) - level, tolerances.rtol, windows)
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
-    until = jnp.where(falls, jnp.inf, 0.0)
-    size = sizes_of(equation)
-    step = _solve(equation, until, y0, limits, size, event=below)
+    t1 = jnp.where(falls, jnp.inf, 0.0)
+    sizes = sizes_of(equation)
+    run = _integrated(equation, t1, y0, tolerances, max_steps, sizes, event=below)
+    end, late = run.ys[-1], run.ts[-1]
 
-    # Back from the end of that step to the level, with the energy as the independent variable.
-    def field(s: Any, y: Array, args: Any) -> Array:
+    # Back from the end of that step to the level, with the energy as the independent variable:
+    # s from 0 to 1 is the part of the way, and the last component is the time over `late`, whose
+    # error is then relative.
+    def by_energy(s: Any, y: Array, args: Any) -> Array:
         rate = equation(0.0, y[:-1], None)
         power = jax.jvp(energy, (y[:-1],), (rate,))[1]
-        # The last component is the time in units of the first guess, whose error is relative.
         return jnp.append(rate, 1 / late) * (level - energy(end)) / power
 
-    end, late = step.ys[-1], step.ts[-1]
-    sizes = Partial(lambda size, y: jnp.append(size(y[:-1]), 1.0), size)
-    found = _solve(field, 1.0, jnp.append(end, 1.0), limits, sizes)
-    good = falls & diffrax.is_successful(found.result)
-    return jnp.where(good, late * found.ys[-1, -1], jnp.nan * first)  # no derivative, either
+    with_time = Partial(lambda sizes, y: jnp.append(sizes(y[:-1]), 1.0), sizes)
+    back = _integrated(by_energy, 1.0, jnp.append(end, 1.0), tolerances, max_steps, with_time)
+    found = falls & diffrax.is_successful(back.result)
+    return jnp.where(found, late * back.ys[-1, -1], jnp.nan * first)  # no derivative, either
 
 
-def _solve(field: Any, t1: Any, y0: Array, limits: Any, sizes: Sizes, event: Any = None) -> Any:
-    """An integration from 0 to t1 that can be differentiated forwards."""
-    rtol, atol, max_steps = limits
+def _integrated(
+    field: Any,
+    t1: Any,
+    y0: Array,
+    tolerances: Tolerances,
+    max_steps: int,
+    sizes: Sizes,
+    event: diffrax.Event | None = None,
+) -> Any:
+    """An integration from 0 to t1 that can be differentiated in forward mode."""
     return diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri8(),
@@ -259,7 +319,7 @@ def _solve(field: Any, t1: Any, y0: Array, limits: Any, sizes: Sizes, event: Any
         t1,
         None,
         y0,
-        stepsize_controller=Controller(rtol, atol, sizes),
+        stepsize_controller=Controller(*tolerances, sizes),
         event=event,
         max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),

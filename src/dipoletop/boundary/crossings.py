@@ -27,7 +27,7 @@ from .._maps.basin import Basin
 from .._maps.grids import Points
 from .._maps.problems import check_problem
 from .._maps.sweep import Problem, sweep
-from .._runs.classify_many import UNCHECKED
+from .._runs.classification import UNCHECKED
 
 RTOL = 1e-10  # of the runs, unless the user has his own
 UNDECIDED = 0  # fates from here down are none

@@ -227,8 +227,8 @@ def simulate(**options: Any) -> None:
     import numpy as np
 
     from .. import plots
-    from .._runs import classify_many as outcomes
-    from .._runs.trajectory import simulate
+    from .._runs.classify import classify
+    from .._runs.simulate import simulate
     from ..equations.transverse import equation_at
     from . import maps as _mapping
     from . import run_report as _run_report
@@ -255,7 +255,7 @@ def simulate(**options: Any) -> None:
     figure.savefig(picture, dpi=150)
     click.echo(f"{_mapping.describe(at)}. Level: {equation.level}.")
     click.echo(_run_report.states(rows))
-    click.echo(_run_report.ending(outcomes.classify(equation, start, **settings)))
+    click.echo(_run_report.ending(classify(equation, start, **settings)))
     if options["level"] == "order-1":
         click.echo(_run_report.by_consistent(at["delta"], start, settings))
     click.echo(f"Picture: {picture}\nData: {table}")

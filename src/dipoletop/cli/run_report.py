@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from .._base.types import Outcome, Stop
-from .._runs import classify_many as outcomes
+from .._runs.classify import classify
 from ..equations.levels import CONSISTENT, LACKS
 from ..equations.transverse import equation_at
 
@@ -61,6 +61,6 @@ def _fate(verdict: Any) -> str:
 def by_consistent(delta: float, start: Any, settings: dict[str, Any]) -> str:
     """What the consistent level says of a start whose result is of order 1."""
     equation = equation_at(CONSISTENT, delta)
-    verdict = outcomes.classify(equation, start, **settings)
+    verdict = classify(equation, start, **settings)
     value = f"{_fate(verdict)}, ω∞ = {_rotation(verdict)}"
     return f"{LACKS}; at the {equation.level} level this start ends so: {value}."

@@ -13,7 +13,8 @@ from .. import planar
 from .._maps.basin import Basin, wilson
 from .._maps.grids import Grid
 from .._maps.sweep import sweep
-from .._runs.trajectory import Trajectory, simulate
+from .._runs.simulate import simulate
+from .._runs.trajectory import Trajectory
 from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
 from ..plots.plane import CLASSES
 from ..stability import spectrum

@@ -8,8 +8,10 @@ import numpy as np
 from .. import planar
 from .._base.types import Outcome, Stop
 from .._maps.grids import Sample
-from .._runs.classify_many import Classification, classify, classify_many
-from .._runs.trajectory import simulate
+from .._runs.classification import Classification
+from .._runs.classify import classify
+from .._runs.classify_many import classify_many
+from .._runs.simulate import simulate
 from ..bodies import Body
 from ..equations.rigid import Reduced
 from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import exact
 from .._base.types import Outcome
-from .._runs.classify_many import classify
+from .._runs.classify import classify
 from ..bodies import axisymmetric
 from ..equations.rigid import Full
 from ..equations.rotator import (

@@ -1,0 +1,181 @@
+"""The outcome of one run, through diffrax or along the physical branch of a full equation."""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.checks import (
+    ArrayLike,
+    NumberLike,
+    check_single,
+    check_verdict,
+    initial_state,
+    is_whole_state,
+    real,
+)
+from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
+from .._base.types import Equation, State
+from .._branch.march import is_full, physical
+from .._engines.branch_engine import end_on_branch
+from .._engines.interface import EndStates, Limits
+from .._engines.step_sizes import Controller
+from ..equations._common import scales_of, sizes_of
+from .classification import Classification, Value, classification_of, stopping_rule
+from .conditioning import run_with_error_estimate, without_error_estimates
+
+
+def classify(
+    equation: Equation,
+    omega0: ArrayLike,
+    *,
+    rtol: NumberLike = 1e-8,
+    atol: NumberLike | None = None,
+    max_steps: int | np.integer = MAX_STEPS,
+    value: Value = True,
+) -> Classification:
+    """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
+
+    Integrates with diffrax (order 8) until the equation's own `verdict` is certain. A full
+    equation is followed along its physical branch, whose windows count as steps. May be jitted
+    and vmapped; for many starts `classify_many` is far faster. Not differentiable: its
+    derivatives are NaN. `residual_rotation` has those of ω∞.
+
+    | `value` | the run ends when | `omega_inf_error` | cost |
+    |---|---|---|---|
+    | True | outcome and ω∞ are known | estimated from three neighbouring starts | 1 |
+    | "unchecked" | outcome and ω∞ are known | infinite if ω∞ was integrated | about 1/3 |
+    | False | the outcome is known | as "unchecked"; ω∞ is NaN where it was integrated | less |
+
+    Args:
+        equation: an equation with a `verdict`.
+        omega0: start ω₀, shape (3,), dimensionless, body axes.
+        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
+        atol: absolute tolerance of every step; None means 0, since errors are measured by the
+            present |ω|, or rtol·|ω₀| with `value=False`.
+        max_steps: largest number of steps; a run that needs more is UNDECIDED.
+        value: whether ω∞ is wanted, and the estimate of its error; see the table.
+
+    Returns:
+        A `Classification` with scalar fields.
+
+    Raises:
+        ValueError: bad arguments. A run that fails is an outcome, FAILED.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> verdict = dt.classify(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, 0.1047))
+        >>> dt.Outcome(int(verdict.outcome)).name, bool(verdict.certified)
+        ('RESIDUAL', True)
+    """
+    arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
+    constant = eqx.combine(jax.lax.stop_gradient(arrays), rest)
+    tolerances = {"rtol": rtol, "atol": atol}
+    run = classify_with_tangents(*constant, **tolerances, max_steps=max_steps, value=value)
+    zero = _zero_without_derivative(jax.tree.leaves(arrays))
+    return jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, run)
+
+
+@jax.custom_jvp
+def _zero_without_derivative(_: list[Array]) -> float:
+    """0, whose derivatives are NaN."""
+    return 0.0
+
+
+@_zero_without_derivative.defjvp
+def _(primals: Any, tangents: Any) -> tuple[float, Any]:
+    return 0.0, jnp.nan * sum(jnp.sum(change) for change in tangents[0])
+
+
+class _Plan(NamedTuple):
+    """What is static in a run."""
+
+    from_omega: bool
+    """Whether the start is ω₀; else it is a whole state."""
+    along_branch: bool
+    """Whether the run follows the physical branch of a full equation."""
+    max_steps: int
+    until: Until
+    value: Value
+
+
+def classify_with_tangents(
+    equation: Any,
+    omega0: Any,
+    *,
+    rtol: NumberLike,
+    atol: NumberLike | Float[Array, ""] | None,
+    max_steps: int | np.integer,
+    value: Value = True,
+) -> Classification:
+    """The same as `classify`, with the derivatives of the state that ended the run."""
+    check_verdict(equation)
+    check_single(equation)
+    from_omega = not is_whole_state(omega0)
+    if from_omega:
+        equation = physical(equation)
+    y0 = initial_state(equation, omega0)
+    until = stopping_rule(equation, value)
+    label_only = until == "outcome"
+    tolerances = step_tolerances(rtol, atol, equation.omega(y0), label_only=label_only)
+    steps = budget("max_steps", max_steps)
+    start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
+    along_branch = from_omega and is_full(equation)
+    if is_full(equation) and not from_omega:
+        until = "time"  # off the branch no region decides, and the top runs away
+    plan = _Plan(from_omega, along_branch, steps, until, value)
+    return _classify(equation, start, tolerances, plan)
+
+
+@eqx.filter_jit
+def _classify(equation: Any, start: Array, tolerances: Tolerances, plan: _Plan) -> Classification:
+    def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
+        y0 = equation.lift(start) if plan.from_omega else start
+        t1 = jnp.where(wanted, jnp.inf, 0.0)
+        limits = Limits(*tolerances, t1, jnp.asarray(plan.max_steps))
+        if plan.along_branch:
+            ends = end_on_branch(equation, y0, limits, plan.until)
+        else:
+            ends = _end_by_steps(equation, y0, limits, plan)
+        return classification_of(equation, ends, tolerances)
+
+    if plan.value is True and plan.until != "time":
+        sizes = scales_of(equation) if plan.from_omega else sizes_of(equation)
+        return run_with_error_estimate(run, start, sizes(start), tolerances)
+    return without_error_estimates(run(start, tolerances, jnp.asarray(True)), plan.value, jnp)
+
+
+def _end_by_steps(equation: Any, y0: State, limits: Limits, plan: _Plan) -> EndStates:
+    """The end state of a run by diffrax."""
+
+    def ended(t: Any, y: State, args: Any, **_: Any) -> Bool[Array, ""]:
+        broken = ~sound(t, y, equation(t, y, None))
+        return broken | decided(equation, y, limits.tolerances, plan.until)
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(equation),
+        diffrax.Dopri8(),
+        0.0,
+        # A start that is decided or broken needs no integration.
+        jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1),
+        None,
+        y0,
+        stepsize_controller=Controller(*limits.tolerances, sizes_of(equation)),
+        saveat=diffrax.SaveAt(t1=True),
+        event=diffrax.Event(ended),
+        max_steps=plan.max_steps,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+    y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
+    time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
+    finished = sound(time, y, equation(time, y, None))
+    if plan.until == "time":
+        y = y * jnp.nan  # no state off the branch decides
+    status = jnp.where(finished, FINISHED, BROKEN)
+    return EndStates(y, time, solution.stats["num_steps"], status)

@@ -1,0 +1,289 @@
+"""One simulation, through diffrax or along the physical branch of a full equation.
+
+A full equation cannot be integrated forwards along its physical branch, since every error grows as
+fast as the runaway solutions do. `_branch.march` follows that branch instead.
+"""
+
+from typing import Any, TypedDict, Unpack
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+
+from .. import radiation
+from .._base.checks import (
+    FLAG,
+    ArrayLike,
+    NumberLike,
+    check_single,
+    concrete,
+    finite,
+    initial_state,
+    instance,
+    is_whole_state,
+    refuse,
+    where_valid,
+)
+from .._base.forward_mode import forward_differentiable
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
+from .._base.types import Equation, State, Vector
+from .._branch import march
+from .._engines.step_sizes import Controller
+from ..equations._common import sizes_of
+from .trajectory import BranchSolution, Trajectory, rate_of_omega
+
+BRANCH_LOST = (
+    "The physical branch of the full equation could not be followed to the last time: "
+    "ω is too large for a slow branch, or `max_steps` windows did not suffice."
+)
+STEP_FAILED = (
+    "The run ended before the last of `ts`: the solver's steps became too small, or failed."
+)
+OUT_OF_STEPS = "The run ended before the last of `ts`: `max_steps` did not suffice."
+
+
+class Options(TypedDict, total=False):
+    """The further arguments of `simulate`."""
+
+    solver: diffrax.AbstractSolver | None
+    stepsize_controller: diffrax.AbstractStepSizeController | None
+    adjoint: diffrax.AbstractAdjoint | None
+    throw: bool
+    dense: bool
+    balance: bool
+
+
+OPTIONS = {
+    "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
+    "stepsize_controller": (
+        diffrax.AbstractStepSizeController,
+        "be a step size controller of diffrax, such as `diffrax.PIDController(1e-8, 1e-10)`",
+    ),
+    "adjoint": (
+        diffrax.AbstractAdjoint,
+        "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
+    ),
+    "throw": (FLAG, "be True or False"),
+    "dense": (FLAG, "be True or False"),
+    "balance": (FLAG, "be True or False"),
+}
+"""The class of each of the `Options`, and how a refusal describes it."""
+
+
+def simulate(
+    equation: Equation,
+    omega0: ArrayLike,
+    ts: ArrayLike,
+    *,
+    rtol: NumberLike = 1e-10,
+    atol: NumberLike | None = None,
+    max_steps: int | np.integer = MAX_STEPS,
+    **options: Unpack[Options],
+) -> Trajectory:
+    """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.
+
+    May be jitted, vmapped and differentiated: in reverse mode as it is; in forward mode with
+    `adjoint=diffrax.ForwardMode()`; along a physical branch in both modes.
+
+    | option | meaning | default |
+    |---|---|---|
+    | `solver` | a solver of diffrax | `diffrax.Dopri8()` |
+    | `stepsize_controller` | a step size controller of diffrax | PID by `rtol`, `atol`, |ω(τ)| |
+    | `adjoint` | how diffrax differentiates | `diffrax.RecursiveCheckpointAdjoint()` |
+    | `throw` | raise if the run ends early, else fill up with NaN | True |
+    | `dense` | keep the interpolation, for `Trajectory.evaluate` | False |
+    | `balance` | integrate the radiated energy, too | False |
+
+    With `throw=False` a run that ends early has no derivatives in reverse mode.
+
+    Args:
+        equation: any equation of motion.
+        omega0: start ω₀, shape (3,), dimensionless, body axes; a full equation is then followed
+            along its physical branch. Or a whole state of a full equation: it is integrated as it
+            is, and runs away unless it lies on that branch.
+        ts: times at which the state is wanted, shape (T,), increasing, T ≥ 2; ω₀ belongs to the
+            first.
+        rtol: relative tolerance of every step.
+        atol: absolute tolerance of every step; None means 0, since errors are measured by the
+            present |ω|.
+        max_steps: largest number of steps, or of windows along a physical branch.
+        options: see the table. Along a physical branch only `throw` and `balance`.
+
+    Returns:
+        A `Trajectory`.
+
+    Raises:
+        ValueError: bad arguments, among them an option of another name.
+        RuntimeError: the run did not reach the last of `ts` (unless `throw=False`).
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> rotator = dt.simulate(dt.TransverseReduced(0.3), [0.0, 1.0, 0.0], jnp.array([0.0, 4.0]))
+        >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
+        True
+    """
+    check_single(equation)
+    _check_options(options)
+    whole_state = is_whole_state(omega0)
+    if not whole_state:
+        equation = march.physical(equation)
+    times = _times(ts)
+    y0 = initial_state(equation, omega0)
+    tolerances = step_tolerances(rtol, atol, equation.omega(y0))
+    steps = budget("max_steps", max_steps)
+    if march.is_full(equation) and not whole_state:
+        run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options)
+        failures = {BRANCH_LOST: ~(reached >= times[-1])}
+    else:
+        run, result = _solve(equation, y0, times, tolerances, steps, options)
+        out_of_steps = result == diffrax.RESULTS.max_steps_reached
+        failed = ~(diffrax.is_successful(result) | out_of_steps)
+        failures = {OUT_OF_STEPS: out_of_steps, STEP_FAILED: failed}
+    return _raised(run, failures) if options.get("throw", True) else run
+
+
+def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
+    """The trajectory, unless it failed; if it is traced, equinox raises when it is computed."""
+    for sentence, failed in failures.items():
+        if concrete(failed) and failed:
+            raise RuntimeError(sentence)
+        if not concrete(failed):
+            states = eqx.error_if(run.ys, failed, sentence)
+            run = eqx.tree_at(lambda run: run.ys, run, states)
+    return run
+
+
+def _check_options(options: Options) -> None:
+    for name, value in options.items():
+        if name not in OPTIONS:
+            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
+        kind, must = OPTIONS[name]
+        if value is not None or kind is FLAG:
+            instance(name, value, kind, must)
+
+
+def _times(ts: ArrayLike) -> Float[Array, "T"]:
+    times = finite("ts", ts, (-1,), batch=False)
+    if times.shape[0] < 2:
+        refuse("ts", "hold at least two times, the start first", f"has shape {times.shape}")
+    return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
+
+
+def _follow(
+    equation: Any,
+    y0: State,
+    times: Float[Array, "T"],
+    rtol: Float[Array, ""],
+    max_windows: int,
+    options: Options,
+) -> tuple[Trajectory, Float[Array, ""]]:
+    """The motion along the physical branch of a full equation, and the time that it reached."""
+    for name in ("solver", "stepsize_controller", "adjoint", "dense"):
+        if options.get(name):
+            refuse(
+                "options",
+                "be `throw` or `balance` for a start of shape (3,) of a full equation, whose "
+                "physical branch diffrax cannot follow (give a whole state for the vector field)",
+                f"one is `{name}`",
+            )
+    motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows)
+    # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
+    # which is 0, gives the states their derivatives with respect to the times.
+    elapsed = times - times[0]
+    elapsed = elapsed - jax.lax.stop_gradient(elapsed)
+    states = motion.states + jax.vmap(equation)(times, motion.states) * elapsed[:, None]
+    emitted = motion.emitted if options.get("balance", False) else None
+    solution = BranchSolution({"num_steps": motion.windows}, motion.reached)
+    return Trajectory(equation, times, states, emitted, solution), motion.reached
+
+
+def _differentiable_motion(
+    equation: Any,
+    omega0: Vector,
+    times: Float[Array, "T"],
+    rtol: Float[Array, ""],
+    max_windows: int,
+) -> march.Motion:
+    """`march.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
+    arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
+    variables, unravel = ravel_pytree((arrays, omega0))
+
+    def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
+        arrays, omega0 = unravel(variables)
+        times, rtol = constants
+        varied = eqx.combine(arrays, rest)
+        motion = march.follow(varied, omega0, times, rtol, max_windows)
+        return motion._replace(windows=motion.windows.astype(variables.dtype))
+
+    # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
+    constants = times, rtol
+    shapes = jax.eval_shape(follow, variables, constants)
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+    _, to_motion = ravel_pytree(zeros)
+    raveled = forward_differentiable(
+        lambda variables, constants: ravel_pytree(follow(variables, constants))[0]
+    )
+    motion = to_motion(raveled(variables, constants))
+    return motion._replace(windows=motion.windows.astype(int))
+
+
+def _sizes_with_energy(equation: Equation, y: State) -> State:
+    """The sizes that errors of a state are measured by; the radiated energy may follow it.
+
+    That energy is measured by the largest component of ω squared, unless it is larger itself.
+    """
+    n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
+    least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
+    return jnp.concatenate([sizes_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
+
+
+@eqx.filter_jit
+def _solve(
+    equation: Any,
+    y0: State,
+    times: Float[Array, "T"],
+    tolerances: Tolerances,
+    max_steps: int,
+    options: Options,
+) -> tuple[Trajectory, Any]:
+    """The motion by diffrax, and diffrax's result."""
+    n = y0.shape[0]
+    balance = options.get("balance", False)
+
+    def field(t: Any, y: State, args: Any) -> State:
+        rate = equation(t, y[:n], args)
+        if not balance:
+            return rate
+        omega = equation.omega(y[:n])
+        power = radiation.radiated_power(equation.body, omega, rate_of_omega(equation, t, y[:n]))
+        return jnp.concatenate([rate, power[None]])
+
+    controller = options.get("stepsize_controller")
+    if controller is None:
+        controller = Controller(*tolerances, Partial(_sizes_with_energy, equation))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        options.get("solver") or diffrax.Dopri8(),
+        times[0],
+        times[-1],
+        None,
+        jnp.concatenate([y0, jnp.zeros(1)]) if balance else y0,
+        saveat=diffrax.SaveAt(ts=times, dense=options.get("dense", False)),
+        stepsize_controller=controller,
+        adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
+        max_steps=max_steps,
+        throw=False,
+    )
+    ys: Any = solution.ys
+    # States that were not reached have NaN for derivatives, too; those of diffrax's inf are 0.
+    # NaN multiplies a number that depends on all inputs, since `where` would put NaN into the
+    # reverse-mode derivatives of complete runs.
+    everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
+    ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
+    run = Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)
+    return run, solution.result

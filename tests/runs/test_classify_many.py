@@ -1,0 +1,258 @@
+"""Many runs: exact cases, an independent integrator, batches, faults, refusals."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from dipoletop import Outcome, Stop, radiation
+from dipoletop._base.linalg import solve
+
+RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
+
+
+ORDER_ONE = dt.TransverseReduced(0.1)
+
+
+def starts(n, seed, low, high):
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(n, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return np.exp(rng.uniform(np.log(low), np.log(high), (n, 1))) * way
+
+
+@pytest.mark.parametrize("delta", [-1.0, -0.7, -0.5, -0.3, 0.0, 0.4, 0.95])
+@pytest.mark.parametrize("size", [1e-30, 1e-3, 1.0, 10.0])
+def test_exact_cases_of_order_one(delta, size):
+    """Invariant sets: rest, ω⊥ = 0, ω₁ = ω₃ = 0 stop; ω₃ = 0 keeps ω₁; so does δ = 0."""
+    cases = {
+        (0.0, 0.0, 0.0): (STOP, 0.0),
+        (0.0, 0.0, 1.0): (STOP, 0.0),
+        (0.0, -1.0, 0.0): (STOP, 0.0),
+        (1.0, 0.0, 0.0): (RESIDUAL, 1.0),
+        (-0.6, 0.8, 0.0): (RESIDUAL, -0.6),
+        (1e-9, 1.0, 0.0): (RESIDUAL, 1e-9),
+    }
+    if delta == 0:
+        cases |= {(0.6, 0.3, 0.8): (RESIDUAL, 0.6), (0.0, 0.3, 0.8): (STOP, 0.0)}
+    omegas = size * np.array(list(cases))
+    found = dt.classify_many(dt.TransverseReduced(delta), omegas)
+    assert found.outcome.tolist() == [outcome for outcome, _ in cases.values()]
+    assert np.array_equal(found.omega_inf, size * np.array([w for _, w in cases.values()]))
+    assert np.all(found.certified)
+    assert np.all(found.steps == 0)
+
+
+def test_a_value_that_is_not_known_to_the_tolerance_is_not_given():
+    omegas = starts(200, 21, 0.2, 0.5)
+    only = dt.classify_many(dt.TransverseSemi(0.3), omegas, value=False)
+    whole = dt.classify_many(dt.TransverseSemi(0.3), omegas)
+    assert np.array_equal(only.outcome, whole.outcome)
+    assert not np.any(np.isnan(whole.omega_inf))
+    given = ~np.isnan(only.omega_inf)
+    assert np.sum(~given) > 0
+    assert np.allclose(only.omega_inf[given], whole.omega_inf[given], rtol=1e-6)
+
+
+@pytest.mark.parametrize("delta", [-1.0, -0.5, 0.0, 0.4, 0.8])
+def test_exact_cases_of_the_semi_reduced_level(delta):
+    """ω₃ = 0 is not invariant here; the axes and the residual line are."""
+    omegas = [[0, 0, 0], [0, 0, 0.3], [0, 0.3, 0], [0.3, 0, 0]]
+    found = dt.classify_many(dt.TransverseSemi(delta), omegas)
+    assert found.outcome.tolist() == [STOP, STOP, STOP, RESIDUAL]
+    assert found.omega_inf.tolist() == [0, 0, 0, 0.3]
+    assert np.all(found.certified)
+    assert np.all(found.stop[:3] == Stop.AXIS)
+
+
+def test_oblate_bodies_beyond_one_half_stop_at_order_one():
+    found = dt.classify_many(dt.TransverseReduced(-0.6), starts(200, 1, 1e-3, 3))
+    assert np.all(found.outcome == STOP)
+    assert np.all(found.stop == Stop.ROTATING)
+    # No such threshold at the consistent level.
+    semi = dt.classify_many(dt.TransverseSemi(-0.6), starts(200, 1, 0.1, 1))
+    assert set(semi.outcome) == {RESIDUAL, STOP}
+
+
+def test_needles_wobble_to_a_stop():
+    """Three fates at the semi-reduced level; wobbling only above δ = 0.7532357993909."""
+    omegas = starts(400, 2, 0.02, 0.1)
+    found = dt.classify_many(dt.TransverseSemi(0.9), omegas)
+    assert set(found.outcome) == {RESIDUAL, STOP}
+    assert set(found.stop[found.outcome == STOP]) == {Stop.WOBBLING}
+    assert np.all(dt.classify_many(dt.TransverseSemi(0.7), omegas).outcome == RESIDUAL)
+    assert np.all(dt.classify_many(dt.TransverseReduced(0.9), omegas).outcome == RESIDUAL)
+
+
+def direct(level, delta, omega, rtol=1e-12):
+    """Label by scipy's DOP853, with no region: a long run and a look at where it went.
+
+    A residual top has put its velocity along the dipole; a stopping one goes on turning.
+    """
+    equation = level(delta)
+    run = jax.jit(lambda y: equation(0.0, y))
+    rate = lambda t, y: np.asarray(run(y))  # noqa: E731
+    size, y = np.linalg.norm(omega), omega
+    span = 30 / size**2
+    for _ in range(12):
+        y = solve_ivp(rate, (0, span), y, "DOP853", rtol=rtol, atol=1e-15 * size).y[:, -1]
+        w = np.linalg.norm(y)
+        t, z = y[1] / y[0], y[2] / y[0] ** 2
+        if t**2 + (delta * z) ** 2 < 1e-6:
+            return RESIDUAL
+        u = y[0] ** 2 + y[1] ** 2
+        if abs(delta * y[2]) > 30 * u and abs(y[2]) < 0.2:  # rotation has won by far
+            return STOP
+        span = 30 / w**2
+    return Outcome.UNDECIDED
+
+
+@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
+def test_labels_equal_an_independent_integrator(level):
+    """A dozen random starts to their bitter end, with no certificate at all."""
+    rng = np.random.default_rng(7)
+    deltas = rng.uniform(-0.45, -0.15, 12)
+    omegas = starts(12, 8, 0.1, 0.5)
+    found = dt.classify_many(level(jnp.asarray(deltas)), omegas).outcome
+    expected = [direct(level, d, w) for d, w in zip(deltas, omegas, strict=True)]
+    assert found.tolist() == expected
+
+
+@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
+def test_certificates_are_not_contradicted_by_a_tighter_tolerance(level):
+    rng = np.random.default_rng(13)
+    deltas = rng.uniform(0.05, 0.95, 3000) * rng.choice([-1, 1], 3000)
+    deltas, omegas = jnp.asarray(deltas), starts(3000, 14, 1e-2, 1)
+    loose = dt.classify_many(level(deltas), omegas, value=False)
+    tight = dt.classify_many(level(deltas), omegas, rtol=1e-11)
+    assert np.array_equal(loose.outcome, tight.outcome)
+    assert np.mean(loose.outcome == Outcome.UNDECIDED) < 2e-3
+    assert loose.steps.mean() < tight.steps.mean()
+
+
+def test_second_order_agrees_with_the_semi_reduced_level_at_small_amplitude():
+    rng = np.random.default_rng(15)
+    deltas, omegas = jnp.asarray(rng.uniform(-0.9, 0.5, 400)), starts(400, 16, 0.01, 0.03)
+    second = dt.classify_many(dt.TransverseReduced(deltas, order=2), omegas)
+    semi = dt.classify_many(dt.TransverseSemi(deltas), omegas)
+    assert not np.any(second.certified)
+    assert np.mean(second.outcome != semi.outcome) < 0.01
+    same = (second.outcome == RESIDUAL) & (semi.outcome == RESIDUAL)
+    gap = np.abs(second.omega_inf - semi.omega_inf)[same] / np.linalg.norm(omegas, axis=1)[same]
+    assert np.median(gap) < 1e-2
+
+
+def test_symmetric_starts_have_symmetric_ends():
+    omegas = starts(100, 17, 0.05, 1)
+    for level in (dt.TransverseReduced(-0.2), dt.TransverseSemi(-0.2)):
+        plain = dt.classify_many(level, omegas)
+        mirror = dt.classify_many(level, omegas * [1, -1, -1])
+        turned = dt.classify_many(level, omegas * [-1, -1, 1])
+        assert np.array_equal(plain.outcome, mirror.outcome)
+        assert np.array_equal(plain.outcome, turned.outcome)
+        assert np.allclose(plain.omega_inf, mirror.omega_inf, rtol=0, atol=1e-9)
+        assert np.allclose(plain.omega_inf, -turned.omega_inf, rtol=0, atol=1e-9)
+
+
+class Settling(eqx.Module):
+    """IΩ̇ = −Ω for any body, which ends where the energy says; short, so that it compiles fast."""
+
+    body: dt.Body
+
+    def __call__(self, t, y, args=None):
+        return -solve(self.body.inertia, y)
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        done = radiation.kinetic_energy(self.body, y) < 1e-3
+        return jnp.where(done, int(RESIDUAL), 0), y[0], done
+
+
+def test_batched_bodies_have_their_axis_in_front():
+    """As many bodies as a tensor has rows: the one shape that could be taken for another."""
+    inertia = np.stack([np.diag(moments) for moments in np.eye(3) + 1.0])
+    bodies, omegas = dt.Body(inertia, np.array([1.0, 0.0, 0.0])), starts(3, 18, 0.2, 0.3)
+    batch = dt.classify_many(Settling(bodies), omegas, value="unchecked")
+    assert len(np.unique(batch.time)) == 3
+    for k in range(3):  # inertia (3, 3), N = 3
+        body = jax.tree.map(lambda leaf, k=k: leaf[k], bodies)
+        single = dt.classify_many(Settling(body), omegas, value="unchecked")
+        for name in ("outcome", "omega_inf", "time"):
+            assert getattr(single, name)[k] == getattr(batch, name)[k]
+
+
+class Mistaken(Settling):
+    """An equation with a fault of its author's."""
+
+    def __call__(self, t, y, args=None):
+        return self.body.no_such_thing * y
+
+
+def test_a_fault_of_an_equation_is_not_taken_for_a_batch():
+    equation = Mistaken(dt.axisymmetric(-0.2))
+    several = Mistaken(dt.axisymmetric(jnp.array([-0.2, -0.1])))
+    for call in (
+        lambda: dt.classify_many(equation, jnp.ones((2, 3))),
+        lambda: dt.classify_many(several, jnp.ones((2, 3))),
+        lambda: dt.classify(equation, jnp.ones(3)),
+    ):
+        with pytest.raises(AttributeError, match="no_such_thing"):
+            call()
+
+
+@pytest.mark.parametrize("most", [2**31 - 1, np.int64(2**31 - 1), np.uint32(2**31 - 1)])
+def test_the_largest_budget_is_one(most):
+    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)[None]
+    found = dt.classify_many(dt.TransverseReduced(-0.2), start, max_steps=most)
+    assert found.outcome.tolist() == [RESIDUAL]
+    assert found.steps[0] > 1
+
+
+START = jnp.array([0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: dt.classify_many(ORDER_ONE, START[None], max_steps=2**31), "most 2147483647, bu"),
+        (lambda: dt.classify_many(ORDER_ONE, START[None], max_steps=2**63), "most 2147483647, bu"),
+        (
+            lambda: jax.jit(lambda w: dt.classify_many(ORDER_ONE, w).outcome)(START[None]),
+            "`omegas` must be known .*, but is traced",
+        ),
+        (
+            lambda: dt.classify_many(ORDER_ONE, START),
+            r"`omegas` must have shape \(n, 3\), but has shape \(3,\)",
+        ),
+        (
+            lambda: dt.classify_many(ORDER_ONE, jnp.zeros((0, 3))),
+            "`omegas` must hold at least one start",
+        ),
+        (
+            lambda: dt.classify_many(dt.TransverseReduced(jnp.zeros(4)), jnp.ones((5, 3))),
+            r"`equations` must be a single equation or have 5 .* but has a field of shape \(4,\)",
+        ),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("engine", ["jax", "native"])
+def test_subnormal_components_are_not_taken_for_zero(engine):
+    """On a processor JAX compares them as 0, which would put these starts on invariant sets."""
+    omegas = np.array([[0.3, 0.3, 1e-312], [1e-310, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.1]])
+    found = dt.classify_many(dt.TransverseReduced(-0.3), omegas, engine=engine)
+    failed = dt.Outcome.FAILED
+    assert list(found.outcome) == [failed, failed, dt.Outcome.RESIDUAL, dt.Outcome.STOP]
+    message = r"`omega0` must have components that are 0 or at least 2\.2e-308 .*, but has 1e-312"
+    with pytest.raises(ValueError, match=message):
+        dt.classify(dt.TransverseReduced(-0.3), omegas[0])
