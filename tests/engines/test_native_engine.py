@@ -9,7 +9,7 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._engines import native_engine
-from dipoletop._engines.interface import Limits
+from dipoletop._engines.interface import Limits, Queue
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._runs.classification import classification_of
@@ -79,8 +79,8 @@ def test_threads_share_the_queue():
     equation, starts, limits = problem(dt.TransverseReduced, n=1003)
 
     def found(threads):
-        options = {"until": "value", "device": jax.devices()[0], "threads": threads}
-        return NativeEngine().classify(classification_of, equation, starts, limits, **options)
+        queue = Queue(equation, starts, limits, "value")
+        return NativeEngine().classify(classification_of, queue, jax.devices()[0], threads)
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
 

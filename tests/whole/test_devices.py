@@ -92,9 +92,9 @@ def watched(run, together):
         used.extend(device.id for device in devices)
         meeting.wait(300)
 
-    def native(engine, *args, device, **options):
+    def native(engine, finish, queue, device, threads=1):
         met([device])
-        return in_machine_code(engine, *args, device=device, **options)
+        return in_machine_code(engine, finish, queue, device, threads)
 
     def in_jax(finish, equation, ends, tolerances):
         met(ends.y.devices())

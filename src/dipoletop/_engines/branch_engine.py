@@ -7,14 +7,13 @@ from typing import Any, ClassVar, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.parallel import Device
 from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided
 from .._branch.march import advance_window, start_march
 from ..equations.tangent import Tangent
-from .interface import EndStates, Finish, Limits, T
+from .interface import EndStates, Finish, Limits, Queue, T
 from .on_device import classify_on_device
 
 
@@ -36,21 +35,9 @@ class BranchEngine:
         with _one_at_a_time:
             return jax.block_until_ready(_integrate(equation, y0, limits, until))
 
-    def classify(
-        self,
-        finish: Finish[T],
-        equation: Any,
-        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-        limits: Limits,
-        *,
-        until: Until,
-        device: Device,
-        threads: int = 1,
-    ) -> T:
+    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`."""
-        return classify_on_device(
-            self.end_states, finish, equation, omegas, limits, until=until, device=device
-        )
+        return classify_on_device(self, finish, queue, device)
 
 
 # Two such programs at once waited for each other as long as they made batched calls of LAPACK, see

@@ -1,7 +1,7 @@
 """What an engine is: many runs of one equation in, the states in which they end out."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -48,6 +48,15 @@ class EndStates(eqx.Module):
     """Steps that the wide and the narrow block of lanes made together, if they were counted."""
 
 
+class Queue(NamedTuple):
+    """N runs from ω₀; the array fields of the equation carry a trailing axis of N lanes."""
+
+    equation: Any
+    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"]
+    limits: Limits
+    until: Until
+
+
 Finish = Callable[[Equation, EndStates, Tolerances], T]
 """A pure function from equation, end states and tolerances to a pytree of arrays, lanes behind."""
 
@@ -58,10 +67,7 @@ class Unsupported(Exception):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Integrates a queue of runs of one equation.
-
-    The array fields of an equation carry a trailing axis of N lanes, one for each run.
-    """
+    """Integrates many runs of one equation."""
 
     name: ClassVar[str]
     """As in `basin.attrs["engine"]`."""
@@ -76,29 +82,16 @@ class Engine(Protocol):
         *,
         until: Until = "value",
     ) -> EndStates:
-        """Integrate from the states `y0`, shape (n, N), in order."""
+        """Integrate from the states `y0`; the fields of the equation carry N lanes, too."""
         ...
 
-    def classify(
-        self,
-        finish: Finish[T],
-        equation: Any,
-        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-        limits: Limits,
-        *,
-        until: Until,
-        device: Device,
-        threads: int = 1,
-    ) -> T:
-        """Lift the starts ω₀, integrate them, and apply `finish` to the end states.
+    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
+        """Lift the starts ω₀, integrate the runs, and apply `finish` to the end states.
 
         Args:
             finish: see `Finish`.
-            equation: with a trailing axis of N lanes on its arrays, of JAX or NumPy.
-            omegas: starts ω₀, shape (3, N).
-            limits: tolerances, end times and budget.
-            until: when a run is finished.
-            device: where it runs; arrays that lie elsewhere, or in NumPy, are moved there.
+            queue: the runs; its arrays may be of JAX or NumPy, and on any device.
+            device: where they are integrated.
             threads: of an engine that has its own, how many share the queue.
         """
         ...

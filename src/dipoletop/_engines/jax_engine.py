@@ -15,13 +15,12 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
-from .interface import EndStates, Finish, Limits, T
+from .interface import EndStates, Finish, Limits, Queue, T
 from .on_device import classify_on_device
 from .step import LaneState, advance, begin
 
@@ -53,21 +52,9 @@ class JaxEngine:
         width = min(self.width, y0.shape[1])
         return _jitted(platform)(equation, y0, limits, self.solver, until, width)
 
-    def classify(
-        self,
-        finish: Finish[T],
-        equation: Any,
-        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-        limits: Limits,
-        *,
-        until: Until,
-        device: Device,
-        threads: int = 1,
-    ) -> T:
+    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`."""
-        return classify_on_device(
-            self.end_states, finish, equation, omegas, limits, until=until, device=device
-        )
+        return classify_on_device(self, finish, queue, device)
 
 
 _wrapper_lock = threading.Lock()

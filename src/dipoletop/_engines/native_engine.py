@@ -24,7 +24,7 @@ from .._base.parallel import Device, pool
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
 from . import step
-from .interface import EndStates, Finish, Limits, T, Unsupported
+from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
 from .native_queue import KINDS, WIDTH, work_off
 from .vector_code import MachineCode
@@ -74,18 +74,9 @@ class NativeEngine:
         block_steps = program.run(equation, limits, (rows.y, y0), wanted, threads=1)
         return EndStates(y, t, steps, status, np.array([block_steps, 0]))
 
-    def classify(
-        self,
-        finish: Finish[T],
-        equation: Any,
-        omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-        limits: Limits,
-        *,
-        until: Until,
-        device: Device,
-        threads: int = 1,
-    ) -> T:
+    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`; in NumPy. The device is not used: every processor is the same."""
+        equation, omegas, limits, until = queue
         program = _program(equation, until, self.solver, finish)
         rows, size = program.layout.rows, limits.t1.shape[0]
         result = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.result)

@@ -1,6 +1,5 @@
 """Lift, integrate and finish runs on one device of JAX, for the engines that are written in JAX."""
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -9,28 +8,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.parallel import Device
-from .._base.stopping import Until
 from .._base.tolerances import Tolerances
 from .._base.types import Equation
-from .interface import EndStates, Finish, Limits, T
+from .interface import EndStates, Engine, Finish, Queue, T
 
 
-def classify_on_device(
-    end_states: Callable[..., EndStates],
-    finish: Finish[T],
-    equation: Any,
-    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-    limits: Limits,
-    *,
-    until: Until,
-    device: Device,
-) -> T:
-    """`Engine.classify` for an engine whose `end_states` is a program of JAX."""
-    arrays, rest = eqx.partition(
-        (equation, omegas, limits), lambda x: eqx.is_array(x) or isinstance(x, np.ndarray)
-    )
-    equation, omegas, limits = eqx.combine(jax.device_put(arrays, device), rest)
-    ends = end_states(equation, lifted(equation, omegas), limits, until=until)
+def classify_on_device(engine: Engine, finish: Finish[T], queue: Queue, device: Device) -> T:
+    """`Engine.classify` of an engine whose `end_states` is a program of JAX."""
+    arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
+    equation, omegas, limits, until = eqx.combine(jax.device_put(arrays, device), rest)
+    ends = engine.end_states(equation, lifted(equation, omegas), limits, until=until)
     return _finished(finish, equation, ends, limits.tolerances)
 
 

@@ -21,7 +21,7 @@ from .._base.checks import (
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
-from .._engines.interface import Engine, Limits
+from .._engines.interface import Engine, Limits, Queue
 from .._engines.select import select_engines
 from ..equations._common import omega_scale_of, physical
 from .classification import Classification, Value, classification_of, stopping_rule
@@ -117,15 +117,8 @@ def classify_block(
     equation = physical(equation)
 
     def run(omegas: Any, limits: Limits) -> Classification:
-        runs = engine.classify(
-            classification_of,
-            equation,
-            omegas,
-            limits,
-            until=until,
-            device=device,
-            threads=threads,
-        )
+        queue = Queue(equation, omegas, limits, until)
+        runs = engine.classify(classification_of, queue, device, threads)
         return jax.tree.map(np.asarray, runs)
 
     runs = run(omegas, limits)
