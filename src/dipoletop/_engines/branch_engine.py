@@ -49,14 +49,14 @@ _one_at_a_time = threading.Lock()
 def _integrate(equation: Any, y0: Array, limits: Limits, until: Until) -> EndStates:
     arrays, static = eqx.partition(equation, eqx.is_array)
 
-    def one(lane: Any) -> EndStates:
+    def one_run(lane: Any) -> EndStates:
         parameters, start, atol, t1 = lane
         own = Limits(limits.rtol, atol, t1, limits.max_steps)
         return end_on_branch(eqx.combine(parameters, static), start, own, until)
 
     lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
     # One after another: side by side all would wait for the slowest, and nothing is gained.
-    ends = jax.lax.map(one, lane)
+    ends = jax.lax.map(one_run, lane)
     block_steps = jnp.stack([jnp.sum(ends.steps), 0])
     return EndStates(ends.y.T, ends.t, ends.steps, ends.status, block_steps)
 

@@ -1,4 +1,4 @@
-"""What an engine is: many runs of one equation in, the states in which they end out."""
+"""What an engine is: it integrates many runs of one equation and returns their end states."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -75,12 +75,7 @@ class Engine(Protocol):
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
 
     def end_states(
-        self,
-        equation: Any,
-        y0: Float[Array, "n N"],
-        limits: Limits,
-        *,
-        until: Until = "value",
+        self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """Integrate from the states `y0`; the fields of the equation carry N lanes, too."""
         ...

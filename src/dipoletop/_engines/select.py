@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 
 
 def select_engines(
-    name: str,
-    equation: Any,
-    devices: Sequence[Device],
-    until: Until,
-    finish: Finish[Any],
+    name: str, equation: Any, devices: Sequence[Device], until: Until, finish: Finish[Any]
 ) -> dict[Device, Engine]:
     """The engine of each device for runs of the physical motions of an equation."""
     equation = physical(equation)
@@ -33,11 +29,7 @@ def select_engines(
 
 
 def select_engine(
-    name: str,
-    equation: Any,
-    device: Device,
-    until: Until,
-    finish: Finish[Any] | None = None,
+    name: str, equation: Any, device: Device, until: Until, finish: Finish[Any] | None = None
 ) -> Engine:
     """The engine for such runs.
 
