@@ -21,7 +21,7 @@ T = TypeVar("T")
 _thread = threading.local()
 
 
-def worker_devices(devices: Sequence[Device] | None = None) -> list[Device]:
+def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
     """One entry for each worker thread: the device that it feeds.
 
     An accelerator is fed by one thread. A processor runs a small program on one core, so there are

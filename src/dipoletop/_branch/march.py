@@ -176,15 +176,10 @@ def crossing(
     def state_at(time: Array) -> Array:
         return evaluate(window, window.states, time[None])[0]
 
-    def halved(_: Any, ends: Any) -> Any:
-        early, late = ends
-        middle = (early + late) / 2
-        low = function(state_at(middle)) <= 0
-        return jnp.where(low, early, middle), jnp.where(low, middle, late)
-
     which = jnp.argmax(below)
-    ends = jnp.where(which > 0, window.times[which - 1, -1], 0.0), window.times[which, -1]
-    time, _ = jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halved, ends))
+    early = jnp.where(which > 0, window.times[which - 1, -1], 0.0)
+    bracket = bisect(lambda t: function(state_at(t)) <= 0, early, window.times[which, -1], 50)
+    time = jax.lax.stop_gradient(bracket[0])
     for _ in range(2):  # Newton's method, since halving has no derivatives
         y = state_at(time)
         value, slope = jax.jvp(function, (y,), (equation(0.0, y),))

@@ -81,7 +81,7 @@ def classify(
 
 
 @jax.custom_jvp
-def _zero_without_derivative(_: list[Array]) -> float:
+def _zero_without_derivative(_: list[Any]) -> float:
     """0, whose derivatives are NaN."""
     return 0.0
 
