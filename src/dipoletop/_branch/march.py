@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import radiation
+from .._base.bisection import bisect
 from .window import Window, evaluate, solve_window
 
 EFOLDS = 36.0  # of a runaway, in a first window: −ln of the rounding error of float64
