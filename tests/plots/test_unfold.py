@@ -32,6 +32,18 @@ def test_unfolded_cell_equals_a_sweep_of_the_whole_plane():
     assert unfolded.level == plane.level
 
 
+def test_unfolded_derivatives_are_those_of_a_sweep_of_the_whole_plane():
+    names = ("delta", "phi", "w3")
+    cell = dt.Grid(phi=np.arange(4) * np.pi / 4, delta=[-0.2], w3=[0.1, 0.2])
+    plane = dt.Grid(phi=np.arange(8) * np.pi / 4, delta=[-0.2], w3=[-0.2, -0.1, 0.1, 0.2])
+    unfolded, whole = (dt.sweep(whole_problem, grid, derivatives=names) for grid in (cell, plane))
+    unfolded = plots.unfold(unfolded)
+    for name in names:
+        computed = whole.derivative(name)
+        assert np.nanmin(computed) < -1e-3 < 1e-3 < np.nanmax(computed)
+        np.testing.assert_allclose(unfolded.derivative(name), computed, rtol=1e-6, atol=1e-9)
+
+
 def test_a_circle_is_mirrored_but_not_extended():
     axes = {"w3": np.array([0.1, 0.3]), "phi": np.arange(6) * np.pi / 3}
     half = made(np.array([[R, S, R, U, S, F], [S, S, S, R, R, R]]), axes=axes)

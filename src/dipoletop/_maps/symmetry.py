@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from .._base.checks import instance
 from .basin import Basin
+from .columns import DERIVATIVE_PREFIX
 
 
 def unfold(basin: Basin) -> Basin:
@@ -19,7 +20,8 @@ def unfold(basin: Basin) -> Basin:
     | axis 3 | (ω₁, ω₂) → −(ω₁, ω₂) | φ → φ + π | changes sign |
     | axis 1 | (ω₂, ω₃) → −(ω₂, ω₃) | (φ, ω₃) → (−φ, −ω₃) | is the same |
 
-    They hold whatever the other axes of the grid are.
+    They hold whatever the other axes of the grid are. Columns of derivatives follow: all change sign
+    where ω∞ does, and those by φ and ω₃ change sign under φ → −φ, ω₃ → −ω₃.
 
     Args:
         basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, as
@@ -60,9 +62,8 @@ def _to_full_turn(basin: Basin) -> Basin:
     phi, axis, columns = basin.coords["phi"], basin.dims.index("phi"), {}
     for name in basin.columns:
         cell = basin.column(name)
-        # 0 − ω∞ rather than −ω∞, so that a stop stays 0 and does not become −0.
-        image = 0 - cell if name == "omega_inf" else cell
-        columns[name] = np.concatenate([cell, image], axis)
+        odd = name == "omega_inf" or name.startswith(DERIVATIVE_PREFIX)
+        columns[name] = np.concatenate([cell, _negative(cell) if odd else cell], axis)
     return _extended(basin, "phi", np.concatenate([phi, phi + np.pi]), columns)
 
 
@@ -75,8 +76,15 @@ def _to_both_hemispheres(basin: Basin) -> Basin:
     for name in basin.columns:
         upper = basin.column(name)
         lower = upper.take(mirrored_w3, w3_axis).take(mirrored_phi, phi_axis)
+        if name in (DERIVATIVE_PREFIX + "phi", DERIVATIVE_PREFIX + "w3"):
+            lower = _negative(lower)
         columns[name] = np.concatenate([lower, upper], w3_axis)
     return _extended(basin, "w3", np.concatenate([-w3[mirrored_w3], w3]), columns)
+
+
+def _negative(values: np.ndarray) -> np.ndarray:
+    """−x, except that 0 (the ω∞ of a stop) stays 0 and does not become −0."""
+    return 0 - values
 
 
 def _extended(
