@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from settling import Settling
 
 import dipoletop as dt
-from dipoletop import Outcome, Stop, radiation
-from dipoletop._base.linalg import solve
+from dipoletop import Outcome, Stop
 from dipoletop._base.stopping import FINISHED
 from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines.interface import EndStates
@@ -36,24 +36,6 @@ def test_squares_that_underflow_certify_nothing(level):
     with jax.enable_x64(False):
         small = level(-0.2).verdict(jnp.asarray(1e-21 * np.array([0.02, 0.01, 0.9]), "float32"))
         assert int(small.outcome) in (Outcome.STOP, Outcome.UNDECIDED)
-
-
-class Settling(eqx.Module):
-    """IΩ̇ = −Ω for any body, which ends where the energy says; short, so that it compiles fast."""
-
-    body: dt.Body
-
-    def __call__(self, t, y, args=None):
-        return -solve(self.body.inertia, y)
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
-
-    def verdict(self, y):
-        done = radiation.kinetic_energy(self.body, y) < 1e-3
-        return jnp.where(done, int(RESIDUAL), 0), y[0], done
 
 
 class Faster(dt.TransverseReduced):

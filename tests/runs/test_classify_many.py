@@ -1,15 +1,14 @@
 """Many runs: exact cases, an independent integrator, batches, faults, refusals."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from settling import Settling
 
 import dipoletop as dt
-from dipoletop import Outcome, Stop, radiation
-from dipoletop._base.linalg import solve
+from dipoletop import Outcome, Stop
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
 
@@ -155,24 +154,6 @@ def test_symmetric_starts_have_symmetric_ends():
         assert np.array_equal(plain.outcome, turned.outcome)
         assert np.allclose(plain.omega_inf, mirror.omega_inf, rtol=0, atol=1e-9)
         assert np.allclose(plain.omega_inf, -turned.omega_inf, rtol=0, atol=1e-9)
-
-
-class Settling(eqx.Module):
-    """IΩ̇ = −Ω for any body, which ends where the energy says; short, so that it compiles fast."""
-
-    body: dt.Body
-
-    def __call__(self, t, y, args=None):
-        return -solve(self.body.inertia, y)
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
-
-    def verdict(self, y):
-        done = radiation.kinetic_energy(self.body, y) < 1e-3
-        return jnp.where(done, int(RESIDUAL), 0), y[0], done
 
 
 def test_batched_bodies_have_their_axis_in_front():

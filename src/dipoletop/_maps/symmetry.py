@@ -20,8 +20,8 @@ def unfold(basin: Basin) -> Basin:
     | axis 3 | (ω₁, ω₂) → −(ω₁, ω₂) | φ → φ + π | changes sign |
     | axis 1 | (ω₂, ω₃) → −(ω₂, ω₃) | (φ, ω₃) → (−φ, −ω₃) | is the same |
 
-    They hold whatever the other axes of the grid are. Columns of derivatives follow: all change sign
-    where ω∞ does, and those by φ and ω₃ change sign under φ → −φ, ω₃ → −ω₃.
+    They hold whatever the other axes of the grid are. Columns of derivatives follow: all change
+    sign where ω∞ does, and those by φ and ω₃ change sign under (φ, ω₃) → (−φ, −ω₃).
 
     Args:
         basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, as

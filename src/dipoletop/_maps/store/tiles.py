@@ -112,6 +112,10 @@ class StoredColumn:
     def __getitem__(self, key: Any) -> np.ndarray:
         return self.tiles.column(self.name)[key]
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """All of the column, read anew: without this NumPy would wrap the object itself."""
+        return np.asarray(self[...], dtype)
+
 
 class Tiles:
     """An open store of either version; its header is checked when it is opened.
