@@ -66,6 +66,17 @@ def test_help_explains_every_word(command):
     assert max(len(line) for line in result.output.splitlines()) <= 100
 
 
+def test_an_error_of_the_program_keeps_its_traceback(monkeypatch):
+    def broken():
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr(validation, "environment", broken)
+    result = invoke("validate")
+    assert result.exit_code == 1
+    assert isinstance(result.exception, ValueError)
+    assert "Error: " not in result.output
+
+
 def test_version_and_unknown_commands():
     assert dt.__version__ in invoke("--version").output
     assert "No such command 'maps'" in refusal("maps")

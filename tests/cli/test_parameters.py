@@ -2,11 +2,11 @@
 
 import math
 
-import click
 import pytest
+from command_line import refusal
 
 import dipoletop as dt
-from dipoletop.cli.commands import AXIS, LEVEL
+from dipoletop.cli.commands import LEVEL
 from dipoletop.cli.parameters import Number
 
 
@@ -26,11 +26,13 @@ def test_numbers_may_be_multiples_of_pi(text, value):
     assert Number().convert(text, None, None) == pytest.approx(value, rel=1e-15)
 
 
-def test_words_of_the_command_line_are_converted_at_once():
-    assert AXIS.convert("w-perp", None, None) == "w_perp"
+def test_every_word_for_a_level_is_one():
     for order in (1, 2, 3, 4):
-        assert dt.equation_at(LEVEL.convert(f"order-{order}", None, None), 0.1).order == order
-    assert isinstance(dt.equation_at(LEVEL.convert("semi", None, None), 0.1), dt.TransverseSemi)
-    assert isinstance(dt.equation_at(LEVEL.convert("full", None, None), 0.1), dt.TransverseFull)
-    with pytest.raises(click.BadParameter, match="'w_perp' is not one of 'delta', 'w-perp'"):
-        AXIS.convert("w_perp", None, None)
+        assert f"order-{order}" in LEVEL.choices
+        assert dt.equation_at(f"order-{order}", 0.1).order == order
+    assert LEVEL.choices == tuple(dt.Level)
+
+
+def test_axes_are_spelled_as_options():
+    assert "'w_perp' is not one of 'delta', 'w-perp'" in refusal("map", "--x", "w_perp")
+    assert "'w_perp' is not one of 'delta', 'w-perp'" in refusal("map", "--range", "w_perp", 0, 1)

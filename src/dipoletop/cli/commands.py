@@ -9,21 +9,24 @@ from typing import Any
 import click
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .. import stability, validation
 from .._maps.basin import Basin
 from .._runs.classify import classify
+from .._runs.simulate import simulate
 from ..equations.levels import Level
 from ..equations.transverse import equation_at
-from . import maps, quantities, single_runs, tables
-from .decorators import computing, quantity_options
-from .parameters import Number, Size, Word
+from . import maps, quantities, tables
+from .parameters import Number, Size
+from .refusals import Refusal, computing
 from .store_commands import store
 
 NUMBER = Number()
-AXIS = Word(quantities.OPTIONS)
-LEVEL = Word({level.value: level for level in Level})
-MAP_LEVEL = Word({level.value: level for level in Level if level is not Level.FULL})
+AXIS = click.Choice(list(quantities.OPTIONS))
+LEVEL = click.Choice([level.value for level in Level])
+MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.FULL])
+COLUMNS = "tau,omega_1,omega_2,omega_3,energy,power"
 FORMATS = click.Choice(["png", "pdf", "svg"])
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
 
@@ -103,7 +106,7 @@ def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Pat
     metavar="AXIS LOW HIGH",
     help="Range of an axis; may be given for each axis.",
 )
-@quantity_options
+@quantities.quantity_options
 @click.option("--size", type=Size(), metavar="N[xM]", default="512", help="Starts on x [and on y].")
 @click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")
 @click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of each run.")
@@ -137,10 +140,11 @@ def map_command(**options: Any) -> None:
     Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
     equation (order 1) and by the semi-reduced one. Starts whose outcomes differ are hatched.
     """
-    levels, axes = options["level"], (options["x"], options["y"])
+    levels = [Level(word) for word in options["level"]]
     if len(set(levels)) != len(levels) or len(levels) > 2:
-        raise ValueError("--level must be one level, or two different ones.")
-    ranges = {name: (low, high) for name, low, high in options["ranges"]}
+        raise Refusal("--level must be one level, or two different ones.")
+    axes = quantities.OPTIONS[options["x"]], quantities.OPTIONS[options["y"]]
+    ranges = {quantities.OPTIONS[word]: (low, high) for word, low, high in options["ranges"]}
     grid, text = quantities.grid_over(axes, ranges, options["size"], _given(options))
     base, picture = _output_paths(options["output"], options["suffix"], "map")
     settings = {
@@ -162,7 +166,7 @@ def map_command(**options: Any) -> None:
         raise SystemExit(130) from None
     _draw([run.basin for run in runs], axes, picture)
     click.echo(tables.maps(runs))
-    if levels == (Level.ORDER_1,):
+    if levels == [Level.ORDER_1]:
         click.echo(
             f"{Level.ORDER_1.caveat}; outcomes may differ at the consistent levels (--level semi)."
         )
@@ -184,7 +188,7 @@ def _devices(kind: str | None) -> list[Any] | None:
     try:
         return jax.devices(kind)
     except RuntimeError:
-        raise ValueError(f"--device {kind}: JAX finds none on this machine.") from None
+        raise Refusal(f"--device {kind}: JAX finds none on this machine.") from None
 
 
 def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:
@@ -206,7 +210,7 @@ def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:
     default=Level.SEMI.value,
     help="Level of the equation; order-1 is the paper's.",
 )
-@quantity_options
+@quantities.quantity_options
 @click.option("--tau-max", type=NUMBER, default="1000", help="End of the run.")
 @click.option("--points", type=click.IntRange(2), default=1001, help="Times in picture and table.")
 @click.option("--rtol", type=NUMBER, default="1e-10", help="Relative tolerance.")
@@ -224,17 +228,25 @@ def simulate_command(**options: Any) -> None:
     """
     from .. import plots
 
-    level, tau_max = options["level"], options["tau_max"]
+    level, tau_max = Level(options["level"]), options["tau_max"]
     if tau_max <= 0:
-        raise ValueError(f"--tau-max must be positive, but is {tau_max:g}.")
+        raise Refusal(f"--tau-max must be positive, but is {tau_max:g}.")
     values = quantities.with_defaults(_given(options))
     omega0, delta = quantities.initial_condition(values), values["delta"]
     equation = equation_at(level, delta)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
-    trajectory, rows = single_runs.follow(equation, omega0, tau_max, options["points"], settings)
+    times = np.linspace(0.0, tau_max, options["points"])
+    trajectory = simulate(equation, omega0, times, throw=False, **settings)
+    rows = np.column_stack([trajectory.ts, trajectory.omega, trajectory.energy, trajectory.power])
+    if not np.all(np.isfinite(rows)):
+        raise Refusal(
+            f"The run did not reach τ = {tau_max:g}: it ended after "
+            f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
+        )
     base, picture = _output_paths(options["output"], options["suffix"], "trajectory")
     table = base.with_name(f"{base.name}.csv")
-    single_runs.write_table(table, rows)
+    # 17 digits give every number back exactly.
+    np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=COLUMNS, comments="")
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
     click.echo(f"{quantities.describe(values)}. Level: {equation.level}.")
@@ -298,7 +310,7 @@ def figures_command(**options: Any) -> None:
     help="Level of the equation; may be given several times.",
 )
 @computing
-def spectrum_command(delta: float, w: float, level: tuple[Level, ...]) -> None:
+def spectrum_command(delta: float, w: float, level: tuple[str, ...]) -> None:
     """Eigenvalues at the equilibrium ω = (w, 0, 0), rotation about the dipole, in units of 1/τ₀.
 
     The slow eigenvalues are those of physical motions. The full equation has others, of runaways.
@@ -310,15 +322,13 @@ def spectrum_command(delta: float, w: float, level: tuple[Level, ...]) -> None:
         click.echo(f"{Level.ORDER_1.caveat}; {first}, {' '.join(slow.split())}.")
 
 
-def _spectra(levels: Iterable[Level], delta: float, w: float) -> list[str]:
+def _spectra(levels: Iterable[str], delta: float, w: float) -> list[str]:
     """The lines of all levels, one below the other."""
-    equations = [equation_at(level, delta) for level in levels]
-    omega = jnp.array([w, 0.0, 0.0])
-    return [
-        line
-        for equation in equations
-        for line in tables.spectrum(equation.level, stability.spectrum(equation, omega))
-    ]
+    omega, lines = jnp.array([w, 0.0, 0.0]), []
+    for level in levels:
+        equation = equation_at(level, delta)
+        lines += tables.spectrum(equation.level, stability.spectrum(equation, omega))
+    return lines
 
 
 @main.command("validate", short_help="Check this installation against exact values.")
@@ -335,15 +345,15 @@ def validate_command(paper: bool) -> None:
     This takes less than a minute; the exit status is 1 if a check fails.
     """
     click.echo(validation.environment())
+    if paper:
+        from ..paper import ledger
+
+        lines = tables.ledger(ledger())
+    else:
+        lines = tables.checks(validation.run())
     failed = 0
-    for line, good in _ledger_lines() if paper else tables.checks(validation.run()):
+    for line, good in lines:
         click.echo(line)
         failed += not good
     click.echo(f"{failed} failed." if failed else "All passed.")
     raise SystemExit(1 if failed else 0)
-
-
-def _ledger_lines() -> Iterable[tuple[str, bool]]:
-    from ..paper import ledger
-
-    return tables.ledger(ledger())

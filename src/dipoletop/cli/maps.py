@@ -1,11 +1,17 @@
-"""Runs one level of a map, with its store."""
+"""Runs one level of a map: its sweep, its store, and how long anything was being compiled."""
 
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 from jaxtyping import Array
 
 from .._base.checks import refuse
+from .._base.monitoring import COMPILING
 from .._base.types import Equation
 from .._maps.basin import Basin
 from .._maps.grids import Grid
@@ -15,8 +21,8 @@ from .._maps.store.tiles import open_store
 from .._maps.sweep import sweep
 from ..equations.levels import Level
 from ..equations.transverse import equation_at
-from .compile_time import measure_compile_time
 from .quantities import CYLINDRICAL, SPHERICAL, initial_condition
+from .refusals import Refusal
 
 
 class Run(NamedTuple):
@@ -34,7 +40,8 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
     """Sweep the grid at one level; `settings` are those of `sweep`.
 
     Raises:
-        ValueError: bad settings, or a store with something else in it.
+        ValueError: bad settings.
+        Refusal: a store with something else in it.
     """
 
     def problem(**point: Array) -> tuple[Equation, Array]:
@@ -45,7 +52,7 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
         with measure_compile_time() as seconds:
             basin = sweep(problem, grid, store=store, **settings)
     except StoreMismatch as error:
-        raise ValueError(f"{error.reason}; choose another --output, or remove it.") from None
+        raise Refusal(f"{error.reason}; choose another --output, or remove it.") from None
     return Run(basin, store, stored, seconds())
 
 
@@ -59,14 +66,41 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     whole = verify(path)
     tiles = open_store(path)
     attrs, axes = tiles.header["attrs"], tiles.header["axes"]
-    levels = [level for level in Level if level.label == attrs["level"]]
+    level = next((level for level in Level if level.label == attrs["level"]), None)
     maps = [{"delta", "phi", *ways} for ways in (CYLINDRICAL, SPHERICAL)]
-    if not levels or set(axes) not in maps:
+    if level is None or set(axes) not in maps:
         must = "be the store of a `dipoletop map`"
         refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
     settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
-    (level,) = levels
     settings |= {"repair": True, "progress": level.value if progress else False}
     grid = Grid(**{name: tiles.values(name) for name in axes})
     run = run_level(level, grid, tiles.folder, **settings)
     return run, sum(tiles.tiling.length(tile) for tile in (*whole.unfinished, *whole.damaged))
+
+
+@contextlib.contextmanager
+def measure_compile_time() -> Iterator[Callable[[], float]]:
+    """A function that returns for how many seconds any thread was tracing or compiling.
+
+    JAX reports the end and the duration of every such event. Threads may compile at the same time,
+    so the result is the length of the union of all these intervals.
+    """
+    intervals: list[tuple[float, float]] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event.startswith(("/jax/core/compile/", COMPILING)):
+            now = time.perf_counter()
+            intervals.append((now - duration_secs, now))
+
+    def length_of_union() -> float:
+        total, covered_until = 0.0, -math.inf
+        for begin, end in sorted(intervals):
+            total += max(0.0, end - max(begin, covered_until))
+            covered_until = max(covered_until, end)
+        return total
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield length_of_union
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)

@@ -1,8 +1,7 @@
-"""Kinds of values on the command line: numbers, sizes, and words that stand for a value."""
+"""Kinds of values on the command line: numbers and sizes."""
 
 import math
 import re
-from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import click
@@ -48,21 +47,3 @@ class Size(click.ParamType):
         if not parts or min(int(n) for n in parts.groups() if n) < 2:
             self.fail(f"{value!r} is not a size such as 512 or 512x256, at least 2.", param, ctx)
         return int(parts[1]), int(parts[2] or parts[1])
-
-
-class Word(click.ParamType):
-    """One of some words, each of which stands for a value of Python."""
-
-    name = "word"
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.values = values
-        self.words = click.Choice(list(values))
-
-    def convert(self, value: Any, param: Parameter, ctx: Context) -> Any:
-        """The value that a word stands for."""
-        return self.values[self.words.convert(value, param, ctx)]
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> Any:
-        """The words that begin so."""
-        return self.words.shell_complete(ctx, param, incomplete)

@@ -1,4 +1,4 @@
-"""The quantities that a map or a run is given: names, defaults, ranges, and the grid of a map.
+"""The quantities that a map or a run is given: names, options, defaults, and the grid of a map.
 
 Everywhere in Python a quantity has the name of its axis in a `Grid`, such as `w_perp`. The command
 line spells it as an option, `--w-perp`: `OPTIONS` leads from there to the name, and messages go
@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
+import click
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -17,6 +18,8 @@ from jaxtyping import Array
 
 from .._maps.grids import Grid
 from ..equations.transverse import TransverseReduced, cylindrical
+from .parameters import Number
+from .refusals import Command, Refusal
 
 
 class Quantity(NamedTuple):
@@ -69,6 +72,16 @@ def describe(values: Mapping[str, float]) -> str:
     )
 
 
+def quantity_options(command: Command) -> Command:
+    """The options --delta, --w-perp, …; the command gets them by the names of `QUANTITIES`."""
+    for name, quantity in reversed(QUANTITIES.items()):
+        default = as_text(quantity.default).replace("π", "pi")
+        help_text = f"{quantity.meaning}  [default: {default}]"
+        option = click.option(f"--{quantity.option}", name, type=Number(), help=help_text)
+        command = option(command)
+    return command
+
+
 def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
     """ω₀ of shape (3,), from the quantities by their names."""
     if "amplitude" not in values:
@@ -83,19 +96,19 @@ def with_defaults(
     """The quantities that fix δ and ω₀, as given or by default; `axes` will be varied.
 
     Raises:
-        ValueError: an axis that is given, ω⊥ or ω₃ with |ω| or θ, or values that cannot be.
+        Refusal: an axis that is given, ω⊥ or ω₃ with |ω| or θ, or values that cannot be.
     """
     fixed = {name: value for name, value in given.items() if value is not None}
     for name in fixed:
         if name in axes:
             option = QUANTITIES[name].option
-            raise ValueError(
+            raise Refusal(
                 f"--{option} would fix an axis of the map; use --range {option} LOW HIGH."
             )
     named = {*axes, *fixed}
     if named & SPHERICAL and named & CYLINDRICAL:
         mixed = spelled(tuple(named & (SPHERICAL | CYLINDRICAL)))
-        raise ValueError(
+        raise Refusal(
             f"{' and '.join(sorted(mixed))} cannot be mixed: "
             "the start is given by w-perp and w3, or by amplitude and theta."
         )
@@ -115,9 +128,9 @@ def _check(name: str, *values: float) -> None:
     option = QUANTITIES[name].option
     for value in values:
         if name in ("w_perp", "amplitude") and value < 0:
-            raise ValueError(f"{option} must not be negative, but is {value:g}.")
+            raise Refusal(f"{option} must not be negative, but is {value:g}.")
         if name == "theta" and not 0 <= value <= math.pi:
-            raise ValueError(f"theta must lie between 0 and pi, but is {value:g}.")
+            raise Refusal(f"theta must lie between 0 and pi, but is {value:g}.")
         if name == "delta":
             TransverseReduced(value)  # which refuses a δ that no body has
 
@@ -134,17 +147,15 @@ def grid_over(
     x and y of the map come last, x after y.
 
     Raises:
-        ValueError: axes, ranges or values that do not go together.
+        Refusal: axes, ranges or values that do not go together.
     """
     x, y = axes
     options = spelled(axes)
     if x == y:
-        raise ValueError(
-            f"--x and --y must be two different quantities, but are both {options[0]}."
-        )
+        raise Refusal(f"--x and --y must be two different quantities, but are both {options[0]}.")
     for name in ranges:
         if name not in axes:
-            raise ValueError(
+            raise Refusal(
                 f"--range {QUANTITIES[name].option}: "
                 f"the axes of this map are {options[0]} and {options[1]}."
             )
@@ -155,7 +166,7 @@ def grid_over(
         quantity = QUANTITIES[name]
         low, high = ranges.get(name, (quantity.low, quantity.high))
         if not low < high:
-            raise ValueError(f"--range {quantity.option}: {low:g} must be less than {high:g}.")
+            raise Refusal(f"--range {quantity.option}: {low:g} must be less than {high:g}.")
         _check(name, low, high)
         values[name] = np.linspace(low, high, n, endpoint=not _repeats(name, low, high))
         spans[name] = f"{quantity.symbol} from {as_text(low)} to {as_text(high)}"

@@ -7,7 +7,7 @@ import click
 from .._maps.store.contents import verify
 from .._maps.store.errors import StoreDamaged
 from . import maps
-from .decorators import computing
+from .refusals import computing
 
 
 @click.group("store", short_help="Verify and repair the data of a sweep.")

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .._base.statistics import Share
+from .._base.text import with_error
 from .._base.types import Outcome, Stop
 from .._maps.symmetry import unfold
 from .._runs.classification import Classification
@@ -115,8 +116,7 @@ def _omega_inf(result: Classification) -> str:
         return "not known: its estimated error exceeds it (a smaller --rtol may tell)"
     if value == 0:
         return "0"
-    digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1)) if error else 16
-    return f"{value:.{digits}g} ± {error:.1g}"
+    return with_error(value, error)
 
 
 def maps(runs: list[Run]) -> str:

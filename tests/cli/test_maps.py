@@ -1,10 +1,10 @@
-"""Compile time: the union of intervals in which threads compile."""
+"""Runs of a map: compile time is the union of the intervals in which threads compile."""
 
 import time
 
 import jax
 
-from dipoletop.cli.compile_time import measure_compile_time
+from dipoletop.cli.maps import measure_compile_time
 
 
 def test_compiling_time_is_counted_once_however_many_threads_compile():
