@@ -27,9 +27,8 @@ from .._runs.trajectory import Trajectory
 from ..equations.levels import Level
 from ..equations.rotator import RotatorFull, closed_manifold, critical_manifold, separatrix
 from ..equations.transverse import TransverseReduced, equation_at
-from ..plots.style import BLUE, GREEN, MM, NARROW, ORANGE, STYLE, WIDE, YELLOW, hatch
+from ..plots.style import BLUE, GREEN, MM, NARROW, ORANGE, STYLE, WIDE, YELLOW, hatch, percent
 from ..plots.style import save as save
-from ..plots.wording import percent
 from ..stability import threshold
 from . import figure_data
 
@@ -209,15 +208,10 @@ def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
     if verdict.outcome == Outcome.RESIDUAL:
         value = float(verdict.omega_inf)
         ax.axhline(value, color="0.3", lw=0.9, ls=":")
+        text = rf"$\omega_\infty$ = {value:.4f} ({SHORT[level]})"
         place: Any = {"va": "bottom" if full else "top", "ha": "right"}
-        ax.annotate(
-            rf"$\omega_\infty$ = {value:.4f} ({SHORT[level]})",
-            (1, value),
-            (-3, 2 if full else -3),
-            ("axes fraction", "data"),
-            textcoords="offset points",
-            **place,
-        )
+        place |= {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+        ax.annotate(text, (1, value), (-3, 2 if full else -3), **place)
 
 
 @_styled
@@ -267,18 +261,8 @@ def _draw_runaways(ax: Axes, right: float, top: float) -> None:
     u, v = np.asarray(RotatorFull()(0.0, jnp.asarray(plane.reshape(2, -1)))).reshape(plane.shape)
     half = np.array([[0, 0.45], [0, 1.1], [0, 1.9], [0.6, 0], [1.1, 0], [1.6, 0]])
     starts = np.concatenate([half, -half])
-    ax.streamplot(
-        xs,
-        ys,
-        u,
-        v,
-        start_points=starts,
-        broken_streamlines=False,
-        color="0.45",
-        linewidth=0.7,
-        arrowsize=0.8,
-        density=2,
-    )
+    style: dict[str, Any] = {"color": "0.45", "linewidth": 0.7, "arrowsize": 0.8, "density": 2}
+    ax.streamplot(xs, ys, u, v, start_points=starts, broken_streamlines=False, **style)
 
 
 @_styled

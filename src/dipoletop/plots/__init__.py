@@ -1,7 +1,7 @@
 """Pictures of basins, trajectories and continuations.
 
 `plane` computes what a map shows before it is drawn; `basins`, `trajectories` and `continuations`
-draw; `style`, `axes` and `wording` hold what all pictures share. The colours can be told apart by
+draw; `axes` and `style` hold what several pictures share. The colours can be told apart by
 colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
 """
 

@@ -25,8 +25,7 @@ from .plane import (
     plane_of,
     shades_of,
 )
-from .style import hatch
-from .wording import percent, symbol
+from .style import hatch, percent, symbol
 
 
 def basin(

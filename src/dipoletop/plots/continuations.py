@@ -11,8 +11,7 @@ from .._base.checks import instance
 from .._base.types import Outcome
 from ..continuation import DEFAULT_W, Continuation, Threshold, follow_spectrum, thresholds
 from .axes import check_axes, spacing
-from .style import HATCH, MM, STYLE, WIDE, level_line
-from .wording import SYMBOLS, capitalised
+from .style import HATCH, MM, STYLE, SYMBOLS, WIDE, capitalised, level_line
 
 
 def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:

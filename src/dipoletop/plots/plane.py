@@ -11,7 +11,7 @@ from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.symmetry import unfold
-from .wording import capitalised, number, percent, symbol
+from .style import capitalised, number, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
 """A hexadecimal colour, or RGBA."""

@@ -9,8 +9,7 @@ from .._base.checks import instance, refuse
 from .._base.types import DecidingEquation, Outcome
 from .._runs.trajectory import Trajectory
 from .axes import check_axes
-from .style import BLACK, BLUE, GREEN, ORANGE
-from .wording import capitalised
+from .style import BLACK, BLUE, GREEN, ORANGE, capitalised
 
 
 def trajectory(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
