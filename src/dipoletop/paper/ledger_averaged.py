@@ -53,12 +53,18 @@ class Orbit(NamedTuple):
         return self.u / self.v
 
 
-def integrated(field: Callable) -> list[Orbit]:
+@jax.jit
+def averaged_rate(delta: Any, y: Any) -> Any:
+    """(4.13)–(4.15): the rates of ω⊥, ω₃ and φ̄."""
+    return TransverseAveraged(delta)(0.0, y)
+
+
+def integrated() -> list[Orbit]:
     """The motions of `ORBITS`, integrated."""
     orbits = []
     for delta, (*start, span) in ORBITS.items():
         run = solve_ivp(
-            lambda t, y, d=delta: np.asarray(field(d, y)),
+            lambda t, y, d=delta: np.asarray(averaged_rate(d, y)),
             (BEGIN, BEGIN + span),
             start,
             method="DOP853",
@@ -72,8 +78,7 @@ def integrated(field: Callable) -> list[Orbit]:
 
 def orbits() -> Iterator[Entry]:
     """(4.16)–(4.19)."""
-    field = jax.jit(lambda delta, y: TransverseAveraged(delta)(0.0, y))
-    runs = integrated(field)
+    runs = integrated()
     claim = "u = ξv = Cξ^{1−q}|(1+2δ)ξ + 1+δ³|^p, with the right p of (4.19)"
     yield Entry("(4.16)", claim, max(off_the_orbit(o, p_right) for o in runs), 1e-11)
     yield from times(runs)
@@ -98,21 +103,12 @@ def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
     c = orbit.v[0] * first**q * abs(a * first + b) ** -p
     half = 2 if angle else 1
     factor = abs(d) * (1 - d) / np.sqrt(c) if angle else (1 - d) / c
-    return np.array(
-        [
-            factor
-            * abs(
-                quad(
-                    lambda x: x ** (q / half - 1) * abs(a * x + b) ** (-p / half - 1),
-                    first,
-                    xi,
-                    epsabs=0,
-                    epsrel=1e-13,
-                )[0]
-            )
-            for xi in orbit.xi[1:]
-        ]
-    )
+
+    def integrand(x: float) -> float:
+        return x ** (q / half - 1) * abs(a * x + b) ** (-p / half - 1)
+
+    integrals = [quad(integrand, first, xi, epsabs=0, epsrel=1e-13)[0] for xi in orbit.xi[1:]]
+    return factor * np.abs(integrals)
 
 
 def times(runs: list[Orbit]) -> Iterator[Entry]:
@@ -190,12 +186,12 @@ class Late(NamedTuple):
     """dφ̄/d ln τ."""
 
 
-def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
+def followed(delta: float, start: tuple[float, float]) -> Late:
     """A motion from τ = 1, integrated over s = ln τ in the variables ln τω⊥², ln τω₃² and φ̄."""
 
     def rate(s: float, y: np.ndarray) -> np.ndarray:
         w, w3 = np.exp(y[:2] / 2)
-        across, along, phi_rate = np.asarray(field(delta, np.array([w, w3, 0.0])))
+        across, along, phi_rate = np.asarray(averaged_rate(delta, np.array([w, w3, 0.0])))
         return np.array([1 + 2 * across / w, 1 + 2 * along / w3, phi_rate * np.exp(s / 2)])
 
     late = np.log(10.0) * np.array(DECADES[delta])
@@ -207,9 +203,8 @@ def followed(field: Callable, delta: float, start: tuple[float, float]) -> Late:
 
 def late() -> Iterator[Entry]:
     """(4.20), (4.21)."""
-    field = jax.jit(lambda delta, y: TransverseAveraged(delta)(0.0, y))
     start = (0.8, 0.6)
-    runs = {delta: followed(field, delta, start) for delta in DECADES}
+    runs = {delta: followed(delta, start) for delta in DECADES}
     yield from powers(runs, start)
     yield from angles(runs)
 
