@@ -8,25 +8,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from dipoletop._base.monitoring import COMPILING
-from dipoletop._base.stopping import FINISHED
+from dipoletop._base.monitoring import COMPILING as COMPILING
+from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
 from dipoletop._engines.jax_engine import NARROW, JaxEngine
-from dipoletop.equations._common import omega_scale_of
-
-__all__ = [
-    "COMPILING",
-    "FINISHED",
-    "NAMES",
-    "EndStates",
-    "Limits",
-    "block_steps",
-    "block_widths",
-    "integrate",
-    "integrate_by_the_fastest",
-    "limits",
-    "omega_scale_of",
-]
+from dipoletop.equations._common import omega_scale_of as omega_scale_of
 
 NAMES = ("native", "jax")
 
@@ -34,9 +20,8 @@ NAMES = ("native", "jax")
 def _engine(name: str, **settings: Any) -> Engine:
     if name == "jax":
         return JaxEngine(**settings)
-    from dipoletop._engines.native_engine import (
-        NativeEngine,  # needs numba, the JAX engine does not
-    )
+    # It needs numba, the JAX engine does not.
+    from dipoletop._engines.native_engine import NativeEngine
 
     return NativeEngine(**settings)
 

@@ -80,9 +80,9 @@ def compared(
     ways, lines = asked.directions, []
     for place, rows in drawn(guide, count, pool).items():
         steps = chosen_steps(guiding, rows, ways)
-        clear = certain(differences(guiding, rows, ways, steps))[:count]
+        clear = certain(*differences(guiding, rows, ways, steps))[:count]
         exact, apart = differences(function, rows[clear], ways, steps[clear])
-        sure = certain((exact, apart))
+        sure = certain(exact, apart)
         rows, exact, apart = rows[clear[sure]], exact[sure], apart[sure]
         skipped = int(clear[-1]) + 1 - len(rows)
         exact = exact.reshape(len(rows), *[len(ways)] * (1 if exact.shape[-1] == 1 else 2))

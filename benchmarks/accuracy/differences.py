@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
 WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
@@ -59,9 +59,14 @@ def largest(each: np.ndarray) -> np.ndarray:
     return np.max(np.abs(each), axis=tuple(range(1, each.ndim)))
 
 
-def certain(estimates: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """The rows at which two step sizes agree well enough."""
-    sure = np.flatnonzero(largest(estimates[1]) < CERTAIN * largest(estimates[0]))
+def agree(exact: np.ndarray, apart: np.ndarray) -> Bool[np.ndarray, "n"]:
+    """Whether two step sizes agree well enough, row by row."""
+    return largest(apart) < CERTAIN * largest(exact)
+
+
+def certain(exact: np.ndarray, apart: np.ndarray) -> Int[np.ndarray, "m"]:
+    """The rows at which two step sizes agree well enough; there must be some."""
+    sure = np.flatnonzero(agree(exact, apart))
     if sure.size == 0:
         raise SystemExit(f"Differences agree to {CERTAIN:.0e} at no start: take a larger --pool.")
     return sure
@@ -69,5 +74,11 @@ def certain(estimates: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 def off(derivatives: np.ndarray, exact: np.ndarray) -> dict[str, float]:
     """Errors over the largest element of each derivative."""
-    error = largest(derivatives - exact) / largest(exact)
-    return {"median": float(np.median(error)), "largest": float(np.max(error))}
+    return spread(largest(derivatives - exact) / largest(exact))
+
+
+def spread(errors: Float[np.ndarray, "n"]) -> dict[str, float]:
+    """Median and largest error; NaN where there is no derivative."""
+    if errors.size == 0:
+        return {"median": np.nan, "largest": np.nan}
+    return {"median": float(np.median(errors)), "largest": float(np.max(errors))}

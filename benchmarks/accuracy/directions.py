@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 import dipoletop as dt
-from benchmarks.accuracy.differences import CERTAIN, STEPS, chosen_steps, differences, largest
+from benchmarks.accuracy.differences import STEPS, agree, chosen_steps, differences, largest, spread
 from benchmarks.problems.families import COSTLY, FRACTION, NAMES, TRUTH, Family, family
 from benchmarks.reporting import directions as page
 from benchmarks.reporting import measure, pages
@@ -147,20 +147,13 @@ def compared(
     results: dict[float, list[Float[np.ndarray, "n c"]]],
 ) -> dict[str, Any]:
     """Errors over the largest component, where the differences agree; the larger of two ways."""
-    sure = largest(apart) < CERTAIN * largest(exact)
+    sure = agree(exact, apart)
     size = largest(exact[sure])
     line = {"shown": int(np.sum(sure)), "apart": spread(largest(apart[sure]) / size)}
     for rtol, ways in results.items():
         sizes = [largest((numbers - exact)[sure]) / size for numbers in ways]
         line[f"{rtol:.0e}"] = spread(np.max(sizes, axis=0))
     return line
-
-
-def spread(errors: Float[np.ndarray, "n"]) -> dict[str, float]:
-    """Median and largest error; NaN where there is no derivative."""
-    if errors.size == 0:
-        return {"median": np.nan, "largest": np.nan}
-    return {"median": float(np.median(errors)), "largest": float(np.max(errors))}
 
 
 def keep(rows: list[dict[str, Any]]) -> None:

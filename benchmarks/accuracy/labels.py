@@ -42,18 +42,14 @@ class Piece(NamedTuple):
 def pieces(args: argparse.Namespace) -> list[Piece]:
     """All the pieces, those that take longest first."""
     every = []
-    for level in args.levels:
-        for family in args.families:
-            closed = family == "closed"
-            total = args.n or (20_000 if closed else MANY[level])
-            size = min(total, 5000 if closed else PIECE[level])
-            parts = range(-(-total // size))
-            budgets = tuple(args.budget)
-            for k in parts:
-                n = min(size, total - k * size)
-                every.append(Piece(level, family, n, args.seed, k, budgets))
-    costly = list(COSTLY)
-    return sorted(every, key=lambda p: (p.family == "closed", costly.index(p.level), p.number))
+    for level, family in itertools.product(args.levels, args.families):
+        closed = family == "closed"
+        total = args.n or (20_000 if closed else MANY[level])
+        size = min(total, 5000 if closed else PIECE[level])
+        for k, first in enumerate(range(0, total, size)):
+            n = min(size, total - first)
+            every.append(Piece(level, family, n, args.seed, k, tuple(args.budget)))
+    return sorted(every, key=lambda p: (p.family == "closed", COSTLY.index(p.level), p.number))
 
 
 def counted(piece: Piece) -> dict[str, Any]:
@@ -62,11 +58,8 @@ def counted(piece: Piece) -> dict[str, Any]:
     sample = starts(piece.family, piece.level, piece.n, (piece.seed, piece.number))
     closed = piece.family == "closed"
     c = compare(piece.level, sample, budgets=piece.budgets, closed=closed)
-    decided = c.outcome > 0
-    plain = decided & (c.final > 0)
-    wrong = plain & (c.final != c.outcome)
-    stop = decided & (c.outcome == Outcome.STOP)
-    both = plain & ~wrong & ~stop
+    decided, stop = c.outcome > 0, c.outcome == Outcome.STOP
+    both = c.plain & ~c.wrong & ~stop
     off = np.where(both, np.abs(c.omega_inf / np.where(both, c.value, 1) - 1), 0)
     over = off / np.maximum(c.error, 10 * RTOL)
     kinds = {"rotating": c.stop == Stop.ROTATING, "wobbling": c.stop == Stop.WOBBLING}
@@ -78,8 +71,8 @@ def counted(piece: Piece) -> dict[str, Any]:
         "undecided": c.outcome == Outcome.UNDECIDED,
         "failed": c.outcome == Outcome.FAILED,
         "certified": decided & c.certified,
-        "plain": plain,
-        "wrong": wrong,
+        "plain": c.plain,
+        "wrong": c.wrong,
         "steps": c.steps,
     }
     largest = {}
@@ -91,7 +84,7 @@ def counted(piece: Piece) -> dict[str, Any]:
         "family": piece.family,
         **{name: int(values.sum()) for name, values in counts.items()},
         **{name: float(value) for name, value in largest.items()},
-        "wrong_starts": [[piece.number, int(k)] for k in np.nonzero(wrong)[0]],
+        "wrong_starts": [[piece.number, int(k)] for k in np.nonzero(c.wrong)[0]],
         "seconds": [float(s) for s in c.seconds],
     }
 

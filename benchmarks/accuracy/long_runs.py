@@ -148,6 +148,16 @@ class Comparison(NamedTuple):
     steps: np.ndarray
     seconds: tuple[float, float]
 
+    @property
+    def plain(self) -> np.ndarray:
+        """Whether a run was labelled, and came to a plain end."""
+        return (self.outcome > 0) & (self.final > 0)
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """Whether that end is another one than the label says."""
+        return self.plain & (self.final != self.outcome)
+
 
 def compare(
     level: str,

@@ -64,22 +64,19 @@ def checked(block: str, n: int, seed: int) -> Row:
         rng = np.random.default_rng([seed, BLOCKS.index(block), number])
         sample = random_starts(block, PIECE, rng)
         result = long_runs.compare("1", sample, budgets=BUDGETS[block], closed=True)
-        decided = result.outcome > 0
-        plain = decided & (result.final > 0)
-        wrong = plain & (result.final != result.outcome)
         counts = {
-            "n": np.ones_like(plain),
+            "n": np.ones(PIECE),
             "residual": result.outcome == Outcome.RESIDUAL,
             "stop": result.outcome == Outcome.STOP,
             "undecided": result.outcome == Outcome.UNDECIDED,
             "failed": result.outcome == Outcome.FAILED,
-            "plain": plain,
-            "wrong": wrong,
+            "plain": result.plain,
+            "wrong": result.wrong,
             "contrary": _contrary(sample, result.outcome),
         }
         for name, values in counts.items():
             row[name] = row.get(name, 0) + int(np.sum(values))
-        row["wrong_starts"] += [[number, int(k)] for k in np.flatnonzero(wrong)]
+        row["wrong_starts"] += [[number, int(k)] for k in np.flatnonzero(result.wrong)]
         row["largest_steps"] = max(row["largest_steps"], int(result.steps.max()))
     return row | {"seconds": time.perf_counter() - begin}
 
@@ -105,9 +102,8 @@ def wall(small: bool) -> Row:
     for engine in ("native", "jax"):
         before = None
         for rtol in (1e-3, *RTOLS, 1e-13, 1e-14):
-            run = dt.classify_many(
-                dt.TransverseReduced(delta), starts.T, rtol=rtol, value=False, engine=engine
-            )
+            settings: Any = {"rtol": rtol, "engine": engine, "value": False}
+            run = dt.classify_many(dt.TransverseReduced(delta), starts.T, **settings)
             wrong = (run.outcome > 0) & (run.outcome != truth)
             hidden = wrong & (before == run.outcome) if before is not None else wrong & False
             result["rows"].append(

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from benchmarks import engines
+from benchmarks.peers import with_diffrax
 from benchmarks.problems import mixed_basin
 
 try:
@@ -58,27 +58,10 @@ def by_dipoletop(omegas: Starts, rtol: float, engine: str) -> Task:
 
 @functools.cache
 def _solver(as_tuple: bool) -> Callable[..., Any]:
-    def field(t: Any, y: Any, delta: Any) -> Any:
-        rate = mixed_basin.rate(delta, y)
-        return rate if as_tuple else jnp.stack(rate)
+    settings: Any = {"as_tuple": as_tuple, "max_steps": MAX_STEPS}
 
     def solve(omega: Any, delta: Any, rtol: Any) -> Any:
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
-            diffrax.Dopri8(),
-            0.0,
-            TIME,
-            None,
-            tuple(omega) if as_tuple else omega,
-            args=delta,
-            saveat=diffrax.SaveAt(t1=True),
-            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * AMPLITUDE),
-            adjoint=diffrax.ForwardMode(),
-            max_steps=MAX_STEPS,
-            throw=False,
-        )
-        end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
-        return jnp.stack(end) if as_tuple else end
+        return with_diffrax.end_state(delta, omega, rtol, rtol * AMPLITUDE, TIME, **settings)[0]
 
     return jax.jit(jax.vmap(solve, in_axes=(0, None, None)))
 
@@ -90,6 +73,13 @@ def by_diffrax(omegas: Starts, rtol: float, as_tuple: bool) -> Task:
     return lambda: np.concatenate([solve(omegas[k : k + CHUNK], DELTA, rtol) for k in chunks])
 
 
+def _system(amplitude: float) -> list[tuple[Any, Any]]:
+    """The equation for heyoka, in units of an amplitude and of its inverse."""
+    assert heyoka is not None
+    y = heyoka.make_vars("y1", "y2", "y3")
+    return list(zip(y, mixed_basin.rate(DELTA, y, amplitude), strict=True))
+
+
 def heyoka_batch(omegas: Starts, rtol: float) -> Task:
     """heyoka in batch mode; scaled by |ω₀|, because its tolerance is absolute below 1.
 
@@ -97,15 +87,9 @@ def heyoka_batch(omegas: Starts, rtol: float) -> Task:
     four times the SIMD width are no faster, and two threads are no faster than one.
     """
     assert heyoka is not None
-    width = heyoka.recommended_simd_size()
-    y = heyoka.make_vars("y1", "y2", "y3")
-    integrator = heyoka.taylor_adaptive_batch(
-        list(zip(y, mixed_basin.rate(DELTA, y, AMPLITUDE), strict=True)),
-        np.zeros((3, width)),
-        tol=rtol,
-        compact_mode=False,
-        fast_math=True,
-    )
+    width, settings = heyoka.recommended_simd_size(), {"compact_mode": False, "fast_math": True}
+    start = np.zeros((3, width))
+    integrator = heyoka.taylor_adaptive_batch(_system(AMPLITUDE), start, tol=rtol, **settings)
 
     def advance() -> Starts:
         batches = -(-len(omegas) // width)
@@ -126,14 +110,8 @@ def heyoka_batch(omegas: Starts, rtol: float) -> Task:
 def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
     """heyoka, one start after another, scaled as in batch mode."""
     assert heyoka is not None
-    y = heyoka.make_vars("y1", "y2", "y3")
-    integrator = heyoka.taylor_adaptive(
-        list(zip(y, mixed_basin.rate(DELTA, y, AMPLITUDE), strict=True)),
-        np.zeros(3),
-        tol=rtol,
-        compact_mode=False,
-        fast_math=True,
-    )
+    settings = {"compact_mode": False, "fast_math": True}
+    integrator = heyoka.taylor_adaptive(_system(AMPLITUDE), np.zeros(3), tol=rtol, **settings)
 
     def advance() -> Starts:
         ends = omegas / AMPLITUDE
@@ -164,9 +142,8 @@ def by_scipy(omegas: Starts, rtol: float) -> Task:
 def _in_long_double(omegas: Starts) -> Starts:
     """heyoka, one start after another, in extended precision."""
     assert heyoka is not None
-    w = heyoka.make_vars("w1", "w2", "w3")
     integrator = heyoka.taylor_adaptive(
-        list(zip(w, mixed_basin.rate(DELTA, w), strict=True)),
+        _system(1.0),
         np.zeros(3, np.longdouble),
         fp_type=np.longdouble,
         tol=np.longdouble(1e-19),

@@ -22,36 +22,46 @@ from jaxtyping import Float, Int
 from benchmarks.problems import mixed_basin
 
 
-@functools.cache
-def _solver(as_tuple: bool, max_steps: int) -> Callable:
-    """A jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
+def end_state(
+    delta: Any, omega: Any, rtol: Any, atol: Any, t1: float, *, as_tuple: bool, **settings: Any
+) -> tuple[Any, Any]:
+    """ω at the time t1 or at an event, and the number of steps; `settings` are diffrax's."""
 
     def field(t: Any, y: Any, delta: Any) -> Any:
         rate = mixed_basin.rate(delta, y)
         return rate if as_tuple else jnp.stack(rate)
 
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        diffrax.Dopri8(),
+        t0=0.0,
+        t1=t1,
+        dt0=None,
+        y0=tuple(omega) if as_tuple else omega,
+        args=delta,
+        saveat=diffrax.SaveAt(t1=True),
+        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+        **settings,
+    )
+    end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+    return jnp.stack(end) if as_tuple else end, solution.stats["num_steps"]
+
+
+@functools.cache
+def _solver(as_tuple: bool, max_steps: int) -> Callable:
+    """A jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
+
     def decided(t: Any, y: Any, delta: Any, **unused: Any) -> Any:
         return mixed_basin.certificate(delta, y, jnp) != mixed_basin.UNDECIDED
 
+    settings: Any = {"as_tuple": as_tuple, "max_steps": max_steps, "event": diffrax.Event(decided)}
+
     def solve(delta: Any, omega: Any, rtol: Any, amplitude: Any) -> Any:
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
-            diffrax.Dopri8(),
-            t0=0.0,
-            t1=mixed_basin.HORIZON,
-            dt0=None,
-            y0=tuple(omega) if as_tuple else omega,
-            args=delta,
-            saveat=diffrax.SaveAt(t1=True),
-            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol * amplitude),
-            event=diffrax.Event(decided),
-            adjoint=diffrax.ForwardMode(),
-            max_steps=max_steps,
-            throw=False,
-        )
-        end = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
-        state = jnp.stack(end) if as_tuple else end
-        return state, mixed_basin.certificate(delta, state, jnp), solution.stats["num_steps"]
+        atol, until = rtol * amplitude, mixed_basin.HORIZON
+        state, steps = end_state(delta, omega, rtol, atol, until, **settings)
+        return state, mixed_basin.certificate(delta, state, jnp), steps
 
     return jax.jit(jax.vmap(solve, in_axes=(0, 0, None, 0)))
 

@@ -35,9 +35,7 @@ Derivatives of ω∞ come from first variations. They are compared with central 
 from typing import Any
 
 from benchmarks.reporting.speed import machine
-from benchmarks.reporting.tables import ABSENT, Table, layout, number, per_start
-
-CLOCKS = ("seconds", "processor_seconds")
+from benchmarks.reporting.tables import ABSENT, Table, both_clocks, layout, number, pair, per_start
 
 
 def body(results: dict[str, Any]) -> str:
@@ -52,11 +50,8 @@ def _tables(scenes: dict[str, Any]) -> str:
     parts = [title, layout(_sweeps(scenes["sweeps"]), text=2)]
     parts += ["## Derivatives of one start, rtol 1e-10", layout(_single(scenes["single"]), text=2)]
     parts += [f"## Over many rotations: {scenes['turns'][0]['starts']} starts of a general body"]
-    parts += [
-        layout(_turns(scenes["turns"])),
-        "## Temporary memory of a gradient by δ",
-        layout(_memory(scenes["memory"])),
-    ]
+    parts += [layout(_turns(scenes["turns"]))]
+    parts += ["## Temporary memory of a gradient by δ", layout(_memory(scenes["memory"]))]
     return "\n\n".join(parts + _end(scenes["end"]))
 
 
@@ -66,17 +61,12 @@ def _sweeps(rows: list[dict[str, Any]]) -> Table:
     head += ["median error", "99 % error", "residual, but none", "undecided", "labels that differ"]
     table = [[*head, "first sweep, s"]]
     for row in rows:
+        costs = [both_clocks(row), pair(row["over_plain"].values())]
+        steps = [f"{row['steps']:.1f}", number(row["step_over_plain"])]
         errors = [f"{row[k]:.1e}" for k in ("median_error", "high_error")]
         counts = [str(row[k]) for k in ("missing", "undecided", "differ")]
-        table.append(
-            [
-                *(row["level"], row["engine"], str(row["derivatives"])),
-                " / ".join(number(per_start(row, clock)) for clock in CLOCKS),
-                " / ".join(number(row["over_plain"][clock]) for clock in CLOCKS),
-                *(f"{row['steps']:.1f}", number(row["step_over_plain"])),
-                *(*errors, *counts, number(row["first_seconds"])),
-            ]
-        )
+        about = [row["level"], row["engine"], str(row["derivatives"])]
+        table.append([*about, *costs, *steps, *errors, *counts, number(row["first_seconds"])])
     return table
 
 
@@ -84,7 +74,7 @@ def _single(rows: list[dict[str, Any]]) -> Table:
     head = ["level", "", "µs, wall, min / median", "µs, processor, median"]
     table = [[*head, "× ω∞, processor", "error", "compiled in, s"]]
     for row in rows:
-        wall = " / ".join(number(per_start(row, "seconds", w)) for w in ("min", "median"))
+        wall = pair(per_start(row, "seconds", w) for w in ("min", "median"))
         costs = [wall, number(per_start(row, "processor_seconds")), number(row["over_plain"])]
         compiled = number(row["compile_seconds"])
         table.append([row["of"], row["name"], *costs, f"{row['error']:.1e}", compiled])
@@ -114,7 +104,7 @@ def _end(rows: list[dict[str, Any]]) -> list[str]:
     head = ["`simulate` to τ = 1000", "starts", "compiled and run once, s"]
     table = [[*head, "µs/start, wall, min / median", "× the end state"]]
     for row in rows:
-        wall = " / ".join(number(per_start(row, "seconds", w)) for w in ("min", "median"))
+        wall = pair(per_start(row, "seconds", w) for w in ("min", "median"))
         first, over = number(row["first_seconds"]), number(row["over_plain"])
         table.append([row["name"], str(row["starts"]), first, wall, over])
     apart = max(row["apart"] for row in rows)

@@ -21,10 +21,8 @@ ROOT = Path(__file__).parents[2]  # the repository
 Record = dict[str, Any]
 """One run: `seconds`, `processor_seconds` (of all cores) and its results."""
 
-PACKAGES = (
-    *("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy", "numba", "llvmlite"),
-    *("scipy", "heyoka"),
-)
+PACKAGES = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox")
+PACKAGES += ("numpy", "numba", "llvmlite", "scipy", "heyoka")
 
 
 def timed(task: Callable[[], Any]) -> tuple[Any, Record]:
@@ -144,8 +142,8 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor()
-    about = dict(line.split(":", 1) for line in lines if ":" in line)
-    about = {key.strip(): value.strip() for key, value in about.items()}
+    pairs = (line.partition(":") for line in lines)
+    about = {key.strip(): value.strip() for key, _, value in pairs}
     flags = about.get("flags", "").split()
     vectors = next((name for name in ("avx512f", "avx2") if name in flags), "")
     return ", ".join(part for part in (about.get("model name", ""), vectors) if part)

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reporting.speed import machine
-from benchmarks.reporting.tables import layout, number, per_start
+from benchmarks.reporting.tables import CLOCKS, layout, number, per_start
 
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#000000", "#F0E442")
 
@@ -40,7 +40,7 @@ def _table(scene: dict[str, Any]) -> str:
     table = [["", "rtol", "largest error", "median error", "µs/start, wall", "µs/start, processor"]]
     few = {row["name"]: row["starts"] for row in scene["rows"] if row["starts"] < scene["starts"]}
     for row in scene["rows"]:
-        clocks = [number(per_start(row, clock)) for clock in ("seconds", "processor_seconds")]
+        clocks = [number(per_start(row, clock)) for clock in CLOCKS]
         errors = [f"{row[name]:.1e}" for name in ("largest_error", "median_error")]
         table.append([row["name"], f"{row['rtol']:.0e}", *errors, *clocks])
     first = ", ".join(f"{name} {number(s)}" for name, s in scene["first_seconds"].items())

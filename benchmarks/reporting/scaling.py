@@ -22,7 +22,7 @@ each round, takes a few more).
 from typing import Any
 
 from benchmarks.reporting.speed import machine
-from benchmarks.reporting.tables import ABSENT, Table, layout, megabytes, number, per_start
+from benchmarks.reporting.tables import ABSENT, Table, both_clocks, layout, megabytes, number
 
 
 def body(results: dict[str, Any]) -> str:
@@ -63,18 +63,13 @@ def _costs(rows: list[dict[str, Any]]) -> Table:
             " / ".join(ABSENT if row is None else str(row[key]) for row in group)
             for key, group in (("undecided", every), ("differ_from_ours", every[1:]))
         ]
-        clocks = [ABSENT if row is None else _clocks(row) for row in every]
+        clocks = [ABSENT if row is None else both_clocks(row) for row in every]
         table.append([at, str(first["starts"]), *counts, *both, *clocks])
     return table
 
 
-def _clocks(row: dict[str, Any]) -> str:
-    return " / ".join(number(per_start(row, c)) for c in ("seconds", "processor_seconds"))
-
-
 def _memory(rows: list[dict[str, Any]]) -> Table:
-    head = ["starts", "engine", "result", "peak, MB", "after import, MB", "first sweep, s"]
-    table = [head]
+    table = [["starts", "engine", "result", "peak, MB", "after import, MB", "first sweep, s"]]
     for row in rows:
         place = "on the disk" if row["stored"] else "in memory"
         sizes = [megabytes(row[name]) for name in ("peak_bytes", "import_bytes")]

@@ -37,7 +37,7 @@ its own to it.
 
 from typing import Any
 
-from benchmarks.reporting.tables import Table, layout, megabytes, number, per_start
+from benchmarks.reporting.tables import CLOCKS, Table, layout, megabytes, number, pair, per_start
 
 OURS = "dipoletop, native engine"
 BASE = "import jax, diffrax, equinox"
@@ -90,52 +90,28 @@ def _basin_table(rows: list[dict[str, Any]]) -> Table:
     head += ["steps/start", "undecided", "differ from the first", "differ from scipy"]
     table = [head]
     for row in rows:
-        wall, spent = per_start(row, "seconds"), per_start(row, "processor_seconds")
-        ratio = wall / per_start(ours, "seconds"), spent / per_start(ours, "processor_seconds")
-        table.append(
-            [
-                row["name"],
-                f"{row['starts']} × {row['repeats']}",
-                " / ".join(number(row["seconds"][w]) for w in ("min", "median")),
-                " / ".join(number(row["processor_seconds"][w]) for w in ("min", "median")),
-                f"{number(wall)} / {number(spent)}",
-                f"{number(ratio[0])} / {number(ratio[1])}",
-                number(row["first_seconds"]),
-                f"{row['steps']:.1f}",
-                str(row["undecided"]),
-                str(row["differ_from_ours"]),
-                f"{row['differ_from_truth']} of {row['truth_starts']}",
-            ]
-        )
+        clocks = [pair(row[clock].values()) for clock in CLOCKS]  # minimum and median
+        clocks.append(pair(per_start(row, clock) for clock in CLOCKS))
+        clocks.append(pair(per_start(row, clock) / per_start(ours, clock) for clock in CLOCKS))
+        counts = [f"{row['steps']:.1f}", str(row["undecided"]), str(row["differ_from_ours"])]
+        counts.append(f"{row['differ_from_truth']} of {row['truth_starts']}")
+        about = [row["name"], f"{row['starts']} × {row['repeats']}"]
+        table.append([*about, *clocks, number(row["first_seconds"]), *counts])
     return table
 
 
 def _maps(rows: list[dict[str, Any]]) -> str:
     head = ["level", "engine", "starts", "first sweep, s", "later sweeps, s, min / median"]
-    head += [
-        "processor s, median",
-        "starts/s",
-        "steps/start",
-        "peak memory, MB",
-        "after import, MB",
-    ]
-    table = [head]
+    head += ["processor s, median", "starts/s", "steps/start"]
+    table = [[*head, "peak memory, MB", "after import, MB"]]
     for row in rows:
         later = row["later"]
-        memory = [row["peak_bytes"], row["import_bytes"]]
-        table.append(
-            [
-                row["level"],
-                row["engine"],
-                f"{row['points']} × {row['points']}",
-                number(row["first"]["seconds"]),
-                " / ".join(number(later["seconds"][w]) for w in ("min", "median")),
-                number(later["processor_seconds"]["median"]),
-                f"{row['starts_per_second']:.0f}",
-                f"{row['steps']:.1f}",
-                *map(megabytes, memory),
-            ]
-        )
+        about = [row["level"], row["engine"], f"{row['points']} × {row['points']}"]
+        clocks = [number(row["first"]["seconds"]), pair(later["seconds"].values())]
+        clocks.append(number(later["processor_seconds"]["median"]))
+        counts = [f"{row['starts_per_second']:.0f}", f"{row['steps']:.1f}"]
+        memory = [megabytes(row["peak_bytes"]), megabytes(row["import_bytes"])]
+        table.append([*about, *clocks, *counts, *memory])
     return f"## The default map, with residual values, rtol 1e-8, all cores\n\n{layout(table)}"
 
 
@@ -150,8 +126,7 @@ def _compilations(rows: list[dict[str, Any]]) -> str:
 def _import(times: dict[str, Any]) -> str:
     table = [["", "wall s, min / median", "processor s, min / median"]]
     for name in (name for name in times if name != "ratio"):
-        clocks = (times[name][clock] for clock in ("seconds", "processor_seconds"))
-        table.append([f"`{name}`", *(" / ".join(map(number, clock.values())) for clock in clocks)])
+        table.append([f"`{name}`", *(pair(times[name][clock].values()) for clock in CLOCKS)])
     ratio = times["ratio"]
     return "\n\n".join(
         [

@@ -5,6 +5,7 @@ from typing import Any
 
 Table = list[list[str]]
 ABSENT = "—"
+CLOCKS = ("seconds", "processor_seconds")
 
 
 def layout(table: Table, *, text: int = 1) -> str:
@@ -23,9 +24,19 @@ def number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}"
 
 
+def pair(values: Iterable[float]) -> str:
+    """Numbers side by side, such as a minimum and a median."""
+    return " / ".join(map(number, values))
+
+
 def per_start(row: dict[str, Any], clock: str, which: str = "median") -> float:
     """Microseconds per start."""
     return 1e6 * row[clock][which] / row["starts"]
+
+
+def both_clocks(row: dict[str, Any]) -> str:
+    """Microseconds per start, by the wall's clock and the processor's."""
+    return pair(per_start(row, clock) for clock in CLOCKS)
 
 
 def megabytes(size: int | None) -> str:

@@ -42,7 +42,9 @@ def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, An
     slow = tuple(case for case in cases if case[0] == SCIPY)
     records = measure.interleaved(cases, repeats, once=slow)
     rows = [
-        measure.summary(runs) | {"name": name, "rtol": rtol} | _errors(runs[0]["ends"], truth)
+        measure.summary(runs)
+        | {"name": name, "rtol": rtol, "starts": len(runs[0]["ends"])}
+        | errors(runs[0]["ends"], truth)
         for (name, rtol), runs in records.items()
     ]
     about = {"starts": n, "repeats": repeats, "reference": about, "missing": missing}
@@ -59,15 +61,10 @@ def _case(task: Task) -> dict[str, Any]:
     return clocks | {"ends": ends}
 
 
-def _errors(ends: Starts, truth: Starts) -> dict[str, float]:
-    """Over the starts that both have."""
-    both = min(len(ends), len(truth))
-    return {"starts": len(ends)} | errors(ends[:both], truth[:both])
-
-
 def errors(ends: Starts, truth: Starts) -> dict[str, float]:
-    """The largest and the median error of all starts."""
-    error = np.max(np.abs(ends - truth), axis=1) / AMPLITUDE
+    """The largest and the median error of the starts that both have."""
+    both = min(len(ends), len(truth))
+    error = np.max(np.abs(ends[:both] - truth[:both]), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}
 
 

@@ -113,11 +113,11 @@ def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
 def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
     """Isotropic starts of tops with one δ. The peers' regions hold for −1/2 < δ < 1 only."""
     omegas = mixed_basin.isotropic(sizes.starts, AMPLITUDE)
-    parts = {True: sizes, False: sizes._replace(diffrax=False)}
     rows = []
     for delta in sizes.deltas:
         sample = {f"δ = {delta:g}": (np.full(sizes.starts, delta), omegas)}
-        rows += _labelled(sample, parts[delta > -0.5], BUDGET)
+        who = sizes if delta > -0.5 else sizes._replace(diffrax=False)
+        rows += _labelled(sample, who, BUDGET)
     return rows
 
 
