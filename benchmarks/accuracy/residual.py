@@ -9,7 +9,7 @@ Isotropic starts; each row has one δ and one amplitude.
 
 import argparse
 import statistics
-import time
+from functools import partial
 from typing import Any
 
 import jax
@@ -92,12 +92,10 @@ def _cost(run: Any) -> float:
     """The time with an estimate over that without: the median of interleaved ratios."""
     ratios = []
     for _ in range(REPEATS):
-        clocks = []
-        for value in (True, "unchecked"):
-            began = time.perf_counter()
-            run(value=value)
-            clocks.append(time.perf_counter() - began)
-        ratios.append(clocks[0] / clocks[1])
+        estimated, plain = (
+            measure.timed(partial(run, value=value))[1]["seconds"] for value in (True, "unchecked")
+        )
+        ratios.append(estimated / plain)
     return statistics.median(ratios)
 
 

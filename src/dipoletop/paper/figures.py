@@ -27,12 +27,13 @@ from .._runs.trajectory import Trajectory
 from ..equations.levels import Level
 from ..equations.rotator import RotatorFull, closed_manifold, critical_manifold, separatrix
 from ..equations.transverse import TransverseReduced, equation_at
-from ..plots.style import BLUE, GREEN, MM, NARROW, ORANGE, STYLE, WIDE, YELLOW, hatch, percent
+from ..plots.style import COMPONENTS, MM, ORANGE, STYLE, WIDE, YELLOW, hatch, level_line, percent
 from ..plots.style import save as save
 from ..stability import threshold
 from . import figure_data
 
-COMPONENTS = ((BLUE, r"$\omega_1$"), (ORANGE, r"$\omega_2$"), (GREEN, r"$\omega_3$"))
+NARROW = 85 * MM
+"""Width in inches of one column of a journal."""
 SHORT = {
     Level.ORDER_1: "order 1",
     Level.ORDER_2: "order 2",
@@ -190,7 +191,7 @@ def two_starts() -> Figure:
         ax.set_title(title)
     panels[0].set_ylabel(r"$\omega = \tau_0\Omega$")
     levels = {"order 1 (the paper's)": (1.4, "-"), "full, physical branch": (0.9, "--")}
-    handles = [Line2D([], [], color=colour, label=name) for colour, name in COMPONENTS]
+    handles = [Line2D([], [], color=colour, label=name) for name, colour in COMPONENTS]
     handles += [Line2D([], [], color="0.3", lw=w, ls=s, label=k) for k, (w, s) in levels.items()]
     handles.append(Line2D([], [], color="0.3", lw=0.9, ls=":", label=r"$\omega_\infty$"))
     figure.legend(handles=handles, loc="outside lower center", ncols=6)
@@ -201,7 +202,7 @@ def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
     """The components of ω, and ω∞ of a residual rotation."""
     full = level is Level.FULL
     width, dash = (0.9, (0, (4, 1.5))) if full else (1.4, "-")
-    for k, (colour, _) in enumerate(COMPONENTS):
+    for k, (_, colour) in enumerate(COMPONENTS):
         ax.plot(trajectory.ts, trajectory.omega[:, k], color=colour, lw=width, ls=dash)
     equation: Any = trajectory.equation
     verdict = equation.verdict(trajectory.ys[-1])
@@ -271,16 +272,11 @@ def spectra() -> Figure:
     w, deltas = 0.05, np.linspace(-1, 0.99, 399)
     figure = Figure((WIDE, 85 * MM), layout="constrained")
     real, imaginary = figure.subplots(1, 2, sharex=True)
-    styles = {
-        Level.ORDER_1: (ORANGE, 1.8, "-"),
-        Level.ORDER_2: ("#8fd1bb", 4.2, "-"),
-        Level.SEMI: (BLUE, 2.2, "-"),
-        Level.FULL: (YELLOW, 1.6, (0, (4, 3))),
-    }
-    for level, (colour, width, dash) in styles.items():
+    widths = {Level.ORDER_1: 1.8, Level.ORDER_2: 4.2, Level.SEMI: 2.2, Level.FULL: 1.6}
+    for level, width in widths.items():
         rates = figure_data.eigenvalues(level, deltas, w)
         for k, label in enumerate((SHORT[level], None)):
-            line: dict[str, Any] = {"color": colour, "lw": width, "ls": dash, "label": label}
+            line = level_line(level) | {"lw": width, "label": label}
             real.plot(deltas, np.real(rates[:, k]), **line)
             imaginary.plot(deltas, np.imag(rates[:, k]), **line)
     limit = figure_data.small_w(deltas)

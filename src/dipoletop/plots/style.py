@@ -16,12 +16,14 @@ from ..equations.levels import Level
 
 BLUE, ORANGE, GREEN, YELLOW = "#0072b2", "#d55e00", "#009e73", "#f0c419"
 BLACK = "#202020"
+COMPONENTS = ((r"$\omega_1$", BLUE), (r"$\omega_2$", ORANGE), (r"$\omega_3$", GREEN))
+"""Names and colours of the components of ω."""
 HATCH = "///"
 
 MM = 1 / 25.4
 """Inches in a millimetre."""
-WIDE, NARROW = 180 * MM, 85 * MM
-"""Widths in inches of two columns of a journal, and of one."""
+WIDE = 180 * MM
+"""Width in inches of two columns of a journal."""
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,

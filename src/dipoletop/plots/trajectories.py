@@ -9,7 +9,7 @@ from .._base.checks import instance, refuse
 from .._base.types import DecidingEquation, Outcome
 from .._runs.trajectory import Trajectory
 from .axes import check_axes
-from .style import BLACK, BLUE, GREEN, ORANGE, capitalised
+from .style import BLACK, BLUE, COMPONENTS, capitalised
 
 
 def trajectory(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
@@ -38,9 +38,8 @@ def trajectory(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
         _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     ax.axhline(0.0, color="0.8", linewidth=0.8)
     ax.plot(times, size, color=BLACK, linewidth=1.8, label=r"$|\omega|$")
-    dashes = ((BLUE, "-"), (ORANGE, (0, (5, 1))), (GREEN, (0, (4, 1, 1, 1))))
-    for k, (colour, dash) in enumerate(dashes):
-        name = rf"$\omega_{k + 1}$"
+    dashes = ("-", (0, (5, 1)), (0, (4, 1, 1, 1)))
+    for k, ((name, colour), dash) in enumerate(zip(COMPONENTS, dashes, strict=True)):
         ax.plot(times, omega[:, k], color=colour, linestyle=dash, linewidth=1.3, label=name)
     _asymptote(ax, trajectory, times, size)
     if times[0] > 0:
