@@ -211,7 +211,7 @@ def narrow(
         s = bracket[:, :1] + (bracket[:, 1:] - bracket[:, :1]) * np.linspace(0, 1, parts + 1)
         s[:, -1] = bracket[:, 1]
         seen = fates_at(crossings, s)
-        if division > 0:
+        if division > 0:  # the ends have their fates from the division before
             seen[:, [0, -1]] = fates
         change, crossed = first_change(seen)
         ends_differ = (seen[:, 0] != seen[:, -1]) & (seen[:, -1] > Fate.UNDECIDED)
