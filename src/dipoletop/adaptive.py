@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._base.checks import finite, instance, refuse
+from ._base.checks import instance, positive, refuse
 from ._base.deprecated import renamed_argument
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
@@ -25,6 +25,8 @@ from .boundary import fate
 
 Cells = Int[np.ndarray, "_ 2"]
 """Cells of a lattice by the numbers of their first row and column."""
+Corners = Int[np.ndarray, "m 2 2"]
+"""Flat numbers of the points at the corners of every cell."""
 Spans = tuple[Int[np.ndarray, "m 2"], Int[np.ndarray, "m 2"]]
 """First and last row, and first and last column, of every cell."""
 
@@ -84,27 +86,20 @@ def refine(
     began = time.perf_counter()
     check_settings(settings)
     picture = _Picture(problem, over, settings)
-    coarse, largest_error = budget("coarse", coarse), _checked(omega_tol)
+    coarse = budget("coarse", coarse)
+    if omega_tol is not None:
+        omega_tol = float(positive("omega_tol", omega_tol, batch=False))
     first_sizes = [1 << max(0, ((n - 1) // coarse).bit_length() - 1) for n in picture.shape]
     lattice = _Lattice(picture.shape, first_sizes)
-    mixed = _examine(picture, lattice, lattice.all(), largest_error)
+    mixed = _examine(picture, lattice, lattice.all(), omega_tol)
     while max(lattice.sizes) > 1:
         lattice, cells = lattice.halved(mixed)
-        mixed = _examine(picture, lattice, cells, largest_error)
+        mixed = _examine(picture, lattice, cells, omega_tol)
     return picture.basin(first_sizes, time.perf_counter() - began)
 
 
-def _checked(omega_tol: Any) -> float | None:
-    if omega_tol is None:
-        return None
-    omega_tol = float(finite("omega_tol", omega_tol, batch=False))
-    if omega_tol <= 0:
-        refuse("omega_tol", "be positive", f"is {omega_tol:g}")
-    return omega_tol
-
-
 def _examine(
-    picture: "_Picture", lattice: "_Lattice", cells: Cells, largest_error: float | None
+    picture: "_Picture", lattice: "_Lattice", cells: Cells, omega_tol: float | None
 ) -> Cells:
     """Which of these cells, and of those that a boundary leads to, to halve; others are filled."""
     seen = np.zeros(lattice.shape, bool)
@@ -119,8 +114,8 @@ def _examine(
         around = lattice.around(cells[differ])
         cells = around[~seen[tuple(around.T)]]
     to_halve, to_fill = np.concatenate(mixed or [cells]), np.concatenate(uniform or [cells])
-    if largest_error is not None and max(lattice.sizes) > 1:
-        wrong = picture.wrong_at_centre(lattice, to_fill, largest_error)
+    if omega_tol is not None and max(lattice.sizes) > 1:
+        wrong = picture.wrong_at_centre(lattice, to_fill, omega_tol)
         to_halve, to_fill = np.concatenate([to_halve, to_fill[wrong]]), to_fill[~wrong]
     picture.fill(lattice, to_fill)
     return to_halve
@@ -166,7 +161,7 @@ class _Lattice:
         rows = np.stack([row_nodes[row], row_nodes[row + 1]], -1)
         return rows, np.stack([column_nodes[column], column_nodes[column + 1]], -1)
 
-    def corners(self, cells: Cells) -> Int[np.ndarray, "m 2 2"]:
+    def corners(self, cells: Cells) -> Corners:
         """Flat numbers of the corners."""
         rows, columns = self.spans(cells)
         return rows[:, :, None] * self.points[1] + columns[:, None, :]
@@ -174,7 +169,7 @@ class _Lattice:
 
 def _long_axes(grid: Any) -> list[str]:
     """The two axes of a map."""
-    instance("over", grid, Grid, "be a Grid")
+    instance("over", grid, Grid)
     lengths = dict(zip(grid.dims, grid.shape, strict=True))
     names = [name for name, n in lengths.items() if n > 1]
     if len(names) != 2:
@@ -204,25 +199,21 @@ class _Picture:
         """Integrate those of the points that have not been integrated."""
         new = np.unique(points[~self.computed[points]])
         for part in _parts(new):
-            places = np.unravel_index(part, self.grid.shape)  # axes of length 1 change no number
-            coordinates = {
-                name: values[place]
-                for (name, values), place in zip(self.grid.axes.items(), places, strict=True)
-            }
-            basin = sweep(self.problem, Points(**coordinates), progress=False, **self.settings)
+            over = Points(**self.grid.points(part))  # axes of length 1 change no number
+            basin = sweep(self.problem, over, progress=False, **self.settings)
             for name in self.columns:
                 self.columns[name][part] = basin.column(name)
             self.fate[part] = fate(basin)
             self.attrs = basin.attrs
         self.computed[new] = True
 
-    def differ(self, corners: Int[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
+    def differ(self, corners: Corners) -> Bool[np.ndarray, "m"]:
         """Whether the corners have different fates."""
         fates = self.fate[corners]
         return np.any(fates != fates[:, :1, :1], axis=(1, 2))
 
     def wrong_at_centre(
-        self, lattice: _Lattice, cells: Cells, largest_error: float
+        self, lattice: _Lattice, cells: Cells, omega_tol: float
     ) -> Bool[np.ndarray, "m"]:
         """Whether the centre has another fate, or the interpolated ω∞ is wrong there by more."""
         corners, spans = lattice.corners(cells), lattice.spans(cells)
@@ -231,7 +222,7 @@ class _Picture:
         self.compute(centres)
         weights = self._weights(spans, (row[:, None], column[:, None]))
         interpolated = _bilinear(self.columns["omega_inf"][corners], weights)[:, 0, 0]
-        wrong = np.abs(interpolated - self.columns["omega_inf"][centres]) > largest_error
+        wrong = np.abs(interpolated - self.columns["omega_inf"][centres]) > omega_tol
         return wrong | (self.fate[centres] != self.fate[corners[:, 0, 0]])
 
     def fill(self, lattice: _Lattice, cells: Cells) -> None:
@@ -248,9 +239,7 @@ class _Picture:
             points = rows[:, :, None] * self.shape[1] + columns[:, None, :]
             self._fill(points, corners, self._weights(spans, (rows, columns)))
 
-    def _fill(
-        self, points: Int[np.ndarray, "m h w"], corners: Int[np.ndarray, "m 2 2"], weights: Any
-    ) -> None:
+    def _fill(self, points: Int[np.ndarray, "m h w"], corners: Corners, weights: Any) -> None:
         free = ~self.computed[points]
         values = {name: self.columns[name][corners[:, :1, :1]] for name in ("outcome", "stop")}
         residual = values["outcome"] == Outcome.RESIDUAL

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._base.checks import concrete, finite, refuse, where_valid
+from ._base.checks import concrete, finite, positive, refuse, where_valid
 
 AXES = {"transverse": (1.0, 0.0, 0.0), "longitudinal": (0.0, 0.0, 1.0)}
 """Named directions of the dipole; the symmetry axis is the third."""
@@ -105,7 +105,7 @@ def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
         [2.0, 5.0, 5.0]
     """
     mass, a, c = _same_batch(
-        mass=(_positive("mass", mass), 0), a=(_positive("a", a), 0), c=(_positive("c", c), 0)
+        mass=(positive("mass", mass), 0), a=(positive("a", a), 0), c=(positive("c", c), 0)
     )
     transverse = mass * (a**2 + c**2) / 5
     return Body(_diagonal(transverse, transverse, 2 * mass * a**2 / 5), dipole)
@@ -127,7 +127,7 @@ def box(mass: Any, lengths: Any, dipole: Any) -> Body:
         [13.0, 10.0, 5.0]
     """
     mass, lengths = _same_batch(
-        mass=(_positive("mass", mass), 0), lengths=(_positive("lengths", lengths, (3,)), 1)
+        mass=(positive("mass", mass), 0), lengths=(positive("lengths", lengths, (3,)), 1)
     )
     x, y, z = (mass * lengths[..., axis] ** 2 / 12 for axis in range(3))
     return Body(_diagonal(y + z, z + x, x + y), dipole)
@@ -150,9 +150,9 @@ def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
         [7.0, 7.0, 6.0]
     """
     mass, length, radius = _same_batch(
-        mass=(_positive("mass", mass), 0),
-        length=(_positive("length", length), 0),
-        radius=(_positive("radius", radius), 0),
+        mass=(positive("mass", mass), 0),
+        length=(positive("length", length), 0),
+        radius=(positive("radius", radius), 0),
     )
     transverse = mass * (length**2 + 3 * radius**2) / 12
     return Body(_diagonal(transverse, transverse, mass * radius**2 / 2), dipole)
@@ -273,12 +273,6 @@ def _nonzero_dipole(dipole: Any) -> Float[Array, "*batch 3"]:
     """A dipole moment that is not zero."""
     vector = finite("dipole", dipole, (3,))
     return where_valid("dipole", vector, jnp.any(vector != 0, axis=-1), "not be zero")
-
-
-def _positive(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-    """A positive number, or an array of them."""
-    array = finite(name, value, shape)
-    return where_valid(name, array, array > 0, "be positive")
 
 
 def _diagonal(*moments: Float[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
-from ._base.checks import finite, refuse
+from ._base.checks import finite, instance, refuse
 from ._base.deprecated import renamed_argument, renamed_attributes
 from ._base.statistics import mean_and_error
 from ._base.summaries import summary
@@ -23,6 +23,9 @@ from ._runs.classification import UNCHECKED
 from .boundary import fate
 
 OFFSETS = np.array((-1, 0, 1))  # of a point and its two companions, in units of ε
+
+Numbers = Float[np.ndarray, "k"]
+"""One number for each ε, or for each side of the boxes."""
 
 __getattr__ = renamed_attributes(__name__, {"Uncertainty": "UncertaintyExponent"})
 
@@ -231,16 +234,14 @@ def uncertainty_exponent(
     return UncertaintyExponent(slope, error, free - slope, steps, share, share / np.sqrt(weights))
 
 
-def _displacements(epsilons: Any) -> Float[np.ndarray, "k"]:
+def _displacements(epsilons: Any) -> Numbers:
     steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
     if len(np.unique(steps)) < 2 or np.any(steps <= 0):
         refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
     return steps
 
 
-def _uncertain_shares(
-    fates: Int[np.ndarray, "k n 3"], steps: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
+def _uncertain_shares(fates: Int[np.ndarray, "k n 3"], steps: Numbers) -> Numbers:
     """For every ε the share of points with a companion of another fate."""
     count = fates.shape[1]
     uncertain = np.sum(np.any(fates != fates[:, :, :1], axis=2), axis=1)
@@ -253,8 +254,7 @@ def _uncertain_shares(
 
 def _region(over: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any], str]:
     """The least and the largest value on every axis, and the axis to move along."""
-    if not isinstance(over, Grid):
-        refuse("over", "be a Grid", f"is {type(over).__name__}")
+    instance("over", over, Grid)
     for name, values in over.axes.items():
         if values.ndim > 1:
             refuse("over", "have axes of numbers", f"its axis {name} is made of vectors")
@@ -297,9 +297,7 @@ def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
     return int(np.sum(hit))
 
 
-def _fitted_slope(
-    x: Float[np.ndarray, "k"], y: Float[np.ndarray, "k"], weights: Float[np.ndarray, "k"]
-) -> tuple[float, float, float]:
+def _fitted_slope(x: Numbers, y: Numbers, weights: Numbers) -> tuple[float, float, float]:
     """Slope of y over x; its error if `weights` are inverse variances; that from the scatter."""
     total = np.sum(weights)
     dx, dy = x - np.sum(weights * x) / total, y - np.sum(weights * y) / total

@@ -7,7 +7,7 @@ residual line against δ, and `thresholds` the values of δ at which an outcome 
 `plots.continuation` and `plots.diagram` draw the results.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from . import planar
-from ._base.checks import finite, instance, refuse, where_valid
+from ._base.checks import finite, instance, names_of, positive, refuse, where_valid
 from ._base.deprecated import deprecated, renamed_argument
 from ._base.statistics import wilson
 from ._base.types import Equation, Outcome, Stop
@@ -162,8 +162,7 @@ def continuation(
         True
     """
     chosen = _chosen(levels)
-    axes = {"delta": shape_parameter(delta), "amplitude": finite("amplitude", amplitude)}
-    where_valid("amplitude", axes["amplitude"], axes["amplitude"] > 0, "be positive")
+    axes = {"delta": shape_parameter(delta), "amplitude": positive("amplitude", amplitude)}
     varied: list[Any] = [name for name, values in axes.items() if values.ndim]
     if len(varied) != 1:
         was = "both are lists" if varied else "both are single numbers"
@@ -241,9 +240,7 @@ def follow_spectrum(delta: Values, w: ArrayLike = DEFAULT_W, *, levels: Levels =
     fine = np.interp(places, np.arange(len(deltas)), deltas)
     equilibrium = jnp.stack([w, jnp.zeros_like(w), jnp.zeros_like(w)])
     spectra = [
-        jax.vmap(lambda d, level=level: spectrum(equation_at(level, d), equilibrium))(
-            jnp.asarray(fine)
-        )
+        jax.vmap(lambda d, level=level: spectrum(equation_at(level, d), equilibrium))(fine)
         for level in chosen
     ]
     slow = np.stack([_continuous(fine, np.asarray(each.slow[:, 1:])) for each in spectra])
@@ -373,8 +370,7 @@ def diagram(found: Continuation, w: ArrayLike = DEFAULT_W) -> "Figure":
 
 def _chosen(levels: Levels) -> tuple[Level, ...]:
     """One level or several, each once."""
-    several = tuple(levels) if isinstance(levels, Iterable) else ()
-    chosen = (levels,) if isinstance(levels, str) else several
+    chosen = names_of("levels", levels)
     if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= set(Level):
         refuse("levels", f"name some of {', '.join(Level)}, each once", f"is {levels!r}")
     return tuple(map(Level, chosen))

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
 from ._base.deprecated import renamed_argument
-from ._base.statistics import Share, mean_and_error, wilson
+from ._base.statistics import Share, mean_and_error, share_of
 from ._base.summaries import summary
 from ._base.text import with_error
 from ._base.tolerances import check_settings, whole
@@ -166,12 +166,13 @@ def propagate(
     sample = Sample(n=n, seed=seed, draw=_normal_draw(means, root))
     drawn = sweep(problem, sample, **{"value": UNCHECKED, **settings})
     residual = drawn.omega_inf[drawn.outcome == Outcome.RESIDUAL]
+    other = (fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)
     return Propagation(
         float(at_mean.omega_inf[0]),
         dict(zip(means, gradient.tolist(), strict=True)),
         float(linear_std),
         drawn.fractions(),
-        _share((fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)),
+        share_of(int(other.sum()), len(other)),
         *_mean_and_std(residual[np.isfinite(residual)]),
     )
 
@@ -215,13 +216,6 @@ def _mean_and_std(values: Float[np.ndarray, "n"]) -> tuple[Estimate, Estimate]:
     std = np.sqrt(variance)
     variance_error = np.sqrt(max(fourth_moment - variance**2, 0.0) / n)
     return estimate, Estimate(float(std), float(variance_error / (2 * std)) if std > 0 else 0.0)
-
-
-def _share(hits: Bool[np.ndarray, "n"]) -> Share:
-    """The share of True, with its 95 % interval."""
-    count, n = hits.sum(), len(hits)
-    low, high = wilson(count[None], n)
-    return Share(float(count / n), float(low[0]), float(high[0]), int(count))
 
 
 @renamed_argument(old="ranges", new="bounds")

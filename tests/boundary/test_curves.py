@@ -52,7 +52,7 @@ def test_bad_input_is_one_sentence():
     found, box = across(), {"phi": (-1.0, 1.0), "z": (0.0, 8.0)}
     for call, words in [
         (lambda: boundary.trace(found, {"phi": (0.0, 1.0)}), "`bounds` must name two"),
-        (lambda: boundary.trace(found, box | {"z": (1.0, 1.0)}), "`bounds` must be pairs"),
+        (lambda: boundary.trace(found, box | {"z": (1.0, 1.0)}), r"`bounds\['z'\]` must be a pair"),
         (lambda: boundary.trace(found, box, step=0.0), "`step` must not be 0"),
         (lambda: boundary.trace(found, box, by="z"), "`by` must name"),
     ]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._maps.problems import block_builder
+from dipoletop._maps.problems import BlockBuilder
 
 GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 12), phi=np.linspace(0.0, 3.0, 18))
 
@@ -20,7 +20,7 @@ def reduced(w3, phi, delta=-0.2):
 
 
 def programs(problem):
-    return block_builder(problem, GRID).program_digests()
+    return BlockBuilder(problem, GRID).program_digests()
 
 
 def named(factor):
@@ -73,7 +73,7 @@ import multiprocessing, os, sys, warnings
 import jax
 jax.config.update("jax_enable_x64", True)
 import dipoletop as dt
-from dipoletop._maps.problems import block_builder
+from dipoletop._maps.problems import BlockBuilder
 warnings.simplefilter("ignore")  # JAX's and Python's own, at the fork
 
 equation, omega0 = dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
@@ -116,7 +116,7 @@ if not os.fork():
     sys.stdout.flush()
     os._exit(0)
 os.wait()
-print(block_builder(reduced, dt.Grid(w3=[0.1], phi=0.2)).program_digests()["verdict"].hex())
+print(BlockBuilder(reduced, dt.Grid(w3=[0.1], phi=0.2)).program_digests()["verdict"].hex())
 """
 
 

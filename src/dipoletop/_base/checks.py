@@ -148,6 +148,14 @@ def finite(
     return where_valid(name, array, jnp.isfinite(array), "be finite")
 
 
+def positive(
+    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
+) -> Float[Array, "..."]:
+    """A real array of finite numbers above 0."""
+    array = finite(name, value, shape, batch=batch)
+    return where_valid(name, array, array > 0, "be positive")
+
+
 def subnormal(array: Any) -> np.ndarray:
     """Which numbers are subnormal; in NumPy.
 

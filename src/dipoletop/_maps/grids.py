@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from .._base.checks import described, finite, real, refuse, where_valid
+from .._base.checks import described, finite, positive, real, refuse
 from .._base.tolerances import budget, whole
 
 PointValues = Array | dict[str, Array]
@@ -178,10 +178,8 @@ def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: ArrayLike = 0.5) ->
         ValueError: a number of points is not positive, or the largest ω₃ is not.
     """
     n_phi, n_w3 = budget("n_phi", n_phi), budget("n_w3", n_w3)
-    most = finite("w3_max", w3_max, batch=False)
-    most = where_valid("w3_max", most, most > 0, "be positive")
-    phi = np.arange(n_phi) * (np.pi / n_phi)
-    return Grid(w3=np.linspace(0.0, float(most), n_w3), phi=phi)
+    w3 = np.linspace(0.0, float(positive("w3_max", w3_max, batch=False)), n_w3)
+    return Grid(w3=w3, phi=np.arange(n_phi) * (np.pi / n_phi))
 
 
 class Sample:
@@ -206,12 +204,7 @@ class Sample:
     dims = ("sample",)
 
     def __init__(
-        self,
-        n: int,
-        amplitude: Numbers = 1.0,
-        *,
-        seed: int = 0,
-        draw: Draw | None = None,
+        self, n: int, amplitude: Numbers = 1.0, *, seed: int = 0, draw: Draw | None = None
     ) -> None:
         must = "be a whole number"
         self.n, self.seed = budget("n", n), whole("seed", seed, -(2**63), must)

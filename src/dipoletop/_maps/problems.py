@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._base.checks import check_equation, real, refuse
+from .._base.checks import check_equation, instance, real, refuse
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
 from .._base.parallel import as_worker
-from .._base.types import Equation, Vector, Verdict
+from .._base.types import DecidingEquation, Equation, State, Vector, Verdict
 from ..equations._common import error_scale_of, physical
 from ..equations.tangent import Tangent
 from .grids import Grid, Points, PointValues, Sample
@@ -36,8 +36,14 @@ class BlockBuilder:
 
     problem: Problem
     over: Grid | Points | Sample
-    derivatives: tuple[str, ...]
+    derivatives: tuple[str, ...] = ()
     _tracing: Any = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        check_problem(self.problem)
+        instance("over", self.over, Grid | Points | Sample, "be a Grid, Points or a Sample")
+        if not isinstance(self.over, Sample):
+            _check_names(self.problem, tuple(self.over.header.values))
 
     def __call__(self, indices: Int[np.ndarray, "N"]) -> Block:
         """The block of these points."""
@@ -106,22 +112,10 @@ def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: 
     return program_digest(leaves, arrays, argument)
 
 
-def _verdict(equation: Any, y: Any) -> Verdict:
+def _verdict(equation: DecidingEquation, y: State) -> Verdict:
     """The verdict, certified only if its regions are proven for this class of equation."""
     verdict = Verdict(*equation.verdict(y))
     return verdict._replace(certified=verdict.certified_for(equation))
-
-
-def block_builder(
-    problem: Problem, over: Grid | Points | Sample, derivatives: tuple[str, ...] = ()
-) -> BlockBuilder:
-    """A `BlockBuilder`, whose arguments are checked."""
-    check_problem(problem)
-    if not isinstance(over, Grid | Points | Sample):
-        refuse("over", "be a Grid, Points or a Sample", f"is {type(over).__name__}")
-    if not isinstance(over, Sample):
-        _check_names(problem, tuple(over.coords if isinstance(over, Grid) else over.columns))
-    return BlockBuilder(problem, over, derivatives)
 
 
 def check_problem(problem: Any) -> None:

@@ -11,13 +11,13 @@ from jaxtyping import ArrayLike
 
 from .._base.checks import check_verdict
 from .._base.parallel import in_parallel, worker_devices
-from .._base.tolerances import MAX_STEPS, budget, check_atol
+from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
 from .._runs.classification import Value, classification_of, stopping_rule
 from .basin import Basin
 from .grids import Grid, Points, Sample
-from .problems import Problem, block_builder
-from .sweep_plan import Plan, derivative_names, tolerances
+from .problems import BlockBuilder, Problem
+from .sweep_plan import Plan, derivative_names
 from .sweep_stores import MemoryStore, ZarrStore
 
 
@@ -90,12 +90,13 @@ def sweep(
     """
     began = time.perf_counter()
     # convert
-    names = derivative_names(derivatives, value)
-    blocks = block_builder(problem, over, names)
+    blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
     if atol is not None:
         check_atol(atol)
-    rtols, max_steps = tolerances(rtol, confirm), budget("max_steps", max_steps)
-    devices = worker_devices(devices)
+    rtols = [tolerance("rtol", rtol)]
+    if confirm is not None:
+        rtols.append(tolerance("confirm", confirm))
+    max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
     # check
     equation, _ = blocks(np.zeros(1, int))
     check_verdict(equation)

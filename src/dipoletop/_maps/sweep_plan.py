@@ -8,25 +8,20 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._base.checks import names_of, refuse
-from .._base.tolerances import absolute, tolerance
+from .._base.parallel import Device
+from .._base.tolerances import absolute
 from .._base.types import Equation
-from .._engines.interface import Limits
+from .._engines.interface import Engine, Limits
 from .._runs.classify_many import TILE, Value, classify_block, power_of_two
 from ..equations.levels import level_of
 from .columns import COLUMNS, DERIVATIVE_PREFIX
-from .problems import Block, BlockBuilder, block_digest
+from .problems import Block, BlockBuilder
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
-
-
-def tolerances(rtol: ArrayLike, confirm: float | None) -> list[Float[Array, ""]]:
-    """The tolerance of the columns; then, if outcomes are to be confirmed, a second one."""
-    first = tolerance("rtol", rtol)
-    return [first] if confirm is None else [first, tolerance("confirm", confirm)]
 
 
 def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[str, ...]:
@@ -60,8 +55,8 @@ class Plan:
     atol: Any
     max_steps: int
     value: Value
-    devices: list[Any]
-    engines: dict[Any, Any]
+    devices: list[Device]
+    engines: dict[Device, Engine]
 
     @property
     def tiling(self) -> Tiling:
@@ -112,11 +107,7 @@ class Plan:
         """Equations and starts of a tile; the last tile is filled up to full length."""
         return self.blocks(self.tiling.padded_indices(tile))
 
-    def inputs_digest(self, tile: int, device: Any = None) -> bytes:
-        """Digest of the equations and starts of a tile."""
-        return block_digest(self.block(tile))
-
-    def compute(self, tile: int, device: Any) -> tuple[Columns, Block]:
+    def compute(self, tile: int, device: Device) -> tuple[Columns, Block]:
         """The columns of a tile, and the equations and starts that they belong to."""
         block, is_real = self.block(tile), self.tiling.is_real(tile)
         columns, *confirming = [self._columns(block, is_real, rtol, device) for rtol in self.rtols]
@@ -125,7 +116,7 @@ class Plan:
         return {name: values[is_real] for name, values in columns.items()}, block
 
     def _columns(
-        self, block: Block, is_real: np.ndarray, rtol: Float[Array, ""], device: Any
+        self, block: Block, is_real: np.ndarray, rtol: Float[Array, ""], device: Device
     ) -> Columns:
         equation, omegas = block
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step

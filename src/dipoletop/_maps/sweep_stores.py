@@ -21,10 +21,8 @@ class MemoryStore:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        size = plan.tiling.size
-        self._columns = {
-            name: np.empty(size, column_spec(name).dtype) for name in plan.column_names
-        }
+        size, names = plan.tiling.size, plan.column_names
+        self._columns = {name: np.empty(size, column_spec(name).dtype) for name in names}
 
     def unfinished(self) -> list[int]:
         """Every tile."""
@@ -63,7 +61,9 @@ class ZarrStore:
         if not self._repair:
             tiles.refuse_damaged(damaged, " (`repair` computes it again)")
         sound = [tile for tile in finished if tile not in damaged]
-        for tile, here in in_parallel(self._plan.inputs_digest, sound, self._plan.devices):
+        plan = self._plan
+        digests = in_parallel(lambda tile, _: block_digest(plan.block(tile)), sound, plan.devices)
+        for tile, here in digests:
             there = tiles.record(tile).inputs
             if here != there:
                 reason = (

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import finite, instance, names_of, refuse
+from .._base.checks import finite, instance, names_of, positive, refuse
 from .._base.summaries import span
 from .._base.tolerances import check_settings
 from .._maps.basin import Basin
@@ -144,27 +144,23 @@ def new_crossings(
 ) -> Crossings:
     """The segments of a user, checked, before anything is known of them."""
     check_problem(problem)
-    return unsearched(jax.jit(problem), *broadcast_ends(a, b), settings)
+    return unsearched(jax.jit(problem), *_broadcast_ends(a, b), settings)
 
 
-def broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordinates, Coordinates]:
+def _broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordinates, Coordinates]:
     """Both ends as arrays of one length."""
     if not (isinstance(a, Mapping) and a):
         refuse("a", "map the names of coordinates to values", f"is {a!r}")
     if not (isinstance(b, Mapping) and set(b) == set(a)):
         names = ", ".join(map(str, a))
         refuse("b", f"name the coordinates of `a` ({names})", f"is {b!r}")
-    columns_a = {name: np.asarray(finite(name, a[name])) for name in a}
-    columns_b = {name: np.asarray(finite(name, b[name])) for name in a}
-    lengths = {x.size for x in [*columns_a.values(), *columns_b.values()] if x.ndim}
+    ends = [{name: np.asarray(finite(name, end[name])) for name in a} for end in (a, b)]
+    lengths = {x.size for end in ends for x in end.values() if x.ndim}
     if len(lengths) > 1 or 0 in lengths:
         refuse("a", "have, with `b`, one length of at least 1", f"has lengths {sorted(lengths)}")
     length = max(lengths, default=1)
-    return _stretched(columns_a, length), _stretched(columns_b, length)
-
-
-def _stretched(columns: dict[str, np.ndarray], length: int) -> Coordinates:
-    return {name: np.broadcast_to(values, length) for name, values in columns.items()}
+    first, last = ({k: np.broadcast_to(x, length) for k, x in end.items()} for end in ends)
+    return first, last
 
 
 def unsearched(
@@ -211,21 +207,17 @@ def narrow(
     bracket, fates = crossings.bracket, crossings.fates
     parts = int(np.clip(TILE // len(bracket), 16, TILE)) - 1  # at least 4 bits a sweep, nearly
     rows = np.arange(len(bracket))[:, None]
-    ends_known = False
-    for _ in range(int(np.ceil(np.log(width) / -np.log(parts)))):
+    for division in range(int(np.ceil(np.log(width) / -np.log(parts)))):
         s = bracket[:, :1] + (bracket[:, 1:] - bracket[:, :1]) * np.linspace(0, 1, parts + 1)
         s[:, -1] = bracket[:, 1]
         seen = fates_at(crossings, s)
-        if ends_known:
+        if division > 0:  # the ends have their fates from the division before
             seen[:, [0, -1]] = fates
         change, crossed = first_change(seen)
-        if not ends_known:
-            end = seen[:, -1]
-            crossed &= ends_may_agree | ((seen[:, 0] != end) & (end > Fate.UNDECIDED))
-            fates = np.where(crossed[:, None], fates, seen[:, [0, -1]])
-            ends_known = True
+        ends_differ = (seen[:, 0] != seen[:, -1]) & (seen[:, -1] > Fate.UNDECIDED)
+        crossed &= ends_may_agree | ends_differ
         bracket = np.where(crossed[:, None], s[rows, change], np.nan)
-        fates = np.where(crossed[:, None], seen[rows, change], fates)
+        fates = np.where(crossed[:, None], seen[rows, change], seen[:, [0, -1]])
         if not np.any(bracket[:, 1] - bracket[:, 0] > width):
             break
     return replace(crossings, bracket=bracket, fates=fates)
@@ -293,9 +285,7 @@ def residual_gradient(
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
     if distance is None:
         distance = DISTANCE * float(crossings.settings["rtol"])
-    distance = float(finite("distance", distance, batch=False))
-    if distance <= 0:
-        refuse("distance", "be positive, or None", f"is {distance:g}")
+    distance = float(positive("distance", distance, batch=False))
     at_a = residual_at_a(crossings)
     s = np.where(at_a, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)
     basin = _sweep_at(crossings, np.nan_to_num(s), derivatives=names)

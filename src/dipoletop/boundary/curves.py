@@ -18,20 +18,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import finite, instance, refuse
+from .._base.checks import corners_of_box, finite, instance, refuse
 from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
-from .crossings import (
-    DISTANCE,
-    Crossings,
-    broadcast_ends,
-    narrow,
-    residual_at_a,
-    residual_gradient,
-    unsearched,
-)
+from .crossings import DISTANCE, Crossings, narrow, residual_at_a, residual_gradient, unsearched
 
 PRECISION = 1e-10  # of the points of a curve, in units of the box
 GOOD_TURN, MOST_TURN = 0.35, 0.5  # radians from one point of a curve to the next
@@ -173,16 +165,13 @@ def _reaches(point: _BoundaryPoint, goal: _BoundaryPoint, side: float, h: float)
 def _box(crossing: Crossings, bounds: Mapping[str, Any]) -> tuple[Vector, Vector]:
     """The least corner of the box in units of its size, and that size."""
     instance("crossing", crossing, Crossings)
-    instance("bounds", bounds, Mapping, "be a dict of pairs (least, largest)")
+    low, high = corners_of_box("bounds", bounds)
     if len(crossing.s) != 1 or not crossing.found.all():
         refuse("crossing", "be a single crossing that was found", f"holds {crossing.found.sum()}")
     if len(bounds) != 2 or any(name not in crossing.a for name in bounds):
         refuse("bounds", f"name two of {', '.join(crossing.a)}", f"names {', '.join(bounds)}")
-    corners = np.stack([np.asarray(finite(k, x, (2,), batch=False)) for k, x in bounds.items()])
-    size = corners[:, 1] - corners[:, 0]
-    if np.any(size <= 0):
-        refuse("bounds", "be pairs (least, largest)", f"are {dict(bounds)}")
-    return corners[:, 0] / size, size
+    size = high - low
+    return low / size, size
 
 
 def _in_units_of_box(crossing: Crossings, plane: tuple[str, ...], size: Vector) -> Crossings:
@@ -218,13 +207,12 @@ def _next_point(
     """The boundary point a step further on; None if it is not between the same fates."""
     ahead = last.point + step * _quarter_turn(_rotated(last.normal, bend / 2))
     normal = _rotated(last.normal, bend)
-    fixed = {name: x[0] for name, x in start.at(start.s).items()}
-    first, second, *_ = start.a
+    fixed, (first, second, *_) = start.at(start.s), start.a
     for reach in (fraction * abs(step) for fraction in REACHES):
         low, high = ahead - reach * normal, ahead + reach * normal
-        a = fixed | {first: low[0], second: low[1]}
-        b = fixed | {first: high[0], second: high[1]}
-        segment = unsearched(start.problem, *broadcast_ends(a, b), start.settings)
+        a = fixed | {first: low[:1], second: low[1:]}
+        b = fixed | {first: high[:1], second: high[1:]}
+        segment = unsearched(start.problem, a, b, start.settings)
         crossing = narrow(segment, PRECISION / reach)
         if crossing.found[0] and np.array_equal(crossing.fates, start.fates):
             new = _boundary_point(crossing, by, normal, 2 * reach)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import refuse
+from .._base.checks import names_of, refuse
+from .._base.statistics import mean_and_error
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._maps.problems import Problem
@@ -93,11 +94,13 @@ def residual_share(
         (0.515, 4.745)
     """
     segments = new_crossings(problem, a, b, settings)
-    names = (by,) if isinstance(by, str) else tuple(by)
+    names = names_of("by", by)
     if not set(names) <= set(segments.a) or len(set(names)) < len(names):
         refuse("by", f"name coordinates among {', '.join(segments.a)}, each once", f"is {by!r}")
-    rows = _shares_and_slopes(segments, names, budget("parts", parts))
-    return _averaged(*rows, names)
+    rows, undecided = _shares_and_slopes(segments, names, budget("parts", parts))
+    (share, *slopes), (error, *errors) = (numbers.tolist() for numbers in mean_and_error(rows))
+    slopes, errors = (dict(zip(names, numbers, strict=True)) for numbers in (slopes, errors))
+    return ResidualShare(share, error, slopes, errors, undecided)
 
 
 def _shares_and_slopes(
@@ -120,19 +123,6 @@ def _shares_and_slopes(
     unknown = ~known.any(axis=1)
     share[unknown], slopes[unknown] = np.nan, np.nan
     return np.column_stack([share, slopes]), float(np.mean(~known))
-
-
-def _averaged(
-    rows: Float[np.ndarray, "N columns"], undecided: float, names: tuple[str, ...]
-) -> ResidualShare:
-    """The means over the segments, with their standard errors."""
-    n = len(rows)
-    deviations = np.std(rows, axis=0, ddof=1) if n > 1 else np.full(rows.shape[1], np.nan)
-    share, *slopes = np.mean(rows, axis=0).tolist()
-    error, *errors = (deviations / n**0.5).tolist()
-    slopes_by_name = dict(zip(names, slopes, strict=True))
-    errors_by_name = dict(zip(names, errors, strict=True))
-    return ResidualShare(share, error, slopes_by_name, errors_by_name, undecided)
 
 
 def _last_known(known: Bool[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:

@@ -27,6 +27,8 @@ ALSO = ("progress",)  # a setting of `sweep` that may be given, besides those of
 
 Objective = Callable[[Float[Array, ""], dict[str, Float[Array, ""]]], Float[Array, ""]]
 """From ω∞ and the parameters to the number that a design makes largest; in JAX."""
+Point = Float[np.ndarray, "m"]
+"""A point of the unit cube, to which the box is scaled."""
 
 
 class DesignEnd(enum.StrEnum):
@@ -162,13 +164,11 @@ class _Landscape(NamedTuple):
         return omega_inf, value, np.stack(gradient, axis=-1) * (self.high - self.low)
 
 
-def _climb(
-    landscape: _Landscape, first: Float[np.ndarray, "m"], worst: float, scale: float, gtol: float
-) -> Any:
+def _climb(landscape: _Landscape, first: Point, worst: float, scale: float, gtol: float) -> Any:
     """The result of a local search from a point of the unit cube."""
     from scipy.optimize import minimize
 
-    def loss(units: Float[np.ndarray, "m"]) -> tuple[float, np.ndarray]:
+    def loss(units: Point) -> tuple[float, np.ndarray]:
         _, value, gradient = landscape.values(units[None])
         if np.isnan(value[0]):  # a flat floor, on which the search ends
             return -worst / scale, np.zeros_like(units)
@@ -184,9 +184,7 @@ def _climb(
     )
 
 
-def _design(
-    landscape: _Landscape, top: Float[np.ndarray, "m"], largest_defect: float, runs: int
-) -> Design:
+def _design(landscape: _Landscape, top: Point, largest_defect: float, runs: int) -> Design:
     """The result at the highest point."""
     (omega_inf,), (value,), (gradient,) = landscape.values(top[None])
     closed = ((top <= 0) & (gradient < 0)) | ((top >= 1) & (gradient > 0))

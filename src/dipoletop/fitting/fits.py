@@ -33,6 +33,8 @@ Observe = Callable[[Trajectory], Float[Array, "..."]]
 """From a trajectory to the measured quantity, in the shape of the series."""
 Residuals = Callable[[tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
 """From parameters to the residuals in one row, and their Jacobian."""
+Parameters = Float[Array, "m"]
+Times = Float[Array, "T"]
 
 
 class FitEnd(enum.StrEnum):
@@ -157,13 +159,11 @@ class _Model(NamedTuple):
     observe: Observe
     rtol: float
 
-    def equation_and_start(self, p: Float[Array, "m"]) -> tuple[Any, Any]:
+    def equation_and_start(self, p: Parameters) -> tuple[Any, Any]:
         """The run of these parameters."""
         return self.problem(**dict(zip(self.names, p, strict=True)))
 
-    def observed(
-        self, p: Float[Array, "m"], safe: Float[Array, "m"], times: Float[Array, "T"]
-    ) -> Float[Array, "..."]:
+    def observed(self, p: Parameters, safe: Parameters, times: Times) -> Float[Array, "..."]:
         """The series that the parameters predict; not finite if their run fails."""
         arrays = jax.tree.leaves(eqx.filter(self.equation_and_start(p), eqx.is_inexact_array))
         valid = functools.reduce(jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in arrays])
@@ -178,11 +178,11 @@ class _Model(NamedTuple):
 
 @eqx.filter_jit
 def _linearised(
-    model: _Model, p: Float[Array, "m"], safe: Float[Array, "m"], times: Float[Array, "T"]
+    model: _Model, p: Parameters, safe: Parameters, times: Times
 ) -> tuple[Float[Array, "*s"], Float[Array, "*s m"]]:
     """The predicted series, and its Jacobian, with the parameters on the last axis."""
 
-    def with_copy(p: Float[Array, "m"]) -> tuple[Array, Array]:
+    def with_copy(p: Parameters) -> tuple[Array, Array]:
         series = model.observed(p, safe, times)
         return series, series
 
@@ -191,7 +191,7 @@ def _linearised(
 
 
 def _residuals(
-    model: _Model, first: dict[str, float], times: Array, data: np.ndarray, weight: np.ndarray
+    model: _Model, first: dict[str, float], times: Times, data: np.ndarray, weight: np.ndarray
 ) -> Residuals:
     """(observed − series)/σ with its Jacobian."""
     safe = jnp.asarray(list(first.values()))
@@ -208,9 +208,7 @@ def _residuals(
     return residuals_at
 
 
-def _series(
-    model: _Model, first: dict[str, float], times: Float[Array, "T"], series: Any
-) -> np.ndarray:
+def _series(model: _Model, first: dict[str, float], times: Times, series: Any) -> np.ndarray:
     """The series, if it has the observed shape and more values than parameters."""
     try:
         model.problem(**first)  # known values: a bad one is refused by its own name

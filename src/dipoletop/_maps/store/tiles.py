@@ -118,7 +118,7 @@ class StoredColumn:
 
 
 class Tiles:
-    """An open store of either version; its header is checked when it is opened.
+    """An open store of either version, as `open_tiles` gives it.
 
     Attributes:
         folder: its folder.
@@ -129,26 +129,21 @@ class Tiles:
         swept_names: those of the swept values.
     """
 
-    def __init__(self, folder: Path, group: Any) -> None:
+    def __init__(self, folder: Path, group: Any, header: Header, checked: bool) -> None:
         import zarr
 
-        self.folder = folder
-        self.header: Header = dict(group.attrs)
-        written = self.header.pop("digest", None)
-        self.checked = written is not None or self.header.get("format") != FORMAT_UNCHECKED
+        self.folder, self.header, self.checked = folder, header, checked
         with _reading(folder, (), "its header"):
-            if self.checked and written != header_digest(self.header):
-                raise StoreDamaged(folder, (), "its header is not what was written")
-            self.tiling, self.names = tiling_of(self.header), list(self.header["columns"])
-            for name, expected in self.header.get("layout", {}).items():
+            self.tiling, self.names = tiling_of(header), list(header["columns"])
+            for name, expected in header.get("layout", {}).items():
                 if _metadata_digest(folder, name) != expected:
                     raise StoreDamaged(folder, (), f"the metadata of {name} are not as written")
-            self.swept_names = list(self.header["values" if self.checked else "axes"])
+            self.swept_names = list(header["values" if checked else "axes"])
             axes = (f"axis_{name}" for name in self.swept_names)
             # Chunks of zeros are written too, so that a missing chunk always means damage.
             with zarr.config.set({"array.write_empty_chunks": True}):
                 self._arrays = {name: group[name] for name in (*self.names, "done", *axes)}
-        self._sweep = sweep_digest(self.header) if self.checked else b""
+        self._sweep = sweep_digest(header) if checked else b""
 
     def values(self, name: str) -> np.ndarray:
         """What was swept: an axis, or a column of points."""
@@ -259,9 +254,11 @@ def open_tiles(argument: str, folder: Path, mode: Literal["r", "r+"]) -> Tiles:
         reason = f"{folder} cannot be read as one ({error})"
         raise StoreMismatch(argument, folder, must, reason) from None
     version, written = header.get("format"), header.pop("digest", None)
-    if version in (FORMAT, FORMAT_UNCHECKED):
-        return Tiles(folder, group)
-    if was_store and written != header_digest(header):
+    is_known = version in (FORMAT, FORMAT_UNCHECKED)
+    checked = written is not None or version != FORMAT_UNCHECKED
+    if checked and (is_known or was_store) and written != header_digest(header):
         raise StoreDamaged(folder, (), "its header is not what was written")
-    reason = f"the format of {folder} is {version!r}"
-    raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
+    if not is_known:
+        reason = f"the format of {folder} is {version!r}"
+        raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
+    return Tiles(folder, group, header, checked)
