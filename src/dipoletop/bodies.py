@@ -104,9 +104,7 @@ def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
         >>> spheroid(5.0, 1.0, 2.0, dipole=[1, 0, 0]).moments.tolist()
         [2.0, 5.0, 5.0]
     """
-    mass, a, c = _same_batch(
-        mass=(positive("mass", mass), 0), a=(positive("a", a), 0), c=(positive("c", c), 0)
-    )
+    mass, a, c = _positive_numbers(mass=mass, a=a, c=c)
     transverse = mass * (a**2 + c**2) / 5
     return Body(_diagonal(transverse, transverse, 2 * mass * a**2 / 5), dipole)
 
@@ -149,11 +147,7 @@ def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
         >>> rod(12.0, 2.0, 1.0, dipole=[0, 0, 1]).inertia.diagonal().tolist()
         [7.0, 7.0, 6.0]
     """
-    mass, length, radius = _same_batch(
-        mass=(positive("mass", mass), 0),
-        length=(positive("length", length), 0),
-        radius=(positive("radius", radius), 0),
-    )
+    mass, length, radius = _positive_numbers(mass=mass, length=length, radius=radius)
     transverse = mass * (length**2 + 3 * radius**2) / 12
     return Body(_diagonal(transverse, transverse, mass * radius**2 / 2), dipole)
 
@@ -213,14 +207,11 @@ def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
     size = jnp.max(jnp.abs(inertia), axis=(-1, -2), keepdims=True)
     symmetric = skew <= _tolerance() * size
     inertia = where_valid("inertia", inertia, symmetric, "be symmetric")
-    inertia = _where_moments(
-        (inertia + jnp.swapaxes(inertia, -1, -2)) / 2,
-        _positive_moments(inertia),
-        "be positive definite (masses on one line have a principal moment of zero)",
-    )
-    return _where_moments(
-        inertia, _triangle_inequality(inertia), "have principal moments with J1 + J2 >= J3"
-    )
+    mean = (inertia + jnp.swapaxes(inertia, -1, -2)) / 2
+    must = "be positive definite (masses on one line have a principal moment of zero)"
+    inertia = _where_moments(mean, _positive_moments(inertia), must)
+    must = "have principal moments with J1 + J2 >= J3"
+    return _where_moments(inertia, _triangle_inequality(inertia), must)
 
 
 def _where_moments(
@@ -273,6 +264,11 @@ def _nonzero_dipole(dipole: Any) -> Float[Array, "*batch 3"]:
     """A dipole moment that is not zero."""
     vector = finite("dipole", dipole, (3,))
     return where_valid("dipole", vector, jnp.any(vector != 0, axis=-1), "not be zero")
+
+
+def _positive_numbers(**values: Any) -> list[Float[Array, "*batch"]]:
+    """Positive numbers, repeated to their common batch."""
+    return _same_batch(**{name: (positive(name, value), 0) for name, value in values.items()})
 
 
 def _diagonal(*moments: Float[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:

@@ -41,7 +41,7 @@ def line_coordinates(w: Vector) -> tuple[Real, Real, Real]:
     return w2 / divisor, w3 / divisor**2, w1**2
 
 
-def residual_first_order(d: Real, w: Vector) -> Series:
+def first_order(d: Real, w: Vector) -> Series:
     """ω∞ and its errors at order 1, −1/2 < δ < 1."""
     t, z, v = line_coordinates(w)
     d = jnp.where(d > -0.5, d, 0.0)
@@ -60,7 +60,7 @@ def residual_first_order(d: Real, w: Vector) -> Series:
     return omega_inf, 35 * quadratic * size**2, _slope_error(size, z)
 
 
-def residual_semi_reduced(d: Real, w: Vector) -> Series:
+def semi_reduced(d: Real, w: Vector) -> Series:
     """ω∞ and its errors at the semi-reduced level, −1 < δ < 1."""
     t, z, v = line_coordinates(w)
     b, det = 2 * v - d * (1 - d), 1 - d + 4 * v
@@ -88,10 +88,10 @@ def quadratic_term(d: Real, w: Vector, level: Level) -> Real:
     return quadratic_form(solve_lyapunov(linear, (zero, d * mu / 2, zero)), (t, z))
 
 
-def residual_higher_order(d: Real, w: Vector, q2: Real) -> Series:
+def higher_order(d: Real, w: Vector, q2: Real) -> Series:
     """ω∞ and its errors at a level whose Q₂ is `q2`, with the semi-reduced Q₄."""
     t, z, v = line_coordinates(w)
-    omega_inf, error, slope = residual_semi_reduced(d, w)
+    omega_inf, error, slope = semi_reduced(d, w)
     omega_inf = omega_inf + w[0] * (q2 - quadratic_term(d, w, Level.SEMI))
     size = t**2 + (v + d**2) * z**2
     gap = LEVEL_GAP * v / (1 - d) ** 2 * size
@@ -99,7 +99,7 @@ def residual_higher_order(d: Real, w: Vector, q2: Real) -> Series:
     return omega_inf, error + gap * _quadratic_size(d, t, z, v), slope
 
 
-def residual_full(w: Vector, q2: Real) -> Series:
+def full(w: Vector, q2: Real) -> Series:
     """ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
     t, z, v = line_coordinates(w)
     size = t**2 + v * z**2 + z**2

@@ -29,16 +29,9 @@ from jaxtyping import Array
 from ..._base.guards import safe_divisor
 from ..._base.types import Flag, Outcome, Real, Stop, Vector, Verdict
 from ..levels import Level
+from . import residual_series
 from .nonsmooth import piecewise_conserved
-from .residual_series import (
-    Series,
-    line_coordinates,
-    quadratic_term,
-    residual_first_order,
-    residual_full,
-    residual_higher_order,
-    residual_semi_reduced,
-)
+from .residual_series import Series, line_coordinates, quadratic_term
 
 WOBBLING_FROM = 0.7532357993909
 """δ_c2, above which the consistent levels have a stable wobbling cycle at small amplitude."""
@@ -71,9 +64,8 @@ def _decided(residual: Flag, stop: Flag, kind: Array, certified: Flag, series: S
     perhaps on an axis.
     """
     inside = stop & (kind != Stop.AXIS)
-    outcome = jnp.where(
-        stop, Outcome.STOP, jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)
-    )
+    outcome = jnp.where(residual, Outcome.RESIDUAL, Outcome.UNDECIDED)
+    outcome = jnp.where(stop, Outcome.STOP, outcome)
     omega_inf, error, slope = (jnp.where(inside, 0.0, x) for x in series)
     omega_inf = jnp.where(stop | residual, omega_inf, jnp.nan)
     kind = jnp.where(stop, kind, Stop.NONE)
@@ -121,10 +113,8 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     axis = (w1 == 0) & ((w2 == 0) | constant)
 
     # ω₂² ≤ κu and |δω₃| ≤ λu, κ = λ = ½ or, for δ < 0, (1+2δ)/(2+δ) and √(κ(1−δ)/(2+δ)).
-    below, above = (
-        jnp.where(d >= 0, 2.0, 2 + d),
-        jnp.where(d >= 0, 1.0, 1 + 2 * d),
-    )  # κ = above/below
+    below = jnp.where(d >= 0, 2.0, 2 + d)
+    above = jnp.where(d >= 0, 1.0, 1 + 2 * d)  # κ = above/below
     height = jnp.sqrt(jnp.where(d >= 0, 1.0, jnp.maximum(above, 0.0) * (1 - d)))  # λ = height/below
     # Unsquared, and not where squares underflow: 0 ≤ 0 would certify anything.
     flat = (below * jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
@@ -136,14 +126,13 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     precesses = (q > s) & (q > 0) & (measure > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
     rotating = (d < 0) & ~constant & (precesses | (d <= -0.5))
 
-    omega_inf, error, slope = _where_constant(constant, w1, residual_first_order(d, w))
+    omega_inf, error, slope = _where_constant(constant, w1, residual_series.first_order(d, w))
     off = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
     omega_inf = piecewise_conserved(omega_inf, off)
     series = _on_axis(axis, d, w, (omega_inf, error, slope), w3 == 0)
     stop, residual = (axis | rotating) & finite, (residual | constant) & finite
-    return _decided(
-        residual, stop, jnp.where(axis, Stop.AXIS, Stop.ROTATING), stop | residual, series
-    )
+    kind = jnp.where(axis, Stop.AXIS, Stop.ROTATING)
+    return _decided(residual, stop, kind, stop | residual, series)
 
 
 def semi_reduced(delta: Real, w: Vector) -> Verdict:
@@ -171,7 +160,7 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
     residual = (residual | constant | line) & finite
     kind = jnp.where(axis, Stop.AXIS, jnp.where(d < 0, Stop.ROTATING, Stop.WOBBLING))
     certified = (stop & axis) | (residual & ~stop & (proven | constant | line))
-    series = _where_constant(constant | line, w1, residual_semi_reduced(d, w))
+    series = _where_constant(constant | line, w1, residual_series.semi_reduced(d, w))
     return _decided(residual, stop, kind, certified, _on_axis(axis, d, w, series))
 
 
@@ -225,14 +214,9 @@ def full(delta: Real, w: Vector) -> Verdict:
     near = (small.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (distance <= NEAR_LINE)
     outcome = jnp.where(near, Outcome.RESIDUAL, small.outcome)
     otherwise = small.omega_inf, small.error, small.slope
-    pairs = zip(residual_full(w, q2), otherwise, strict=True)
+    pairs = zip(residual_series.full(w, q2), otherwise, strict=True)
     omega_inf, error, slope = (jnp.where(near, *pair) for pair in pairs)
     return Verdict(outcome, omega_inf, small.certified, small.stop, error, slope)
-
-
-def higher_order(delta: Real, w: Vector, level: Level) -> Verdict:
-    """Orders 2–4: the semi-reduced regions at small amplitude, tested only."""
-    return _at_small_amplitude(delta, w, quadratic_term(delta, w, level))
 
 
 def _at_small_amplitude(d: Real, w: Vector, q2: Real) -> Verdict:
@@ -243,7 +227,7 @@ def _at_small_amplitude(d: Real, w: Vector, q2: Real) -> Verdict:
     square = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
     small = square <= 0.1 * jnp.where(d <= 0.3, 1.0, jnp.minimum(1.0, (1 - d) ** 2))
     semi = semi_reduced(d, w)
-    series = residual_higher_order(d, w, q2)
+    series = residual_series.higher_order(d, w, q2)
     value, error, slope = _where_constant(jnp.asarray(semi.error == 0), w[0], series)
     residual = small & (semi.outcome == Outcome.RESIDUAL)
     omega_inf = jnp.where(residual, value, jnp.where(small, semi.omega_inf, jnp.nan))
@@ -261,4 +245,6 @@ def of_level(delta: Real, w: Vector, level: Level) -> Verdict:
     """The verdict of a reduced or the semi-reduced level, or of the full one at small amplitude."""
     if level is Level.SEMI:
         return semi_reduced(delta, w)
-    return first_order(delta, w) if level is Level.ORDER_1 else higher_order(delta, w, level)
+    if level is Level.ORDER_1:
+        return first_order(delta, w)
+    return _at_small_amplitude(delta, w, quadratic_term(delta, w, level))
