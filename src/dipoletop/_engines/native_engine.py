@@ -23,6 +23,7 @@ from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
+from .._base.types import Equation
 from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
@@ -45,7 +46,7 @@ class NativeEngine:
     has_own_threads: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
-    def prepare(self, equation: Any, until: Until, finish: Finish[Any] | None = None) -> None:
+    def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
         """Compile what runs of such equations need.
 
         Raises:
@@ -55,7 +56,7 @@ class NativeEngine:
 
     def end_states(
         self,
-        equation: Any,
+        equation: Equation,
         y0: Float[Array, "n N"] | Float[np.ndarray, "n N"],
         limits: Limits,
         *,
@@ -67,7 +68,7 @@ class NativeEngine:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
         program = _program(equation, until, self.solver, n=y0.shape[0])
-        rows, size = program.layout.rows.lanes, y0.shape[1]
+        rows, size = program.rows.lanes, y0.shape[1]
         y, t = np.empty(y0.shape), np.empty(size)
         steps, status = np.empty(size, "int32"), np.empty(size, "int32")
         wanted = [(rows.y, y), (rows.t, t), (rows.steps, steps), (rows.status, status)]
@@ -78,7 +79,7 @@ class NativeEngine:
         """See `Engine`; in NumPy. The device is not used: every processor is the same."""
         equation, omegas, limits, until = queue
         program = _program(equation, until, self.solver, finish)
-        rows, size = program.layout.rows, limits.t1.shape[0]
+        rows, size = program.rows, limits.t1.shape[0]
         result = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.result)
         wanted = list(zip(*map(jax.tree.leaves, (rows.result, result)), strict=True))
         program.run(equation, limits, (rows.omegas, omegas), wanted, threads)
@@ -93,26 +94,6 @@ class _Table(NamedTuple):
     """ω₀, if the lift is compiled, too."""
     result: Any
     """What `Finish` gives, if there is one."""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Which rows of a table hold what, in the order of the leaves."""
-
-    rows: Any
-    """A `_Table` with a slice in the place of every array."""
-    total: int
-
-    @classmethod
-    def of(cls, table: _Table) -> "_Layout":
-        leaves, structure = jax.tree.flatten(table)
-        ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
-        return cls(jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:])), ends[-1])
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """The number of rows, that of the rows of a lane at work, and the row of its status."""
-        return self.total, self.rows.lanes.t1.stop, self.rows.lanes.status.start
 
 
 class _Functions(NamedTuple):
@@ -150,32 +131,22 @@ class _Functions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Kernels:
-    """Machine code for a block of lanes."""
-
-    begin: MachineCode
-    advance: MachineCode
-    finish: MachineCode | None
-
-    @property
-    def addresses(self) -> tuple[int, int, int]:
-        """Their addresses, 0 where there is none."""
-        return self.begin.address, self.advance.address, self.finish.address if self.finish else 0
-
-
-@dataclass(frozen=True)
 class _Program:
     """Machine code for all equations of one structure."""
 
-    kernels: _Kernels
-    layout: _Layout
+    kernels: tuple[MachineCode, MachineCode, MachineCode]
+    """They begin, advance and finish the runs of a block of lanes."""
+    rows: Any
+    """A `_Table` with a slice in the place of every array: the rows that hold it."""
+    sizes: tuple[int, int, int]
+    """The number of rows, that of the rows of a lane at work, and the row of its status."""
     result: Any
     """Shapes and types of what `Finish` gives for one lane."""
 
     @classmethod
     def compile(
         cls,
-        equation: Any,
+        equation: Equation,
         n: int,
         solver: diffrax.AbstractERK,
         until: Until,
@@ -194,16 +165,19 @@ class _Program:
         result = jax.eval_shape(functions.result, lanes, shared)
         omegas = None if finish is None else jnp.zeros((3, 1))
         table = _Table(lanes, omegas, jax.tree.map(one_lane, result))
-        kernels = _Kernels(
+        kernels = (
             compiled(functions.begin, table, shared, WIDTH),
             compiled(functions.advance, lanes, shared, WIDTH),
-            None if finish is None else compiled(functions.finish, table, shared, WIDTH),
+            compiled(functions.finish, table, shared, WIDTH),
         )
-        return cls(kernels, _Layout.of(table), result)
+        leaves, structure = jax.tree.flatten(table)
+        ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
+        rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
+        return cls(kernels, rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result)
 
     def run(
         self,
-        equation: Any,
+        equation: Equation,
         limits: Limits,
         begun: tuple[slice, Any],
         wanted: list[tuple[slice, np.ndarray]],
@@ -221,26 +195,21 @@ class _Program:
         Returns:
             How many steps the blocks of lanes made.
         """
-        rows, size = self.layout.rows.lanes, limits.t1.shape[0]
-        parameters = map(jax.tree.leaves, (rows.equation, eqx.filter(equation, _is_array)))
-        pairs = begun, (rows.atol, limits.atol), (rows.t1, limits.t1)
-        given = [
-            (place, np.asarray(values, float).reshape(-1, size))
-            for place, values in (*pairs, *zip(*parameters, strict=True))
-        ]
-        inputs = np.array([each for pair in given for each in _transfers(*pair)])
-        outputs = np.array(
-            [each for place, out in wanted for each in _transfers(place, out.reshape(-1, size))]
-        )
+        rows, size = self.rows.lanes, limits.t1.shape[0]
+        fields = map(jax.tree.leaves, (rows.equation, eqx.filter(equation, _is_array)))
+        pairs = begun, (rows.atol, limits.atol), (rows.t1, limits.t1), *zip(*fields, strict=True)
+        given = [(place, np.asarray(values, float).reshape(-1, size)) for place, values in pairs]
+        inputs = _transfers(given)
+        outputs = _transfers([(place, out.reshape(-1, size)) for place, out in wanted])
+        addresses = tuple(kernel.address for kernel in self.kernels)
+        sizes = size, *self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
         queue = np.zeros(1, np.intp)
 
-        def work(*_arrays: Any) -> int:
-            sizes = size, *self.layout.sizes
-            return work_off(self.kernels.addresses, sizes, queue, inputs, outputs, shared)
-
         # An address does not keep its array: every thread holds the arrays until it ends.
-        work = functools.partial(work, given, wanted)
+        def work(_arrays: Any = (given, wanted)) -> int:
+            return work_off(addresses, sizes, queue, inputs, outputs, shared)
+
         threads = min(threads, -(-size // SHARE))
         return _in_threads(work, threads, queue, size) if threads > 1 else work()
 
@@ -255,11 +224,14 @@ def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
         wait(parts)
 
 
-def _transfers(rows: slice, values: Float[np.ndarray, "m N"] | np.ndarray) -> list[tuple[int, ...]]:
-    """A transfer of each row to or from an array, see `native_queue`."""
-    first, (down, along) = values.ctypes.data, values.strides
-    kind = list(KINDS).index(values.dtype.name)
-    return [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
+def _transfers(pairs: list[tuple[slice, np.ndarray]]) -> np.ndarray:
+    """The transfers of rows to or from arrays of shape (m, N), see `native_queue`."""
+    transfers = []
+    for rows, values in pairs:
+        first, (down, along) = values.ctypes.data, values.strides
+        kind = list(KINDS).index(values.dtype.name)
+        transfers += [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
+    return np.array(transfers)
 
 
 def _is_array(leaf: Any) -> bool:
@@ -272,7 +244,7 @@ _compile_lock = threading.Lock()
 
 
 def _program(
-    equation: Any,
+    equation: Equation,
     until: Until,
     solver: diffrax.AbstractERK,
     finish: Finish[Any] | None = None,

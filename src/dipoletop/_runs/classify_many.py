@@ -20,7 +20,7 @@ from .._base.checks import (
 )
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
-from .._base.types import Equation
+from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Limits, Queue
 from .._engines.select import select_engines
 from ..equations._common import omega_scale_of, physical
@@ -114,16 +114,16 @@ def classify_block(
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
         omegas = np.where(lost, np.nan, omegas)
     until = stopping_rule(equation, value)
-    equation = physical(equation)
+    deciding: DecidingEquation = physical(equation)
 
     def run(omegas: Any, limits: Limits) -> Classification:
-        queue = Queue(equation, omegas, limits, until)
+        queue = Queue(deciding, omegas, limits, until)
         runs = engine.classify(classification_of, queue, device, threads)
         return jax.tree.map(np.asarray, runs)
 
     runs = run(omegas, limits)
     if value is True:
-        return with_error_estimates(runs, run, omegas, limits, omega_scale_of(equation))
+        return with_error_estimates(runs, run, omegas, limits, omega_scale_of(deciding))
     return without_error_estimates(runs, value, np)
 
 

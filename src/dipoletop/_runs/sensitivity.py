@@ -31,11 +31,11 @@ from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, Tolerances, budge
 from .._base.types import Equation, State
 from .._branch.march import crossing
 from .._engines.step_sizes import Controller
-from ..equations._common import ErrorScale, error_scale_of, is_full, omega_scale_of, physical
+from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from ..equations._verdicts.nonsmooth import infinity
 from ..equations.tangent import Tangent
 from .classification import UNCHECKED, Value
-from .classify import classify_with_tangents
+from .classify import classify_with_tangents, integrated
 from .conditioning import is_larger_than_its_error
 
 
@@ -286,7 +286,7 @@ def _time_of_energy(
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     t1 = jnp.where(falls, jnp.inf, 0.0)
     sizes = error_scale_of(equation)
-    run = _integrated(equation, t1, y0, tolerances, max_steps, sizes, event=below)
+    run = integrated(equation, t1, y0, Controller(*tolerances, sizes), max_steps, below)
     end, late = run.ys[-1], run.ts[-1]
 
     # Back from the end of that step to the level, with the energy as the independent variable:
@@ -298,31 +298,7 @@ def _time_of_energy(
         return jnp.append(rate, 1 / late) * (level - energy(end)) / power
 
     with_time = Partial(lambda sizes, y: jnp.append(sizes(y[:-1]), 1.0), sizes)
-    back = _integrated(by_energy, 1.0, jnp.append(end, 1.0), tolerances, max_steps, with_time)
+    controller = Controller(*tolerances, with_time)
+    back = integrated(by_energy, 1.0, jnp.append(end, 1.0), controller, max_steps)
     found = falls & diffrax.is_successful(back.result)
     return jnp.where(found, late * back.ys[-1, -1], jnp.nan * first)  # no derivative, either
-
-
-def _integrated(
-    field: Any,
-    t1: Any,
-    y0: Array,
-    tolerances: Tolerances,
-    max_steps: int,
-    sizes: ErrorScale,
-    event: diffrax.Event | None = None,
-) -> Any:
-    """An integration from 0 to t1 that can be differentiated in forward mode."""
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        t1,
-        None,
-        y0,
-        stepsize_controller=Controller(*tolerances, sizes),
-        event=event,
-        max_steps=max_steps,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )
