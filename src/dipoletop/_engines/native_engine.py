@@ -9,7 +9,7 @@ costs as much as a thousand runs. It needs numba.
 import functools
 import threading
 from concurrent.futures import wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
@@ -68,22 +68,13 @@ class NativeEngine:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
         program = _program(equation, until, self.solver, n=y0.shape[0])
-        rows, size = program.rows.lanes, y0.shape[1]
-        y, t = np.empty(y0.shape), np.empty(size)
-        steps, status = np.empty(size, "int32"), np.empty(size, "int32")
-        wanted = [(rows.y, y), (rows.t, t), (rows.steps, steps), (rows.status, status)]
-        block_steps = program.run(equation, limits, (rows.y, y0), wanted, threads=1)
-        return EndStates(y, t, steps, status, np.array([block_steps, 0]))
+        ends, block_steps = program.run(equation, y0, limits, threads=1)
+        return replace(ends, block_steps=np.array([block_steps, 0]))
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`; in NumPy. The device is not used: every processor is the same."""
-        equation, omegas, limits, until = queue
-        program = _program(equation, until, self.solver, finish)
-        rows, size = program.rows, limits.t1.shape[0]
-        result = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.result)
-        wanted = list(zip(*map(jax.tree.leaves, (rows.result, result)), strict=True))
-        program.run(equation, limits, (rows.omegas, omegas), wanted, threads)
-        return result
+        program = _program(queue.equation, queue.until, self.solver, finish)
+        return program.run(queue.equation, queue.omegas, queue.limits, threads)[0]
 
 
 class _Table(NamedTuple):
@@ -91,9 +82,9 @@ class _Table(NamedTuple):
 
     lanes: step.LaneState
     omegas: Any
-    """ω₀, if the lift is compiled, too."""
+    """ω₀, unless runs begin with whole states."""
     result: Any
-    """What `Finish` gives, if there is one."""
+    """What `Finish` gives; the end states if there is none."""
 
 
 class _Functions(NamedTuple):
@@ -121,9 +112,9 @@ class _Functions(NamedTuple):
         return eqx.filter(step.advance(whole, *shared, self.solver, self.until), eqx.is_array)
 
     def result(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Any:
-        if self.apply is None:
-            return None
         ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
+        if self.apply is None:
+            return ends
         return self.apply(self.equation(lanes), ends, Tolerances(shared[0], lanes.atol))
 
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
@@ -175,43 +166,37 @@ class _Program:
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
         return cls(kernels, rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result)
 
-    def run(
-        self,
-        equation: Equation,
-        limits: Limits,
-        begun: tuple[slice, Any],
-        wanted: list[tuple[slice, np.ndarray]],
-        threads: int,
-    ) -> int:
+    def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.
 
         Args:
             equation: with a trailing axis of N lanes on its arrays.
+            starts: whole states or ω₀, whichever the program begins with, shape (..., N).
             limits: tolerances, end times and budget.
-            begun: the rows that the lanes begin with, and their values, shape (..., N).
-            wanted: the rows that are wanted in the end, and contiguous arrays for them.
             threads: how many work off the queue, at most.
 
         Returns:
-            How many steps the blocks of lanes made.
+            What `Finish` gives, and how many steps the blocks of lanes made.
         """
-        rows, size = self.rows.lanes, limits.t1.shape[0]
-        fields = map(jax.tree.leaves, (rows.equation, eqx.filter(equation, _is_array)))
-        pairs = begun, (rows.atol, limits.atol), (rows.t1, limits.t1), *zip(*fields, strict=True)
-        given = [(place, np.asarray(values, float).reshape(-1, size)) for place, values in pairs]
-        inputs = _transfers(given)
-        outputs = _transfers([(place, out.reshape(-1, size)) for place, out in wanted])
+        lanes, omegas, result = self.rows
+        size = limits.t1.shape[0]
+        into = lanes.y if omegas is None else omegas, lanes.atol, lanes.t1, lanes.equation
+        given = starts, limits.atol, limits.t1, eqx.filter(equation, _is_array)
+        given = jax.tree.map(lambda x: np.asarray(x, float).reshape(-1, size), given)
+        out = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), self.result)
+        inputs, outputs = _transfers(into, given), _transfers(result, out)
         addresses = tuple(kernel.address for kernel in self.kernels)
         sizes = size, *self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
         queue = np.zeros(1, np.intp)
 
         # An address does not keep its array: every thread holds the arrays until it ends.
-        def work(_arrays: Any = (given, wanted)) -> int:
+        def work(_arrays: Any = (given, out)) -> int:
             return work_off(addresses, sizes, queue, inputs, outputs, shared)
 
         threads = min(threads, -(-size // SHARE))
-        return _in_threads(work, threads, queue, size) if threads > 1 else work()
+        steps = _in_threads(work, threads, queue, size) if threads > 1 else work()
+        return out, steps
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
@@ -224,13 +209,14 @@ def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
         wait(parts)
 
 
-def _transfers(pairs: list[tuple[slice, np.ndarray]]) -> np.ndarray:
-    """The transfers of rows to or from arrays of shape (m, N), see `native_queue`."""
+def _transfers(rows: Any, arrays: Any) -> np.ndarray:
+    """Transfers between rows and arrays of N lanes, two equal pytrees; see `native_queue`."""
     transfers = []
-    for rows, values in pairs:
+    for place, values in zip(*map(jax.tree.leaves, (rows, arrays)), strict=True):
+        values = values.reshape(-1, values.shape[-1])
         first, (down, along) = values.ctypes.data, values.strides
         kind = list(KINDS).index(values.dtype.name)
-        transfers += [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
+        transfers += [(place.start + i, first + i * down, along, kind) for i in range(len(values))]
     return np.array(transfers)
 
 
@@ -257,7 +243,8 @@ def _program(
         equation: with a trailing axis of lanes on its arrays.
         until: when a lane is finished.
         solver: the method.
-        finish: what will be applied to the end states, if anything.
+        finish: what will be applied to the end states; None: nothing, and runs begin with whole
+            states, not with ω₀.
         n: the size of a state; None: of one that the equation lifts to.
 
     Raises:

@@ -14,13 +14,8 @@ FLOAT = {name: f"f{name}" for name in ("add", "sub", "mul", "div", "rem")} | {"a
 INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
 COMPARE = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 BITWISE = {"and": "and_", "or": "or_", "xor": "xor"}
-TYPES: dict[Any, Any] = {
-    np.dtype("float64"): ir.DoubleType(),
-    np.dtype("float32"): ir.FloatType(),
-    np.dtype("int64"): ir.IntType(64),
-    np.dtype("int32"): ir.IntType(32),
-    np.dtype("bool"): ir.IntType(1),
-}
+TYPES = {"float64": ir.DoubleType(), "float32": ir.FloatType()}
+TYPES |= {"int64": ir.IntType(64), "int32": ir.IntType(32), "bool": ir.IntType(1)}
 
 
 class VectorBuilder:
@@ -30,10 +25,10 @@ class VectorBuilder:
         self.builder, self.width, self.instructions = builder, width, 0
 
     def vector(self, dtype: Any) -> ir.VectorType:
-        kind = TYPES.get(np.dtype(dtype))
-        if kind is None:
-            raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
-        return ir.VectorType(kind, self.width)
+        name = np.dtype(dtype).name
+        if name not in TYPES:
+            raise Unsupported(f"numbers of type {name}")
+        return ir.VectorType(TYPES[name], self.width)
 
     def constant(self, number: Any, dtype: Any) -> ir.Constant:
         kind = self.vector(dtype)

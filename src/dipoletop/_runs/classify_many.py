@@ -74,17 +74,17 @@ def classify_many(
     check_verdict(equations, "equations")
     if not concrete(equations, omegas):
         refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
-    starts = real("omegas", omegas, (-1, 3), batch=False)
+    starts = np.asarray(real("omegas", omegas, (-1, 3), batch=False))
     size = starts.shape[0]
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
-    atol = absolute(atol, rtol, starts, axis=-1, label_only=value is False)
+    atol = absolute(atol, rtol, starts.T, label_only=value is False)
     steps = jnp.asarray(budget("max_steps", max_steps))
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
-    runs = _Runs(equations, single, np.asarray(starts), np.asarray(atol), rtol, steps)
+    runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, classification_of)

@@ -173,12 +173,15 @@ def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., 
     def rule(primals: Any, tangents: Any) -> Any:
         (leaves, constants), (changes, _) = primals, tangents
         fixed = [isinstance(change, SymbolicZero) for change in changes]
-        varying = [k for k in range(len(leaves)) if not fixed[k] or k == len(leaves) - 1]
-        x, unravel = ravel_pytree([leaves[k] for k in varying])
-        along = [jnp.zeros_like(leaves[k]) if fixed[k] else changes[k] for k in varying]
-        change, _ = ravel_pytree(along)
-        others = [None if k in varying else leaf for k, leaf in enumerate(leaves)]
-        leaves_of = _Leaves(tuple(varying), unravel, others)
+        along = [
+            jnp.zeros_like(leaf) if still else change
+            for leaf, change, still in zip(leaves, changes, fixed, strict=True)
+        ]
+        varies = [not still for still in fixed[:-1]] + [True]
+        varying, others = eqx.partition(leaves, varies)
+        x, unravel = ravel_pytree(varying)
+        change, _ = ravel_pytree(eqx.filter(along, varies))
+        leaves_of = _Leaves(unravel, others)
         omega_inf, *slopes = forward_differentiable(value_and_slopes)(x, (leaves_of, constants))
         return omega_inf, jnp.stack(slopes) @ change
 
@@ -189,15 +192,11 @@ def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., 
 class _Leaves(eqx.Module):
     """From the vector of those that vary to all leaves."""
 
-    varying: tuple[int, ...] = eqx.field(static=True)
     unravel: Callable[..., Any] = eqx.field(static=True)
     others: list[Any]
 
     def __call__(self, x: Float[Array, "n"]) -> list[Array]:
-        leaves = list(self.others)
-        for k, leaf in zip(self.varying, self.unravel(x), strict=True):
-            leaves[k] = leaf
-        return leaves
+        return eqx.combine(self.unravel(x), self.others)
 
 
 def decay_time(
