@@ -44,7 +44,7 @@ class JaxEngine:
     width: int = 128
 
     def end_states(
-        self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
+        self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """See `Engine`; the runs are on the device of `y0`."""
         platform = next(iter(y0.devices())).platform

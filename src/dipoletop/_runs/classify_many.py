@@ -135,7 +135,7 @@ def power_of_two(least: int) -> int:
 class _Runs(NamedTuple):
     """The runs that `classify_many` is asked for."""
 
-    equations: Any
+    equations: Equation
     single: bool
     """Whether it is one equation for all runs, rather than a batch."""
     starts: Float[np.ndarray, "N 3"]

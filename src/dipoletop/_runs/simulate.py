@@ -171,7 +171,7 @@ def _times(ts: ArrayLike) -> Float[Array, "T"]:
 
 
 def _follow(
-    equation: Any,
+    equation: Equation,
     y0: State,
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
