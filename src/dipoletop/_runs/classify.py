@@ -93,8 +93,8 @@ def _(primals: Any, tangents: Any) -> tuple[float, Any]:
 
 
 def classify_with_tangents(
-    equation: DecidingEquation,
-    omega0: ArrayLike,
+    equation: Any,  # checked here, as is the start
+    omega0: Any,
     *,
     rtol: NumberLike,
     atol: NumberLike | None,
@@ -123,7 +123,7 @@ def _classify(
     equation: DecidingEquation,
     start: Array,
     tolerances: Tolerances,
-    from_omega: bool,  # or from a whole state
+    from_omega: bool,  # else the start is a whole state
     max_steps: int,
     until: Until,
     value: Value,
