@@ -16,8 +16,7 @@ from jaxtyping import Array, Float
 from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
 from ._base.deprecated import renamed_argument
 from ._base.statistics import Share, mean_and_error, share_of
-from ._base.summaries import summary
-from ._base.text import with_error
+from ._base.summaries import summary, with_error
 from ._base.tolerances import check_settings, whole
 from ._base.types import Outcome
 from ._maps.basin import Basin

@@ -263,5 +263,5 @@ def test_length_of_the_native_code(monkeypatch):
     monkeypatch.setattr(_llvm, "machine_code", lambda text: MachineCode(0, None))
     equation = dt.TransverseReduced(jnp.zeros(8))
     native_engine._Program.compile(equation, 3, diffrax.Dopri8(), "value", None)
-    for part, name in zip(written, INSTRUCTIONS, strict=True):
+    for part, name in zip(written[:2], INSTRUCTIONS, strict=True):  # the third only copies
         in_room(part.instructions, INSTRUCTIONS[name])

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._engines import on_device
+from dipoletop._engines import interface
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.columns import COLUMNS
 from dipoletop._runs import classify_many as outcomes
@@ -85,7 +85,7 @@ def watched(run, together):
 
     So many tiles at a time wait for each other, so no device can do the work of another.
     """
-    in_machine_code, finished = NativeEngine.classify, on_device._finished
+    in_machine_code, finished = NativeEngine.classify, interface._finished
     meeting, used = threading.Barrier(together), []
 
     def met(devices):
@@ -102,7 +102,7 @@ def watched(run, together):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NativeEngine, "classify", native)
-        patch.setattr(on_device, "_finished", in_jax)
+        patch.setattr(interface, "_finished", in_jax)
         return digest(run()), sorted(used)
 
 

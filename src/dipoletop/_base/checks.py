@@ -16,16 +16,9 @@ from .forks import refuse_orphan
 
 LONGEST = 2000  # characters of a value that a message shows
 FLAG = (bool, np.bool_)
-NumberLike = (
-    float
-    | int
-    | np.floating
-    | np.integer
-    | RealOrInteger[np.ndarray, ""]
-    | RealOrInteger[Array, ""]
-)
+NumberLike = float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""]
 """A real number as a user may give it."""
-ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray, "..."] | RealOrInteger[Array, "..."]
+ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."]
 """Real numbers as a user may give them: an array of JAX or of NumPy, or nested sequences."""
 
 

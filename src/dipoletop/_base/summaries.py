@@ -1,13 +1,12 @@
-"""The `repr` of results: numbers with their errors, arrays by their shape and range."""
+"""Results as text: numbers with their errors, arrays by their shape and range."""
 
 import dataclasses
 import enum
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-from .text import with_error
 
 FEW = 4  # numbers that are all shown
 
@@ -25,6 +24,16 @@ def summary(result: Any, *omit: str, **errors: str) -> str:
     values = ((getattr(result, x), getattr(result, errors.get(x, ""), None)) for x in names)
     texts = (f"{name}={_text(*value)}" for name, value in zip(names, values, strict=True))
     return f"{type(result).__name__}({', '.join(texts)})"
+
+
+def with_error(value: float, error: float) -> str:
+    """A value with its estimated error, to one digit more than that error leaves certain."""
+    if not math.isfinite(error):
+        return f"{value:.6g} (error not estimated)"
+    digits = 16
+    if error > 0 and value != 0 and math.isfinite(value):
+        digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1))
+    return f"{value:.{digits}g} ± {error:.1g}"
 
 
 def span(values: Any) -> str:

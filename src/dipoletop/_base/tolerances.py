@@ -62,19 +62,18 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
 def absolute(
     atol: Any,
     rtol: Float[Array, ""],
-    omega0: Float[Array, "..."],
-    axis: int = 0,
+    omega0: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"],
     *,
     label_only: bool = False,
 ) -> Float[Array, "*n"]:
     """The absolute tolerance; None means 0, since errors are measured by the present |ω|.
 
     An outcome does not depend on how exact a motion is once it has become slow: with `label_only`
-    None means rtol·|ω₀|. The components of ω₀ are on the first axis (0) or on the last one (-1).
+    None means rtol·|ω₀|.
     """
     if atol is None:
-        return _default_atol(rtol, omega0, label_only, axis)
-    shape = omega0.shape[1:] if axis == 0 else omega0.shape[:-1]
+        return _default_atol(rtol, omega0, label_only)
+    shape = omega0.shape[1:]
     return jnp.broadcast_to(check_atol(atol, shape), shape)
 
 
@@ -88,11 +87,11 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     return array
 
 
-@functools.partial(jax.jit, static_argnames=("label_only", "axis"))
+@functools.partial(jax.jit, static_argnames="label_only")
 def _default_atol(
-    rtol: Float[Array, ""], omega0: Float[Array, "..."], label_only: bool, axis: int
+    rtol: Float[Array, ""], omega0: Float[Array, "3 *n"], label_only: bool
 ) -> Float[Array, "*n"]:
-    size = length(jnp.moveaxis(omega0, axis, 0))
+    size = length(omega0)
     # A top at rest stays at rest; any positive tolerance serves it.
     return rtol * jnp.where(size > 0, size if label_only else 0.0, 1.0)
 

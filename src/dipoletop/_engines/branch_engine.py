@@ -13,8 +13,7 @@ from .._base.parallel import Device
 from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided
 from .._branch.march import advance_window, start_march
 from ..equations.tangent import Tangent
-from .interface import EndStates, Finish, Limits, Queue, T
-from .on_device import classify_on_device
+from .interface import EndStates, Finish, Limits, Queue, T, classify_on_device
 
 
 @final

@@ -1,16 +1,20 @@
-"""What an engine is: it integrates many runs of one equation and returns their end states."""
+"""What an engine is: it integrates many runs of one equation and returns their end states.
+
+`classify_on_device` is `Engine.classify` of the engines that are written in JAX.
+"""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._base.parallel import Device
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
-from .._base.types import Equation
+from .._base.types import DecidingEquation, Equation
 
 T = TypeVar("T")
 
@@ -51,13 +55,13 @@ class EndStates(eqx.Module):
 class Queue(NamedTuple):
     """N runs from ω₀; the array fields of the equation carry a trailing axis of N lanes."""
 
-    equation: Any
+    equation: DecidingEquation
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"]
     limits: Limits
     until: Until
 
 
-Finish = Callable[[Equation, EndStates, Tolerances], T]
+Finish = Callable[[DecidingEquation, EndStates, Tolerances], T]
 """A pure function from equation, end states and tolerances to a pytree of arrays, lanes behind."""
 
 
@@ -75,7 +79,7 @@ class Engine(Protocol):
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
 
     def end_states(
-        self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
+        self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """Integrate from the states `y0`; the fields of the equation carry N lanes, too."""
         ...
@@ -90,3 +94,22 @@ class Engine(Protocol):
             threads: of an engine that has its own, how many share the queue.
         """
         ...
+
+
+def classify_on_device(engine: Engine, finish: Finish[T], queue: Queue, device: Device) -> T:
+    """`Engine.classify` of an engine whose `end_states` is a program of JAX."""
+    arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
+    equation, omegas, limits, until = eqx.combine(jax.device_put(arrays, device), rest)
+    ends = engine.end_states(equation, lifted(equation, omegas), limits, until=until)
+    return _finished(finish, equation, ends, limits.tolerances)
+
+
+@eqx.filter_jit
+def lifted(equation: Equation, omegas: Float[Array, "3 N"]) -> Float[Array, "n N"]:
+    """The states that start at these angular velocities."""
+    return equation.lift(omegas)
+
+
+@eqx.filter_jit
+def _finished(finish: Finish[T], equation: Any, ends: EndStates, tolerances: Tolerances) -> T:
+    return finish(equation, ends, tolerances)

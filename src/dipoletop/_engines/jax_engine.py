@@ -20,8 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
-from .interface import EndStates, Finish, Limits, Queue, T
-from .on_device import classify_on_device
+from .interface import EndStates, Finish, Limits, Queue, T, classify_on_device
 from .step import LaneState, advance, begin
 
 REFILL = 6  # refill when one lane in so many is finished
@@ -45,7 +44,7 @@ class JaxEngine:
     width: int = 128
 
     def end_states(
-        self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
+        self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """See `Engine`; the runs are on the device of `y0`."""
         platform = next(iter(y0.devices())).platform

@@ -73,30 +73,27 @@ def _move_by_numbers(
     return np.concatenate([part.ravel() for part in parts])[order]
 
 
-def _rearrange(name: str, params: dict[str, Any], values: list[Value]) -> Value | None:
-    """The result of one of the common primitives that only move data, in NumPy."""
-    x = values[0]
-    if name == "slice":
-        strides = params["strides"] or [1] * x.ndim
-        bounds = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
-        return x[tuple(slice(*b) for b in bounds)]
-    if name == "squeeze":
-        return np.squeeze(x, params["dimensions"])
-    if name == "reshape":
-        return x.reshape(params["new_sizes"])
-    if name == "transpose":
-        return x.transpose(params["permutation"])
-    if name == "broadcast_in_dim":
-        places = params["broadcast_dimensions"]
-        shape = [1] * len(params["shape"])
-        for axis, place in enumerate(places):
-            shape[place] = x.shape[axis]
-        return np.broadcast_to(x.reshape(shape), params["shape"])
-    if name == "concatenate":
-        return np.concatenate(values, params["dimension"])
-    if name == "stack":
-        return np.stack(values, params.get("axis", params.get("dimension", 0)))
-    return None
+def _slice(params: dict[str, Any], x: Value) -> Value:
+    strides = params["strides"] or [1] * x.ndim
+    return x[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
+
+
+def _broadcast(params: dict[str, Any], x: Value) -> Value:
+    shape, kept = params["shape"], params["broadcast_dimensions"]
+    new = [axis for axis in range(len(shape)) if axis not in kept]
+    return np.broadcast_to(np.expand_dims(x, new), shape)
+
+
+_REARRANGE: dict[str, Callable[..., Value]] = {
+    "slice": _slice,
+    "squeeze": lambda params, x: np.squeeze(x, params["dimensions"]),
+    "reshape": lambda params, x: x.reshape(params["new_sizes"]),
+    "transpose": lambda params, x: x.transpose(params["permutation"]),
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
+    "stack": lambda params, *rows: np.stack(rows, params.get("axis", params.get("dimension", 0))),
+}
+"""The common primitives that only move data, in NumPy."""
 
 
 def _is_zero(entry: Any) -> bool:
@@ -163,7 +160,7 @@ def _scan(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
 
 
 def _stack(column: Sequence[Value]) -> Value:
-    if any(v.dtype == object for v in column) and not all(v.dtype == object for v in column):
+    if len({v.dtype == object for v in column}) == 2:
         raise Unsupported("a loop whose results are partly constants")
     return np.stack(column)
 
@@ -211,8 +208,8 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
 """Primitives that act on every entry alone, besides those that have an instruction."""
 
 
-def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any] | None:
-    """From the entries of the operands to that of the result, if the primitive is elementwise."""
+def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any]:
+    """From the entries of the operands to that of the result, of an elementwise primitive."""
     if name in FLOAT:
         return functools.partial(w.arithmetic, name)
     if name in COMPARE:
@@ -222,7 +219,7 @@ def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any] | 
     if name in BITWISE:
         return functools.partial(w.bitwise, name)
     if name not in _ELEMENTWISE:
-        return None
+        raise Unsupported(f"the operation {name}")
     dtype, result_dtype = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
     return functools.partial(_ELEMENTWISE[name], _Operation(w, eqn.params, dtype, result_dtype))
 
@@ -247,20 +244,15 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
         return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
     kinds = [v.aval.dtype for v in eqn.invars]
     values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
-    rearranged = _rearrange(name, eqn.params, values)
-    if rearranged is not None:
-        return [rearranged]
+    if name in _REARRANGE:
+        return [_REARRANGE[name](eqn.params, *values)]
     if name == "dot_general":
         return [_dot(eqn.params, values[0], values[1], w)]
     if name in ("argmax", "argmin"):
         return [_arg_extreme(name, eqn, values[0], w)]
     if name in _REDUCE:
-        combine = _elementwise(_REDUCE[name], eqn, w)
-        assert combine is not None
-        return [_fold(combine, values[0], eqn.params["axes"])]
+        return [_fold(_elementwise(_REDUCE[name], eqn, w), values[0], eqn.params["axes"])]
     make = _elementwise(name, eqn, w)
-    if make is None:
-        raise Unsupported(f"the operation {name}")
     arrays = np.broadcast_arrays(*values)
     entries = [make(*entry) for entry in zip(*(a.ravel() for a in arrays), strict=True)]
     return [_array(entries, arrays[0].shape)]
@@ -305,7 +297,7 @@ class _TableAccess:
         undefined = ir.Constant(self.vector, None)
         one = w.builder.insert_element(undefined, number, ir.Constant(_LONG, 0))
         mask = ir.Constant(ir.VectorType(ir.IntType(32), w.width), [0] * w.width)
-        vector = w.builder.shuffle_vector(one, ir.Constant(self.vector, None), mask)
+        vector = w.builder.shuffle_vector(one, undefined, mask)
         return _array([w.convert(vector, "float64", leaf.dtype)], leaf.shape)
 
     def store(self, row: int, number: Any, dtype: Any) -> None:

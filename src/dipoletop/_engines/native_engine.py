@@ -9,7 +9,7 @@ costs as much as a thousand runs. It needs numba.
 import functools
 import threading
 from concurrent.futures import wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
@@ -23,6 +23,7 @@ from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
+from .._base.types import Equation
 from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
@@ -45,7 +46,7 @@ class NativeEngine:
     has_own_threads: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
-    def prepare(self, equation: Any, until: Until, finish: Finish[Any] | None = None) -> None:
+    def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
         """Compile what runs of such equations need.
 
         Raises:
@@ -55,7 +56,7 @@ class NativeEngine:
 
     def end_states(
         self,
-        equation: Any,
+        equation: Equation,
         y0: Float[Array, "n N"] | Float[np.ndarray, "n N"],
         limits: Limits,
         *,
@@ -67,22 +68,13 @@ class NativeEngine:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
         program = _program(equation, until, self.solver, n=y0.shape[0])
-        rows, size = program.layout.rows.lanes, y0.shape[1]
-        y, t = np.empty(y0.shape), np.empty(size)
-        steps, status = np.empty(size, "int32"), np.empty(size, "int32")
-        wanted = [(rows.y, y), (rows.t, t), (rows.steps, steps), (rows.status, status)]
-        block_steps = program.run(equation, limits, (rows.y, y0), wanted, threads=1)
-        return EndStates(y, t, steps, status, np.array([block_steps, 0]))
+        ends, block_steps = program.run(equation, y0, limits, threads=1)
+        return replace(ends, block_steps=np.array([block_steps, 0]))
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`; in NumPy. The device is not used: every processor is the same."""
-        equation, omegas, limits, until = queue
-        program = _program(equation, until, self.solver, finish)
-        rows, size = program.layout.rows, limits.t1.shape[0]
-        result = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), program.result)
-        wanted = list(zip(*map(jax.tree.leaves, (rows.result, result)), strict=True))
-        program.run(equation, limits, (rows.omegas, omegas), wanted, threads)
-        return result
+        program = _program(queue.equation, queue.until, self.solver, finish)
+        return program.run(queue.equation, queue.omegas, queue.limits, threads)[0]
 
 
 class _Table(NamedTuple):
@@ -90,29 +82,9 @@ class _Table(NamedTuple):
 
     lanes: step.LaneState
     omegas: Any
-    """ω₀, if the lift is compiled, too."""
+    """ω₀, unless runs begin with whole states."""
     result: Any
-    """What `Finish` gives, if there is one."""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Which rows of a table hold what, in the order of the leaves."""
-
-    rows: Any
-    """A `_Table` with a slice in the place of every array."""
-    total: int
-
-    @classmethod
-    def of(cls, table: _Table) -> "_Layout":
-        leaves, structure = jax.tree.flatten(table)
-        ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
-        return cls(jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:])), ends[-1])
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """The number of rows, that of the rows of a lane at work, and the row of its status."""
-        return self.total, self.rows.lanes.t1.stop, self.rows.lanes.status.start
+    """What `Finish` gives; the end states if there is none."""
 
 
 class _Functions(NamedTuple):
@@ -140,9 +112,9 @@ class _Functions(NamedTuple):
         return eqx.filter(step.advance(whole, *shared, self.solver, self.until), eqx.is_array)
 
     def result(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Any:
-        if self.apply is None:
-            return None
         ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
+        if self.apply is None:
+            return ends
         return self.apply(self.equation(lanes), ends, Tolerances(shared[0], lanes.atol))
 
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
@@ -150,32 +122,22 @@ class _Functions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Kernels:
-    """Machine code for a block of lanes."""
-
-    begin: MachineCode
-    advance: MachineCode
-    finish: MachineCode | None
-
-    @property
-    def addresses(self) -> tuple[int, int, int]:
-        """Their addresses, 0 where there is none."""
-        return self.begin.address, self.advance.address, self.finish.address if self.finish else 0
-
-
-@dataclass(frozen=True)
 class _Program:
     """Machine code for all equations of one structure."""
 
-    kernels: _Kernels
-    layout: _Layout
+    kernels: tuple[MachineCode, MachineCode, MachineCode]
+    """They begin, advance and finish the runs of a block of lanes."""
+    rows: Any
+    """A `_Table` with a slice in the place of every array: the rows that hold it."""
+    sizes: tuple[int, int, int]
+    """The number of rows, that of the rows of a lane at work, and the row of its status."""
     result: Any
     """Shapes and types of what `Finish` gives for one lane."""
 
     @classmethod
     def compile(
         cls,
-        equation: Any,
+        equation: Equation,
         n: int,
         solver: diffrax.AbstractERK,
         until: Until,
@@ -194,55 +156,47 @@ class _Program:
         result = jax.eval_shape(functions.result, lanes, shared)
         omegas = None if finish is None else jnp.zeros((3, 1))
         table = _Table(lanes, omegas, jax.tree.map(one_lane, result))
-        kernels = _Kernels(
+        kernels = (
             compiled(functions.begin, table, shared, WIDTH),
             compiled(functions.advance, lanes, shared, WIDTH),
-            None if finish is None else compiled(functions.finish, table, shared, WIDTH),
+            compiled(functions.finish, table, shared, WIDTH),
         )
-        return cls(kernels, _Layout.of(table), result)
+        leaves, structure = jax.tree.flatten(table)
+        ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
+        rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
+        return cls(kernels, rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result)
 
-    def run(
-        self,
-        equation: Any,
-        limits: Limits,
-        begun: tuple[slice, Any],
-        wanted: list[tuple[slice, np.ndarray]],
-        threads: int,
-    ) -> int:
+    def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.
 
         Args:
             equation: with a trailing axis of N lanes on its arrays.
+            starts: whole states or ω₀, whichever the program begins with, shape (..., N).
             limits: tolerances, end times and budget.
-            begun: the rows that the lanes begin with, and their values, shape (..., N).
-            wanted: the rows that are wanted in the end, and contiguous arrays for them.
             threads: how many work off the queue, at most.
 
         Returns:
-            How many steps the blocks of lanes made.
+            What `Finish` gives, and how many steps the blocks of lanes made.
         """
-        rows, size = self.layout.rows.lanes, limits.t1.shape[0]
-        parameters = map(jax.tree.leaves, (rows.equation, eqx.filter(equation, _is_array)))
-        pairs = begun, (rows.atol, limits.atol), (rows.t1, limits.t1)
-        given = [
-            (place, np.asarray(values, float).reshape(-1, size))
-            for place, values in (*pairs, *zip(*parameters, strict=True))
-        ]
-        inputs = np.array([each for pair in given for each in _transfers(*pair)])
-        outputs = np.array(
-            [each for place, out in wanted for each in _transfers(place, out.reshape(-1, size))]
-        )
+        lanes, omegas, result = self.rows
+        size = limits.t1.shape[0]
+        into = lanes.y if omegas is None else omegas, lanes.atol, lanes.t1, lanes.equation
+        given = starts, limits.atol, limits.t1, eqx.filter(equation, _is_array)
+        given = jax.tree.map(lambda x: np.asarray(x, float).reshape(-1, size), given)
+        out = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), self.result)
+        inputs, outputs = _transfers(into, given), _transfers(result, out)
+        addresses = tuple(kernel.address for kernel in self.kernels)
+        sizes = size, *self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
         queue = np.zeros(1, np.intp)
 
-        def work(*_arrays: Any) -> int:
-            sizes = size, *self.layout.sizes
-            return work_off(self.kernels.addresses, sizes, queue, inputs, outputs, shared)
-
         # An address does not keep its array: every thread holds the arrays until it ends.
-        work = functools.partial(work, given, wanted)
+        def work(_arrays: Any = (given, out)) -> int:
+            return work_off(addresses, sizes, queue, inputs, outputs, shared)
+
         threads = min(threads, -(-size // SHARE))
-        return _in_threads(work, threads, queue, size) if threads > 1 else work()
+        steps = _in_threads(work, threads, queue, size) if threads > 1 else work()
+        return out, steps
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
@@ -255,11 +209,15 @@ def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
         wait(parts)
 
 
-def _transfers(rows: slice, values: Float[np.ndarray, "m N"] | np.ndarray) -> list[tuple[int, ...]]:
-    """A transfer of each row to or from an array, see `native_queue`."""
-    first, (down, along) = values.ctypes.data, values.strides
-    kind = list(KINDS).index(values.dtype.name)
-    return [(rows.start + i, first + i * down, along, kind) for i in range(len(values))]
+def _transfers(rows: Any, arrays: Any) -> np.ndarray:
+    """Transfers between rows and arrays of N lanes, two equal pytrees; see `native_queue`."""
+    transfers = []
+    for place, values in zip(*map(jax.tree.leaves, (rows, arrays)), strict=True):
+        values = values.reshape(-1, values.shape[-1])
+        first, (down, along) = values.ctypes.data, values.strides
+        kind = list(KINDS).index(values.dtype.name)
+        transfers += [(place.start + i, first + i * down, along, kind) for i in range(len(values))]
+    return np.array(transfers)
 
 
 def _is_array(leaf: Any) -> bool:
@@ -272,7 +230,7 @@ _compile_lock = threading.Lock()
 
 
 def _program(
-    equation: Any,
+    equation: Equation,
     until: Until,
     solver: diffrax.AbstractERK,
     finish: Finish[Any] | None = None,
@@ -285,7 +243,8 @@ def _program(
         equation: with a trailing axis of lanes on its arrays.
         until: when a lane is finished.
         solver: the method.
-        finish: what will be applied to the end states, if anything.
+        finish: what will be applied to the end states; None: nothing, and runs begin with whole
+            states, not with ω₀.
         n: the size of a state; None: of one that the equation lifts to.
 
     Raises:

@@ -86,8 +86,7 @@ _SIZES, _ADDRESSES = numba.types.UniTuple(numba.intp, 4), numba.types.UniTuple(n
 @no_type_check  # numba reads the functions themselves, not a checker around them
 def _write_results(finish, ended, slots, count, shared, outputs):
     """Finish the runs in a block of ended lanes, and store what is wanted of them."""
-    if finish != 0:
-        _call_kernel(finish, ended.ctypes.data, WIDTH, shared.ctypes.data)
+    _call_kernel(finish, ended.ctypes.data, WIDTH, shared.ctypes.data)
     for row, address, stride, kind in outputs:
         for lane in range(count):
             _store(address + slots[lane] * stride, ended[row, lane], kind)
@@ -103,7 +102,7 @@ def work_off(kernels, sizes, queue, inputs, outputs, shared):
 
     Args:
         kernels: addresses of the machine code that begins, advances and finishes the runs of a
-            block; 0 where nothing is to be done.
+            block.
         sizes: the number of runs, of rows, of rows of a lane at work, and the row of its status.
         queue: counts the runs that are taken.
         inputs: transfers of what the runs begin with.

@@ -11,6 +11,7 @@ from .._base.checks import refuse
 from .._base.monitoring import report_compile_time
 from .._base.parallel import Device
 from .._base.stopping import Until
+from .._base.types import Equation
 from ..equations._common import is_full, physical
 from .branch_engine import BranchEngine
 from .interface import Engine, Finish, Unsupported
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def select_engines(
-    name: str, equation: Any, devices: Sequence[Device], until: Until, finish: Finish[Any]
+    name: str, equation: Equation, devices: Sequence[Device], until: Until, finish: Finish[Any]
 ) -> dict[Device, Engine]:
     """The engine of each device for runs of the physical motions of an equation."""
     equation = physical(equation)
@@ -29,7 +30,7 @@ def select_engines(
 
 
 def select_engine(
-    name: str, equation: Any, device: Device, until: Until, finish: Finish[Any] | None = None
+    name: str, equation: Equation, device: Device, until: Until, finish: Finish[Any] | None = None
 ) -> Engine:
     """The engine for such runs.
 

@@ -1,5 +1,6 @@
 """Vector instructions: LLVM code in which every value is one number for each of some lanes."""
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,25 +10,12 @@ from .interface import Unsupported
 
 LONGEST = 300_000  # instructions; longer code takes longer to compile than to run
 
-
-FLOAT = {
-    "add": "fadd",
-    "add_any": "fadd",
-    "sub": "fsub",
-    "mul": "fmul",
-    "div": "fdiv",
-    "rem": "frem",
-}
+FLOAT = {name: f"f{name}" for name in ("add", "sub", "mul", "div", "rem")} | {"add_any": "fadd"}
 INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
 COMPARE = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 BITWISE = {"and": "and_", "or": "or_", "xor": "xor"}
-TYPES: dict[Any, Any] = {
-    np.dtype("float64"): ir.DoubleType(),
-    np.dtype("float32"): ir.FloatType(),
-    np.dtype("int64"): ir.IntType(64),
-    np.dtype("int32"): ir.IntType(32),
-    np.dtype("bool"): ir.IntType(1),
-}
+TYPES = {"float64": ir.DoubleType(), "float32": ir.FloatType()}
+TYPES |= {"int64": ir.IntType(64), "int32": ir.IntType(32), "bool": ir.IntType(1)}
 
 
 class VectorBuilder:
@@ -37,10 +25,10 @@ class VectorBuilder:
         self.builder, self.width, self.instructions = builder, width, 0
 
     def vector(self, dtype: Any) -> ir.VectorType:
-        kind = TYPES.get(np.dtype(dtype))
-        if kind is None:
-            raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
-        return ir.VectorType(kind, self.width)
+        name = np.dtype(dtype).name
+        if name not in TYPES:
+            raise Unsupported(f"numbers of type {name}")
+        return ir.VectorType(TYPES[name], self.width)
 
     def constant(self, number: Any, dtype: Any) -> ir.Constant:
         kind = self.vector(dtype)
@@ -102,14 +90,14 @@ class VectorBuilder:
 
     def power(self, a: Any, exponent: int) -> Any:
         """a**exponent by squaring."""
-        if exponent < 0:
+        if exponent <= 0:
             one = ir.Constant(a.type, [ir.Constant(a.type.element, 1)] * self.width)
-            return self.arithmetic("div", one, self.power(a, -exponent))
-        if exponent == 0:
-            return ir.Constant(a.type, [ir.Constant(a.type.element, 1)] * self.width)
-        half = self.power(a, exponent // 2) if exponent > 1 else None
-        square = a if half is None else self.arithmetic("mul", half, half)
-        return self.arithmetic("mul", square, a) if exponent % 2 and exponent > 1 else square
+            return self.arithmetic("div", one, self.power(a, -exponent)) if exponent else one
+        if exponent == 1:
+            return a
+        half = self.power(a, exponent // 2)
+        square = self.arithmetic("mul", half, half)
+        return self.arithmetic("mul", square, a) if exponent % 2 else square
 
     def convert(self, a: Any, old: Any, new: Any) -> Any:
         old, new = np.dtype(old), np.dtype(new)
@@ -135,39 +123,33 @@ class VectorBuilder:
         """
         if a.type.element != ir.FloatType():
             return self.function("log", a)
-        make, zero, one = self.arithmetic, self.constant(0, "float32"), self.constant(1, "float32")
+        make = self.arithmetic
+        single = functools.partial(self.constant, dtype="float32")
+        integer = functools.partial(self.constant, dtype="int32")
 
-        def integer(x: int) -> ir.Constant:
-            return self.constant(x, "int32")
+        def same_bits(value: Any, dtype: str) -> Any:
+            return self._count(self.builder.bitcast(value, self.vector(dtype)))
 
-        low = self.compare("lt", a, self.constant(2.0**-126, "float32"))  # 0, or subnormal
-        bits = self._count(
-            self.builder.bitcast(
-                self.select(low, make("mul", a, self.constant(2.0**23, "float32")), a),
-                self.vector("int32"),
-            )
-        )
+        zero, one = single(0), single(1)
+        low = self.compare("lt", a, single(2.0**-126))  # 0, or subnormal
+        bits = same_bits(self.select(low, make("mul", a, single(2.0**23)), a), "int32")
         root = 0x3F3504F3  # √½
         above = make("sub", bits, integer(root))
         power = self._count(self.builder.ashr(above, integer(23)))
         power = make("sub", power, self.select(low, integer(23), integer(0)))
-        rest = self._count(self.builder.and_(above, integer(0x7FFFFF)))
-        rest = self._count(
-            self.builder.bitcast(make("add", rest, integer(root)), self.vector("float32"))
-        )
+        rest = self.bitwise("and", above, integer(0x7FFFFF))
+        rest = same_bits(make("add", rest, integer(root)), "float32")
         f = make("sub", rest, one)
         s = make("div", f, make("add", f, make("add", one, one)))
         square = make("mul", s, s)
-        series = self.constant(2 / 9, "float32")
+        series = single(2 / 9)
         for term in (2 / 7, 2 / 5, 2 / 3, 2.0):
-            series = make("add", make("mul", series, square), self.constant(term, "float32"))
-        whole = make(
-            "mul", self.convert(power, "int32", "float32"), self.constant(np.log(2), "float32")
-        )
+            series = make("add", make("mul", series, square), single(term))
+        whole = make("mul", self.convert(power, "int32", "float32"), single(np.log(2)))
         result = make("add", whole, make("mul", s, series))
-        result = self.select(self.compare("lt", a, self.constant(np.inf, "float32")), result, a)
-        result = self.select(self.compare("lt", a, zero), self.constant(np.nan, "float32"), result)
-        return self.select(self.compare("eq", a, zero), self.constant(-np.inf, "float32"), result)
+        result = self.select(self.compare("lt", a, single(np.inf)), result, a)
+        result = self.select(self.compare("lt", a, zero), single(np.nan), result)
+        return self.select(self.compare("eq", a, zero), single(-np.inf), result)
 
     def sign(self, a: Any, dtype: Any) -> Any:
         zero, one = self.constant(0, dtype), self.constant(1, dtype)
@@ -177,8 +159,8 @@ class VectorBuilder:
     def absolute(self, a: Any, dtype: Any) -> Any:
         if is_float(a):
             return self.function("fabs", a)
-        zero = self.constant(0, dtype)
-        return self.select(self.compare("lt", a, zero), self.arithmetic("sub", zero, a), a)
+        below = self.compare("lt", a, self.constant(0, dtype))
+        return self.select(below, self.negative(a, dtype), a)
 
 
 def is_float(a: Any) -> bool:

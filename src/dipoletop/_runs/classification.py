@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, refuse
 from .._base.stopping import BROKEN, Until, settled, slopes_settled
-from .._base.text import with_error
+from .._base.summaries import with_error
 from .._base.tolerances import Tolerances
-from .._base.types import Equation, Outcome, Real, Stop, Verdict
+from .._base.types import DecidingEquation, Equation, Outcome, Real, Stop, Verdict
 from .._engines.interface import EndStates
 from ..equations.tangent import Tangent
 
@@ -104,20 +104,19 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
 
 
 def classification_of(
-    equation: Equation, ends: EndStates, tolerances: Tolerances
+    equation: DecidingEquation, ends: EndStates, tolerances: Tolerances
 ) -> Classification:
     """The classification of runs by the states that ended them.
 
     A state that is not a number decides nothing.
 
     Args:
-        equation: an equation with a `verdict`; of many runs, its arrays have a trailing axis of
-            lanes.
+        equation: of many runs, its arrays have a trailing axis of lanes.
         ends: where the runs ended.
         tolerances: those of the steps.
     """
     y = jnp.asarray(ends.y)
-    verdict = Verdict(*equation.verdict(y))  # pyright: ignore[reportAttributeAccessIssue]
+    verdict = Verdict(*equation.verdict(y))
     broken = ends.status == BROKEN
     decided = ~broken & (verdict.outcome != Outcome.UNDECIDED)
     without_outcome = jnp.where(broken, Outcome.FAILED, Outcome.UNDECIDED)
@@ -125,9 +124,8 @@ def classification_of(
     slopes = None
     if isinstance(equation, Tangent):
         certain = known & slopes_settled(verdict, tolerances.rtol)
-        certain &= ~(
-            (verdict.outcome == Outcome.STOP) & equation.may_cross_boundary(y, tolerances.rtol)
-        )
+        stops = verdict.outcome == Outcome.STOP
+        certain &= ~(stops & equation.may_cross_boundary(y, tolerances.rtol))
         slopes = jnp.where(certain[None], equation.omega_inf_tangents(y), jnp.nan)
     return Classification(
         jnp.where(decided, verdict.outcome, without_outcome).astype(int),

@@ -1,13 +1,14 @@
 """The outcome of one run, through diffrax or along the physical branch of a full equation."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from .._base.checks import (
     ArrayLike,
@@ -20,7 +21,7 @@ from .._base.checks import (
 )
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
-from .._base.types import Equation, State
+from .._base.types import DecidingEquation, Equation, Real, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
 from .._engines.step_sizes import Controller
@@ -91,24 +92,12 @@ def _(primals: Any, tangents: Any) -> tuple[float, Any]:
     return 0.0, jnp.nan * sum(jnp.sum(change) for change in tangents[0])
 
 
-class _Plan(NamedTuple):
-    """What is static in a run."""
-
-    from_omega: bool
-    """Whether the start is ω₀; else it is a whole state."""
-    along_branch: bool
-    """Whether the run follows the physical branch of a full equation."""
-    max_steps: int
-    until: Until
-    value: Value
-
-
 def classify_with_tangents(
-    equation: Any,
+    equation: Any,  # checked here, as is the start
     omega0: Any,
     *,
     rtol: NumberLike,
-    atol: NumberLike | Float[Array, ""] | None,
+    atol: NumberLike | None,
     max_steps: int | np.integer,
     value: Value = True,
 ) -> Classification:
@@ -124,57 +113,76 @@ def classify_with_tangents(
     tolerances = step_tolerances(rtol, atol, equation.omega(y0), label_only=label_only)
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
-    along_branch = from_omega and is_full(equation)
     if is_full(equation) and not from_omega:
         until = "time"  # off the branch no region decides, and the top runs away
-    plan = _Plan(from_omega, along_branch, steps, until, value)
-    return _classify(equation, start, tolerances, plan)
+    return _classify(equation, start, tolerances, from_omega, steps, until, value)
 
 
 @eqx.filter_jit
-def _classify(equation: Any, start: Array, tolerances: Tolerances, plan: _Plan) -> Classification:
+def _classify(
+    equation: DecidingEquation,
+    start: Array,
+    tolerances: Tolerances,
+    from_omega: bool,  # else the start is a whole state
+    max_steps: int,
+    until: Until,
+    value: Value,
+) -> Classification:
     def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
-        y0 = equation.lift(start) if plan.from_omega else start
+        y0 = equation.lift(start) if from_omega else start
         t1 = jnp.where(wanted, jnp.inf, 0.0)
-        limits = Limits(*tolerances, t1, jnp.asarray(plan.max_steps))
-        if plan.along_branch:
-            ends = end_on_branch(equation, y0, limits, plan.until)
+        limits = Limits(*tolerances, t1, jnp.asarray(max_steps))
+        if from_omega and is_full(equation):
+            ends = end_on_branch(equation, y0, limits, until)
         else:
-            ends = _end_by_steps(equation, y0, limits, plan)
+            ends = _end_by_steps(equation, y0, limits, max_steps, until)
         return classification_of(equation, ends, tolerances)
 
-    if plan.value is True and plan.until != "time":
-        sizes = omega_scale_of(equation) if plan.from_omega else error_scale_of(equation)
+    if value is True and until != "time":
+        sizes = omega_scale_of(equation) if from_omega else error_scale_of(equation)
         return run_with_error_estimate(run, start, sizes(start), tolerances)
-    return without_error_estimates(run(start, tolerances, jnp.asarray(True)), plan.value, jnp)
+    return without_error_estimates(run(start, tolerances, jnp.asarray(True)), value, jnp)
 
 
-def _end_by_steps(equation: Any, y0: State, limits: Limits, plan: _Plan) -> EndStates:
+def _end_by_steps(
+    equation: DecidingEquation, y0: State, limits: Limits, max_steps: int, until: Until
+) -> EndStates:
     """The end state of a run by diffrax."""
 
     def ended(t: Any, y: State, args: Any, **_: Any) -> Bool[Array, ""]:
         broken = ~sound(t, y, equation(t, y, None))
-        return broken | decided(equation, y, limits.tolerances, plan.until)
+        return broken | decided(equation, y, limits.tolerances, until)
 
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(equation),
+    # A start that is decided or broken needs no integration.
+    t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1)
+    controller = Controller(*limits.tolerances, error_scale_of(equation))
+    run = integrated(equation, t1, y0, controller, max_steps, diffrax.Event(ended))
+    y, time = run.ys[-1], run.ts[-1]
+    finished = sound(time, y, equation(time, y, None))
+    if until == "time":
+        y = y * jnp.nan  # no state off the branch decides
+    return EndStates(y, time, run.stats["num_steps"], jnp.where(finished, FINISHED, BROKEN))
+
+
+def integrated(
+    field: Callable[..., Array],
+    t1: Real | float,
+    y0: Array,
+    controller: Controller,
+    max_steps: int,
+    event: diffrax.Event | None = None,
+) -> Any:
+    """An integration by diffrax from 0 to t1 that can be differentiated in forward mode."""
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
         diffrax.Dopri8(),
         0.0,
-        # A start that is decided or broken needs no integration.
-        jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1),
+        t1,
         None,
         y0,
-        stepsize_controller=Controller(*limits.tolerances, error_scale_of(equation)),
-        saveat=diffrax.SaveAt(t1=True),
-        event=diffrax.Event(ended),
-        max_steps=plan.max_steps,
+        stepsize_controller=controller,
+        event=event,
+        max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,
     )
-    y = solution.ys[-1]  # pyright: ignore[reportOptionalSubscript]
-    time = solution.ts[-1]  # pyright: ignore[reportOptionalSubscript]
-    finished = sound(time, y, equation(time, y, None))
-    if plan.until == "time":
-        y = y * jnp.nan  # no state off the branch decides
-    status = jnp.where(finished, FINISHED, BROKEN)
-    return EndStates(y, time, solution.stats["num_steps"], status)

@@ -20,7 +20,7 @@ from .._base.checks import (
 )
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
-from .._base.types import Equation
+from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Limits, Queue
 from .._engines.select import select_engines
 from ..equations._common import omega_scale_of, physical
@@ -74,17 +74,17 @@ def classify_many(
     check_verdict(equations, "equations")
     if not concrete(equations, omegas):
         refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
-    starts = real("omegas", omegas, (-1, 3), batch=False)
+    starts = np.asarray(real("omegas", omegas, (-1, 3), batch=False))
     size = starts.shape[0]
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     rtol = tolerance("rtol", rtol)
-    atol = absolute(atol, rtol, starts, axis=-1, label_only=value is False)
+    atol = absolute(atol, rtol, starts.T, label_only=value is False)
     steps = jnp.asarray(budget("max_steps", max_steps))
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
-    runs = _Runs(equations, single, np.asarray(starts), np.asarray(atol), rtol, steps)
+    runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, classification_of)
@@ -114,16 +114,16 @@ def classify_block(
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
         omegas = np.where(lost, np.nan, omegas)
     until = stopping_rule(equation, value)
-    equation = physical(equation)
+    deciding: DecidingEquation = physical(equation)
 
     def run(omegas: Any, limits: Limits) -> Classification:
-        queue = Queue(equation, omegas, limits, until)
+        queue = Queue(deciding, omegas, limits, until)
         runs = engine.classify(classification_of, queue, device, threads)
         return jax.tree.map(np.asarray, runs)
 
     runs = run(omegas, limits)
     if value is True:
-        return with_error_estimates(runs, run, omegas, limits, omega_scale_of(equation))
+        return with_error_estimates(runs, run, omegas, limits, omega_scale_of(deciding))
     return without_error_estimates(runs, value, np)
 
 
@@ -135,7 +135,7 @@ def power_of_two(least: int) -> int:
 class _Runs(NamedTuple):
     """The runs that `classify_many` is asked for."""
 
-    equations: Any
+    equations: Equation
     single: bool
     """Whether it is one equation for all runs, rather than a batch."""
     starts: Float[np.ndarray, "N 3"]

@@ -31,11 +31,11 @@ from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, Tolerances, budge
 from .._base.types import Equation, State
 from .._branch.march import crossing
 from .._engines.step_sizes import Controller
-from ..equations._common import ErrorScale, error_scale_of, is_full, omega_scale_of, physical
+from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from ..equations._verdicts.nonsmooth import infinity
 from ..equations.tangent import Tangent
 from .classification import UNCHECKED, Value
-from .classify import classify_with_tangents
+from .classify import classify_with_tangents, integrated
 from .conditioning import is_larger_than_its_error
 
 
@@ -173,12 +173,15 @@ def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., 
     def rule(primals: Any, tangents: Any) -> Any:
         (leaves, constants), (changes, _) = primals, tangents
         fixed = [isinstance(change, SymbolicZero) for change in changes]
-        varying = [k for k in range(len(leaves)) if not fixed[k] or k == len(leaves) - 1]
-        x, unravel = ravel_pytree([leaves[k] for k in varying])
-        along = [jnp.zeros_like(leaves[k]) if fixed[k] else changes[k] for k in varying]
-        change, _ = ravel_pytree(along)
-        others = [None if k in varying else leaf for k, leaf in enumerate(leaves)]
-        leaves_of = _Leaves(tuple(varying), unravel, others)
+        along = [
+            jnp.zeros_like(leaf) if still else change
+            for leaf, change, still in zip(leaves, changes, fixed, strict=True)
+        ]
+        varies = [not still for still in fixed[:-1]] + [True]
+        varying, others = eqx.partition(leaves, varies)
+        x, unravel = ravel_pytree(varying)
+        change, _ = ravel_pytree(eqx.filter(along, varies))
+        leaves_of = _Leaves(unravel, others)
         omega_inf, *slopes = forward_differentiable(value_and_slopes)(x, (leaves_of, constants))
         return omega_inf, jnp.stack(slopes) @ change
 
@@ -189,15 +192,11 @@ def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., 
 class _Leaves(eqx.Module):
     """From the vector of those that vary to all leaves."""
 
-    varying: tuple[int, ...] = eqx.field(static=True)
     unravel: Callable[..., Any] = eqx.field(static=True)
     others: list[Any]
 
     def __call__(self, x: Float[Array, "n"]) -> list[Array]:
-        leaves = list(self.others)
-        for k, leaf in zip(self.varying, self.unravel(x), strict=True):
-            leaves[k] = leaf
-        return leaves
+        return eqx.combine(self.unravel(x), self.others)
 
 
 def decay_time(
@@ -286,7 +285,7 @@ def _time_of_energy(
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     t1 = jnp.where(falls, jnp.inf, 0.0)
     sizes = error_scale_of(equation)
-    run = _integrated(equation, t1, y0, tolerances, max_steps, sizes, event=below)
+    run = integrated(equation, t1, y0, Controller(*tolerances, sizes), max_steps, below)
     end, late = run.ys[-1], run.ts[-1]
 
     # Back from the end of that step to the level, with the energy as the independent variable:
@@ -298,31 +297,7 @@ def _time_of_energy(
         return jnp.append(rate, 1 / late) * (level - energy(end)) / power
 
     with_time = Partial(lambda sizes, y: jnp.append(sizes(y[:-1]), 1.0), sizes)
-    back = _integrated(by_energy, 1.0, jnp.append(end, 1.0), tolerances, max_steps, with_time)
+    controller = Controller(*tolerances, with_time)
+    back = integrated(by_energy, 1.0, jnp.append(end, 1.0), controller, max_steps)
     found = falls & diffrax.is_successful(back.result)
     return jnp.where(found, late * back.ys[-1, -1], jnp.nan * first)  # no derivative, either
-
-
-def _integrated(
-    field: Any,
-    t1: Any,
-    y0: Array,
-    tolerances: Tolerances,
-    max_steps: int,
-    sizes: ErrorScale,
-    event: diffrax.Event | None = None,
-) -> Any:
-    """An integration from 0 to t1 that can be differentiated in forward mode."""
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        t1,
-        None,
-        y0,
-        stepsize_controller=Controller(*tolerances, sizes),
-        event=event,
-        max_steps=max_steps,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )

@@ -68,10 +68,7 @@ OPTIONS = {
         diffrax.AbstractAdjoint,
         "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
     ),
-    "throw": (FLAG, "be True or False"),
-    "dense": (FLAG, "be True or False"),
-    "balance": (FLAG, "be True or False"),
-}
+} | dict.fromkeys(("throw", "dense", "balance"), (FLAG, "be True or False"))
 """The class of each of the `Options`, and how a refusal describes it."""
 
 
@@ -150,11 +147,10 @@ def simulate(
 def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
     """The trajectory, unless it failed; if it is traced, equinox raises when it is computed."""
     for sentence, failed in failures.items():
-        if concrete(failed) and failed:
-            raise RuntimeError(sentence)
         if not concrete(failed):
-            states = eqx.error_if(run.ys, failed, sentence)
-            run = eqx.tree_at(lambda run: run.ys, run, states)
+            run = eqx.tree_at(lambda run: run.ys, run, eqx.error_if(run.ys, failed, sentence))
+        elif failed:
+            raise RuntimeError(sentence)
     return run
 
 
@@ -175,7 +171,7 @@ def _times(ts: ArrayLike) -> Float[Array, "T"]:
 
 
 def _follow(
-    equation: Any,
+    equation: Equation,
     y0: State,
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
@@ -223,8 +219,7 @@ def _differentiable_motion(
     # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
     constants = times, rtol
     shapes = jax.eval_shape(follow, variables, constants)
-    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    _, to_motion = ravel_pytree(zeros)
+    _, to_motion = ravel_pytree(jax.tree.map(jnp.zeros_like, shapes))
     raveled = forward_differentiable(
         lambda variables, constants: ravel_pytree(follow(variables, constants))[0]
     )

@@ -22,8 +22,7 @@ from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
-from .._engines.interface import Limits
-from .._engines.on_device import lifted
+from .._engines.interface import Limits, lifted
 from .._engines.select import select_engine
 from .._maps.problems import Problem
 from ..equations._common import physical

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .._base.statistics import Share
-from .._base.text import with_error
+from .._base.summaries import with_error
 from .._base.types import Outcome, Stop
 from .._maps.symmetry import unfold
 from .._runs.classification import Classification
