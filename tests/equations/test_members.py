@@ -1,7 +1,10 @@
 """What an equation offers is written in one place, the protocols of `_base.types`."""
 
 import dataclasses
+from functools import partial
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import dipoletop as dt
@@ -54,3 +57,29 @@ def test_which_equations_are_full_and_which_decide():
 def test_which_bodies_are_parameters():
     free = {type(equation).__name__ for equation in EQUATIONS if has_body_field(equation)}
     assert free == {"Full", "Reduced", "SemiReduced"}
+
+
+def test_a_body_that_is_no_field_is_no_parameter():
+    """A plain class has no arrays that vary, so its gradient is that with respect to ω₀ only."""
+
+    class Plain:
+        def __init__(self):
+            self.inner = dt.SemiReduced(BODY)
+            self.body = self.inner.body
+
+        def __call__(self, t, y, args=None):
+            return self.inner(t, y)
+
+        def lift(self, omega0):
+            return omega0
+
+        def omega(self, y):
+            return y
+
+        def verdict(self, y):
+            return self.inner.verdict(y)
+
+    assert not has_body_field(Plain())
+    start = jnp.array([0.2, 0.01, 0.01])
+    slopes = [jax.grad(partial(dt.residual_rotation, e))(start) for e in (Plain(), Plain().inner)]
+    assert jnp.allclose(*slopes, rtol=1e-6)
