@@ -1,0 +1,123 @@
+"""Averages of what a dipole radiates over the free rotation of its body, in closed form.
+
+A body that radiates weakly turns freely for many periods. With pᵢ = 1/Jᵢ and yᵢ = Lᵢ²/L² its
+angular momentum L (body axes) keeps L² and h = 2E/L² = Σ pᵢyᵢ, and moves round one axis: that of
+the largest moment if h < p₂ (the low side), that of the smallest if h > p₂ (the high side). Call
+that axis c, the other extreme axis a and the middle one b, and write a, b, c for p_a, p_b, p_c.
+With the differences Da = a − c, Db = b − c, Dab = a − b the orbit is
+
+    y_a = x (Db/Da) cn²,   y_b = x sn²,   y_c = (q/Da) dn²,   q = Dab + (1 − x)Db,
+    x = (h − c)/Db,   m = Dab x/q,   1 − m = (1 − x)Da/q.
+
+x runs from 0 on the axis to 1 on the separatrix h = p₂.
+
+A dipole along the unit vector n loses energy and angular momentum by dE/dt = −κ⟨Q⟩ and
+d(L²)/dt = −2κ⟨R⟩ at first order in κ = k d², where Ω = pL, v = Ω̇×Ω, and
+
+    Q = Ω²|Ω×n|² + |Ω̇×n|² − 2(n·Ω)(n·v),   R = 2E|Ω×n|² − (n·L)(n·v).
+
+Terms with nᵢnⱼ, i ≠ j, average to zero. So r = ⟨R⟩/L⁴ and f = dh/ds = ⟨hR/L⁴ − Q/L⁴⟩, with
+ds = 2κL²dt, are sums of nᵢ²rᵢ and nᵢ²fᵢ. For n along axis i, with j and k the other two,
+
+    n·L n·v/L⁴ = yᵢ pⱼpₖ Σⱼ yⱼ(pᵢ − pⱼ),   |Ω×n|²/L² = Σⱼ pⱼ²yⱼ,   |Ω̇×n|²/L⁴ = yᵢ Σⱼ pₖ²yⱼ(pᵢ − pⱼ)²,
+
+and Ω²/L² − h² = Var, the variance of p with the weights y: it is linear in sn², so it equals
+x Db [q cn² + (1 − x)Db sn²]. Hence, with the sums over the two axes j ≠ i,
+
+    rᵢ = Σⱼ {pⱼ³⟨yⱼ²⟩ + pⱼ[pᵢpⱼ − pₖ(pᵢ − pⱼ)]⟨yᵢyⱼ⟩} + pⱼpₖ(pⱼ + pₖ)⟨yⱼyₖ⟩
+    fᵢ = Σⱼ {−pⱼ²⟨yⱼ Var⟩ + ⟨yᵢyⱼ⟩(pᵢ − pⱼ) pₖ[(2pᵢ − h)pⱼ − pₖ(pᵢ − pⱼ)]}.
+
+Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. All means
+are of even powers of elliptic functions, each evaluated as a sum of positive terms; differences are
+those of the moments themselves. So r and F have no cancellation but the one that makes F zero, also
+for nearly spherical and nearly axisymmetric bodies, on the axes and next to the separatrix.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._base.types import Real
+
+AGM_STEPS = 12  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-60
+
+
+class Averages(NamedTuple):
+    """Averages over free rotation for a dipole along a, b and c, which stand on axis 0."""
+
+    r: Float[Array, "3 *#lanes"]
+    """r = ⟨R⟩/L⁴, so that d ln L²/ds = −r."""
+    growth: Float[Array, "3 *#lanes"]
+    """F = f/(x Db), so that d ln x/ds = F."""
+
+
+def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Averages:
+    """r and F of a dipole along each principal axis.
+
+    Args:
+        moments: J_a, J_b, J_c: the axis that L moves round comes last, the middle one second.
+        x: (h − c)/Db, from 0 to 1.
+        rest: 1 − x, to its own relative accuracy.
+    """
+    ja, jb, jc = moments
+    a, b, c = p = 1 / ja, 1 / jb, 1 / jc
+    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+    q = a_to_b + rest * to_b
+    h = rest * c + x * b
+    m1, m = rest * to_a / q, a_to_b * x / q
+    sn2, sn4 = elliptic_means(m, m1)
+    cn2, cn4, sn2_cn2 = 1 - sn2, 1 - 2 * sn2 + sn4, sn2 - sn4
+    cn2_dn2, sn2_dn2 = m1 * cn2 + m * cn4, m1 * sn2 + m * sn2_cn2  # dn² = (1 − m) + m cn²
+    dn4 = m1 * (m1 + 2 * m * cn2) + m**2 * cn4
+    ya, yb, yc = x * to_b / to_a, x, q / to_a  # times cn², sn², dn²
+    mean = {
+        (0, 0): ya**2 * cn4,
+        (1, 1): yb**2 * sn4,
+        (2, 2): yc**2 * dn4,
+        (0, 1): ya * yb * sn2_cn2,
+        (0, 2): ya * yc * cn2_dn2,
+        (1, 2): yb * yc * sn2_dn2,
+    }
+    gap = {(0, 1): a_to_b, (0, 2): to_a, (1, 2): to_b}
+    # ⟨yᵢyⱼ⟩(pᵢ − pⱼ) and ⟨yⱼ Var⟩, both over x Db.
+    torque = {(0, 1): x * a_to_b / to_a * sn2_cn2, (0, 2): yc * cn2_dn2, (1, 2): yc * sn2_dn2}
+    variance = (
+        ya * (q * cn4 + rest * to_b * sn2_cn2),
+        yb * (q * sn2_cn2 + rest * to_b * sn4),
+        yc * (q * cn2_dn2 + rest * to_b * sn2_dn2),
+    )
+
+    def of_dipole(i: int) -> tuple[Real, Real]:
+        j, k = (axis for axis in range(3) if axis != i)
+        r, growth = p[j] * p[k] * (p[j] + p[k]) * mean[j, k], jnp.zeros_like(h)
+        for j, k in ((j, k), (k, j)):
+            pair, sign = (min(i, j), max(i, j)), 1 if i < j else -1
+            inner = p[k] * sign * gap[pair]
+            r += p[j] ** 3 * mean[j, j] + p[j] * (p[i] * p[j] - inner) * mean[pair]
+            growth += sign * torque[pair] * p[k] * ((2 * p[i] - h) * p[j] - inner)
+            growth -= p[j] ** 2 * variance[j]
+        return r, growth
+
+    r, growth = zip(*(of_dipole(axis) for axis in range(3)), strict=True)
+    return Averages(jnp.stack(r), jnp.stack(growth))
+
+
+def elliptic_means(m: Real, m1: Real) -> tuple[Real, Real]:
+    """⟨sn²⟩ and ⟨sn⁴⟩ over a period, for a parameter m in [0, 1] and m1 = 1 − m.
+
+    The arithmetic-geometric mean aₙ of 1 and √m1, with cₙ₊₁ = (aₙ − gₙ)/2, gives E/K: the sum
+    k = Σ 2ⁿ(cₙ/m)², n ≥ 1, is ⟨sn²⟩ = ½ + mk/2. A reduction of sn⁴ gives ⟨sn⁴⟩ = k/3 + ⅔⟨sn²⟩. The
+    recurrence cₙ₊₁ = cₙ²/(4aₙ₊₁) is free of cancellation.
+
+    Source: NIST Digital Library of Mathematical Functions, sections 19.8(i) and 22.14.
+    """
+    mean, geometric = jnp.ones_like(m1), jnp.sqrt(m1)
+    term = 1 / (2 * (1 + geometric))
+    total = jnp.zeros_like(term)
+    for n in range(1, 1 + AGM_STEPS):
+        mean, geometric = (mean + geometric) / 2, jnp.sqrt(mean * geometric)
+        total = total + 2**n * term**2
+        term = m * term**2 / (2 * (mean + geometric))
+    sn2 = 0.5 + m * total / 2
+    return sn2, total / 3 + 2 * sn2 / 3
