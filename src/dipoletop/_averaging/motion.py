@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import bisect
 from .._base.types import Real
-from .slow_flow import FARTHEST, Interval, Side, interval_of
+from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
 MAX_STEPS = 1000
@@ -44,6 +44,12 @@ class Stage(eqx.Module):
     end: Real
     """Values of y."""
     solution: diffrax.Solution
+
+    @property
+    def limit(self) -> Bound:
+        """The end of the interval to which the motion leads."""
+        pair = zip(self.interval.low, self.interval.high, strict=True)
+        return Bound(*(jnp.where(self.end > 0, high, low) for low, high in pair))
 
     def state(self, y: Real) -> State:
         """The state at y, between start and end."""
@@ -126,10 +132,10 @@ class Motion(eqx.Module):
         y = stage.start + part * (stage.end - stage.start)
         state = stage.state(y)
         x, rest = stage.interval.position(y)
-        _, r = stage.interval.pace(y)
-        # Past the end of y: t − tₑ by its logarithm.
-        excess = jnp.maximum(log_time - _log_time(state), 0.0)
-        later = jnp.where(excess > 0, state.u * jnp.expm1(excess), 0.0)
+        limit = stage.limit
+        r, _ = stage.interval.side.rates(limit.x, limit.rest)
+        # After the end of y, 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1).
+        later = state.u * jnp.expm1(jnp.maximum(log_time - _log_time(state), 0.0))
         return Point(self.starts_high ^ second, x, rest, state.log - jnp.log1p(r * later))
 
 
