@@ -4,6 +4,9 @@ A motion has one stage or two, before and after it crosses the separatrix. On ea
 integrals over the parameter y of `slow_flow`. Time follows from dt = ds/(2κL²): the unknown
 u = 2κL²t obeys du/ds = 1 − ru and is bounded, so neither t nor L² can over- or underflow.
 
+An adaptive Runge–Kutta method chooses the knots in y and integrates from one to the next. Between
+two knots the same integrals are those of the polynomial through Chebyshev nodes (collocation).
+
 Where y ends the motion has come to a zero x* of F or to an axis, and L² obeys dL²/dt = −2κr*L⁴
 exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* = 0.
 """
@@ -14,14 +17,16 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import bisect
+from .._base.chebyshev import collocation_rule
 from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
-MAX_STEPS = 1000
+MAX_STEPS = 800
+NODES = 16  # of collocation between two knots
 HALVINGS = 60
 
 
@@ -35,25 +40,68 @@ class State(NamedTuple):
     u: Real
     """2κL²t."""
 
+    @property
+    def log_time(self) -> Real:
+        """ln t, in units of 1/(2κL₀²)."""
+        return jnp.log(self.u) - self.log
+
+
+class Piece(NamedTuple):
+    """The motion between two knots, by its values at Chebyshev nodes of y."""
+
+    y: Float[Array, "n"]
+    state: State
+    """With the nodes on the trailing axis."""
+
+    def at(self, part: Real) -> tuple[Real, State]:
+        """The values of y and of the state at a part of the way, 0 ≤ part ≤ 1."""
+        rule = collocation_rule(NODES)
+        t = 2 * part - 1
+        basis = jnp.cos(jnp.arange(NODES) * jnp.arccos(jnp.clip(t, -1.0, 1.0)))
+        weights = basis @ rule.coefficients
+        return weights @ self.y, State(*(weights @ values for values in self.state))
+
 
 class Stage(eqx.Module):
     """The motion on one side of the separatrix."""
 
     interval: Interval
-    start: Real
-    end: Real
-    """Values of y."""
-    solution: diffrax.Solution
+    knots: Float[Array, "K"]
+    """Values of y, filled up with ∞."""
+    states: State
+    """At the knots, which are on the trailing axis."""
+    last: Int[Array, ""]
+    """The index of the last knot."""
+    failed: Bool[Array, ""]
 
     @property
     def limit(self) -> Bound:
         """The end of the interval to which the motion leads."""
-        pair = zip(self.interval.low, self.interval.high, strict=True)
-        return Bound(*(jnp.where(self.end > 0, high, low) for low, high in pair))
+        rises = self.knots[self.last] > 0
+        pairs = zip(self.interval.low, self.interval.high, strict=True)
+        return Bound(*(jnp.where(rises, high, low) for low, high in pairs))
 
-    def state(self, y: Real) -> State:
-        """The state at y, between start and end."""
-        return State(*self.solution.evaluate(y))
+    @property
+    def end(self) -> State:
+        """The state at the last knot."""
+        return self.knot(self.last)
+
+    def knot(self, index: Int[Array, ""]) -> State:
+        """The state at a knot."""
+        return State(*(values[index] for values in self.states))
+
+    def piece(self, index: Int[Array, ""]) -> Piece:
+        """The motion after the knot of this index."""
+        index = jnp.clip(index, 0, jnp.maximum(self.last - 1, 0))
+        first, start = self.knots[index], self.knot(index)
+        length = jnp.where(self.last > 0, self.knots[index + 1] - first, 0.0)
+        rule = collocation_rule(NODES)
+        integrate = length * rule.integrals
+        y = first + length * rule.nodes
+        pace, r = jax.vmap(self.interval.pace)(y)
+        change = -integrate @ (r * pace)
+        u = (start.u + integrate @ (pace * jnp.exp(-change))) * jnp.exp(change)
+        return Piece(y, State(start.s + integrate @ pace, start.log + change, u))
 
 
 def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
@@ -62,7 +110,6 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
     start = interval.parameter(z)
     pace, _ = interval.pace(start)
     end = jnp.where(pace > 0, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
-    end = jnp.where(moves, end, start)
 
     def field(y: Real, state: Array, args: Any) -> Array:
         pace, r = interval.pace(y)
@@ -72,19 +119,22 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         diffrax.ODETerm(field),
         diffrax.Dopri8(),
         start,
-        end,
+        jnp.where(moves, end, start),
         None,
         jnp.stack(initial),
         stepsize_controller=diffrax.PIDController(RTOL, RTOL),
-        saveat=diffrax.SaveAt(t1=True, dense=True),
+        saveat=diffrax.SaveAt(t0=True, steps=True),
         max_steps=MAX_STEPS,
         throw=False,
     )
-    return Stage(interval, start, end, solution)
+    ys: Any = solution.ys
+    last = solution.stats["num_accepted_steps"]
+    failed = ~diffrax.is_successful(solution.result)
+    return Stage(interval, solution.ts, State(*ys.T), last, failed)  # pyright: ignore
 
 
 class Point(NamedTuple):
-    """The slow motion at given times."""
+    """The slow motion at a time."""
 
     high: Bool[Array, "*times"]
     """Whether L moves round the axis of the smallest moment, rather than that of the largest."""
@@ -100,61 +150,55 @@ class Motion(eqx.Module):
 
     starts_high: Bool[Array, ""]
     stages: Stage
-    """Two, on the leading axis; the second takes no step unless the motion crosses."""
+    """Two, on the leading axis; the second is empty unless the motion crosses."""
     crosses: Bool[Array, ""]
     """Whether it crosses the separatrix."""
 
     @property
-    def last(self) -> Stage:
+    def final(self) -> Stage:
         """The stage in which it ends."""
-        return self._stage(self.crosses.astype(int))
+        return self.stage(self.crosses.astype(int))
 
     @property
     def ends_high(self) -> Bool[Array, ""]:
         """The side on which it ends."""
         return self.starts_high ^ self.crosses
 
-    def _stage(self, index: Any) -> Stage:
-        return jax.tree.map(lambda leaf: leaf[index], self.stages, is_leaf=eqx.is_array)
+    def stage(self, index: Any) -> Stage:
+        """The first or the second stage."""
+        return jax.tree.map(lambda leaf: leaf[index], self.stages)
 
     def at(self, log_time: Real) -> Point:
         """The motion at t = exp(log_time)."""
-        first = self._stage(0)
-        crossing = _log_time(first.state(first.end))
-        second = self.crosses & (log_time > crossing)
-        stage = self._stage(second.astype(int))
-
-        def passed(part: Real) -> Bool[Array, ""]:
-            y = stage.start + part * (stage.end - stage.start)
-            return _log_time(stage.state(y)) >= log_time
-
-        _, part = bisect(passed, jnp.zeros(()), jnp.ones(()), HALVINGS)
-        y = stage.start + part * (stage.end - stage.start)
-        state = stage.state(y)
+        second = self.crosses & (log_time > self.stage(0).end.log_time)
+        stage = self.stage(second.astype(int))
+        reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
+        piece = stage.piece(jnp.searchsorted(reached, log_time) - 1)
+        _, part = bisect(
+            lambda part: piece.at(part)[1].log_time >= log_time,
+            jnp.zeros_like(log_time),
+            jnp.ones_like(log_time),
+            HALVINGS,
+        )
+        y, state = piece.at(part)
         x, rest = stage.interval.position(y)
         limit = stage.limit
         r, _ = stage.interval.side.rates(limit.x, limit.rest)
-        # After the end of y, 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1).
-        later = state.u * jnp.expm1(jnp.maximum(log_time - _log_time(state), 0.0))
+        # After the last knot 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1).
+        later = state.u * jnp.expm1(jnp.maximum(log_time - state.log_time, 0.0))
         return Point(self.starts_high ^ second, x, rest, state.log - jnp.log1p(r * later))
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> Motion:
     """The motion from z = logit x on a side."""
 
-    def next_stage(carry: Any, is_second: Any) -> Any:
+    def next_stage(carry: Any, _: Any) -> Any:
         side, z, state, moves = carry
         stage = stage_from(side, z, state, moves)
-        arrives = (stage.end > 0) & ~stage.interval.high.is_zero & moves
-        last = State(*stage.solution.ys[-1])
-        return (side.other, jnp.full_like(z, FARTHEST), last, arrives), (stage, arrives)
+        arrives = moves & (stage.knots[stage.last] > 0) & ~stage.interval.high.is_zero
+        return (side.other, jnp.full_like(z, FARTHEST), stage.end, arrives), (stage, arrives)
 
     zero = jnp.zeros_like(z)
     carry = side, z, State(zero, zero, zero), jnp.asarray(True)
     _, (stages, arrives) = jax.lax.scan(next_stage, carry, jnp.arange(2))
     return Motion(starts_high, stages, arrives[0])
-
-
-def _log_time(state: State) -> Real:
-    """ln t, in units of 1/(2κL₀²)."""
-    return jnp.log(state.u) - state.log
