@@ -1,0 +1,76 @@
+"""A body and its angular momentum in the principal axes of its inertia, moments ascending."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._base.types import Real
+from ..bodies import Body
+from .slow_flow import Side
+
+ROUNDING = 64.0  # roundings within which a direction cosine counts as 0, and two moments as equal
+
+
+class FreeRotation(eqx.Module):
+    """The free rotation of a body, in its principal axes."""
+
+    moments: Float[Array, "3"]
+    """J₁ ≤ J₂ ≤ J₃."""
+    dipole: Float[Array, "3"]
+    """The unit vector n along the dipole; components of the size of rounding are 0."""
+    momentum: Float[Array, "3"]
+    """L."""
+
+    def side(self, high: Bool[Array, ""]) -> Side:
+        """The slow flow about the axis of J₁ (high) or of J₃."""
+        ordered = self.moments, self.dipole**2
+        return Side(*(jnp.where(high, values[::-1], values) for values in ordered))
+
+    @property
+    def gaps(self) -> Float[Array, "3"]:
+        """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ of reciprocal moments, not negative."""
+        j1, j2, j3 = self.moments
+        return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
+
+    @property
+    def place(self) -> tuple[Bool[Array, ""], Real]:
+        """Whether L moves round the axis of J₁, and logit x of that motion."""
+        y1, y2, y3 = self.momentum**2 / jnp.sum(self.momentum**2)
+        p12, p23, p13 = self.gaps
+        above = p12 * y1 - p23 * y3  # h − p₂
+        high = above > 0
+        inside = jnp.where(high, p13 * y3 + p12 * y2, p13 * y1 + p23 * y2)
+        return high, jnp.log(inside) - jnp.log(jnp.abs(above))
+
+
+def free_rotation(body: Body, omega: Float[Array, "3"]) -> FreeRotation:
+    """The free rotation of a body that turns with the angular velocity Ω."""
+    moments, axes = principal_axes(body.inertia)
+    n = axes.T @ (body.dipole / jnp.linalg.norm(body.dipole))
+    small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
+    return FreeRotation(moments, jnp.where(small, 0.0, n), moments * (axes.T @ omega))
+
+
+@jax.custom_jvp
+def principal_axes(inertia: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
+    """The principal moments, ascending, and the principal axes as columns.
+
+    Axes of equal moments do not turn in a derivative: it holds for changes of the inertia that do
+    not mix them, and for everything that does not depend on their choice.
+    """
+    moments, axes = jnp.linalg.eigh(inertia)
+    return moments, axes
+
+
+@principal_axes.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    (inertia,), (change,) = primals, tangents
+    moments, axes = principal_axes(inertia)
+    rotated = axes.T @ change @ axes
+    gaps = moments[None, :] - moments[:, None]
+    distinct = jnp.abs(gaps) > ROUNDING * jnp.finfo(moments.dtype).eps * moments[-1]
+    turns = jnp.where(distinct, rotated / jnp.where(distinct, gaps, 1.0), 0.0)
+    return (moments, axes), (jnp.diagonal(rotated), axes @ turns)
