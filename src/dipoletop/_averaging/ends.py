@@ -6,12 +6,11 @@ for energy, and J₃³/(2κL₀²) for time.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from .._base.bisection import bisect
+from .._base.bisection import root
 from .._base.types import Real
 from .motion import HALVINGS, Motion, Stage
 from .principal_axes import FreeRotation
@@ -105,12 +104,12 @@ def _time_at(motion: Motion, energy: Real) -> Real:
     above = jnp.sum(_energies(stage) > energy)
     piece = stage.piece(above - 1)
 
-    def passed(part: Real) -> Bool[Array, ""]:
+    def lost(part: Real) -> Real:
         y, state = piece.at(part)
         h = shape(stage.interval.side, *stage.interval.position(y))
-        return h * jnp.exp(state.log) / 2 <= energy
+        return energy - h * jnp.exp(state.log) / 2
 
-    _, part = bisect(passed, jnp.zeros_like(energy), jnp.ones_like(energy), HALVINGS)
+    part = root(lost, jnp.zeros_like(energy), jnp.ones_like(energy), HALVINGS)
     y, state = piece.at(part)
     # After the last knot E falls as L² does, by 1 + r(t − tₑ)L²ₑ.
     limit = stage.limit

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.bisection import bisect
+from .._base.bisection import root
 from .._base.chebyshev import collocation_rule
 from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
@@ -82,6 +82,11 @@ class Stage(eqx.Module):
         return Bound(*(jnp.where(rises, high, low) for low, high in pairs))
 
     @property
+    def reaches_separatrix(self) -> Bool[Array, ""]:
+        """Whether it leads to the separatrix."""
+        return (self.knots[self.last] > 0) & ~self.interval.high.is_zero
+
+    @property
     def end(self) -> State:
         """The state at the last knot."""
         return self.knot(self.last)
@@ -124,6 +129,7 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         jnp.stack(initial),
         stepsize_controller=diffrax.PIDController(RTOL, RTOL),
         saveat=diffrax.SaveAt(t0=True, steps=True),
+        adjoint=diffrax.ForwardMode(),
         max_steps=MAX_STEPS,
         throw=False,
     )
@@ -174,8 +180,8 @@ class Motion(eqx.Module):
         stage = self.stage(second.astype(int))
         reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
         piece = stage.piece(jnp.searchsorted(reached, log_time) - 1)
-        _, part = bisect(
-            lambda part: piece.at(part)[1].log_time >= log_time,
+        part = root(
+            lambda part: piece.at(part)[1].log_time - log_time,
             jnp.zeros_like(log_time),
             jnp.ones_like(log_time),
             HALVINGS,
@@ -190,12 +196,17 @@ class Motion(eqx.Module):
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> Motion:
-    """The motion from z = logit x on a side."""
+    """The motion from z = logit x on a side.
+
+    A body with two equal moments has no other side: its separatrix is the equator, where L is
+    across the symmetry axis, and a motion that leads there ends there.
+    """
+    has_other_side = side.moments[1] != side.moments[0]
 
     def next_stage(carry: Any, _: Any) -> Any:
         side, z, state, moves = carry
         stage = stage_from(side, z, state, moves)
-        arrives = moves & (stage.knots[stage.last] > 0) & ~stage.interval.high.is_zero
+        arrives = moves & stage.reaches_separatrix & has_other_side
         return (side.other, jnp.full_like(z, FARTHEST), stage.end, arrives), (stage, arrives)
 
     zero = jnp.zeros_like(z)

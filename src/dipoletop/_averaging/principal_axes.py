@@ -11,6 +11,7 @@ from .._base.types import Real
 from ..bodies import Body
 from .slow_flow import Side
 
+OUTERMOST = 600.0  # |logit x| of a start on an axis or on the separatrix
 ROUNDING = 64.0  # roundings within which a direction cosine counts as 0, and two moments as equal
 
 
@@ -41,17 +42,27 @@ class FreeRotation(eqx.Module):
         y1, y2, y3 = self.momentum**2 / jnp.sum(self.momentum**2)
         p12, p23, p13 = self.gaps
         above = p12 * y1 - p23 * y3  # h − p₂
-        high = above > 0
+        high = (above > 0) | (p23 == 0)
         inside = jnp.where(high, p13 * y3 + p12 * y2, p13 * y1 + p23 * y2)
-        return high, jnp.log(inside) - jnp.log(jnp.abs(above))
+        z = jnp.log(inside) - jnp.log(jnp.abs(above))
+        return high, jnp.clip(z, -OUTERMOST, OUTERMOST)
 
 
 def free_rotation(body: Body, omega: Float[Array, "3"]) -> FreeRotation:
     """The free rotation of a body that turns with the angular velocity Ω."""
     moments, axes = principal_axes(body.inertia)
+    moments = _equal_where_rounded(moments)
     n = axes.T @ (body.dipole / jnp.linalg.norm(body.dipole))
     small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
     return FreeRotation(moments, jnp.where(small, 0.0, n), moments * (axes.T @ omega))
+
+
+def _equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Moments that differ by rounding only are made equal."""
+    j1, j2, j3 = moments
+    j2 = jnp.where(j3 - j2 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j3, j2)
+    j1 = jnp.where(j2 - j1 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j2, j1)
+    return jnp.stack([j1, j2, j3])
 
 
 @jax.custom_jvp

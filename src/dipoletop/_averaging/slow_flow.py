@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import bisect
+from .._base.bisection import root
 from .._base.chebyshev import collocation_rule
 from .._base.types import Real
 from .free_rotation import averages
@@ -31,6 +31,7 @@ SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
 MOST_ZEROS = 4  # on one side
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
+SMALLEST = 1e-300  # 1 − x on the separatrix, where a symmetric body has 0/0
 RADIUS = 0.05  # half width of its interval, in units of the distance of x* from 0 and 1
 
 
@@ -61,15 +62,10 @@ class Side(eqx.Module):
         grid = jnp.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
         positive = jax.vmap(self.growth)(grid) > 0
         (index,) = jnp.nonzero(positive[1:] != positive[:-1], size=MOST_ZEROS, fill_value=-2)
-        rising = positive[index + 1]
-        low, high = bisect(
-            lambda z: (jax.vmap(self.growth)(z) > 0) == rising, grid[index], grid[index + 1], HALVINGS
-        )
-        # A step of Newton's method has the derivatives, which bisection lacks.
-        fixed, z = jax.lax.stop_gradient((self, (low + high) / 2))
-        growth, slope = jax.vmap(jax.value_and_grad(fixed.growth))(z)
-        root = z - (jax.vmap(self.growth)(z) - growth) / slope
-        return jnp.where(index >= 0, root, jnp.inf)
+        sign = jnp.where(positive[index + 1], 1.0, -1.0)
+        signed = jax.vmap(lambda z, sign: sign * self.growth(z))
+        zero = root(lambda z: signed(z, sign), grid[index], grid[index + 1], HALVINGS)
+        return jnp.where(index >= 0, zero, jnp.inf)
 
 
 class Bound(NamedTuple):
@@ -148,6 +144,7 @@ def interval_of(side: Side, z: Real) -> Interval:
 
 def _bound(side: Side, z: Real) -> Bound:
     x, rest = from_logit(z)
+    rest = jnp.maximum(rest, SMALLEST)
     is_zero = jnp.isfinite(z)
     radius = RADIUS * jnp.where(is_zero, jnp.minimum(x, rest), 1.0)
     rule = collocation_rule(NODES)

@@ -34,3 +34,16 @@ def bisect(
         return jnp.where(above, low, middle), jnp.where(above, middle, high)
 
     return jax.lax.fori_loop(0, halvings, halve, (low, high))
+
+
+def root(
+    function: Callable[[Bound], Bound], low: Bound, high: Bound, halvings: int
+) -> Float[Array, "*lanes"]:
+    """The zero of a function of each lane that is negative at `low` and positive at `high`.
+
+    By bisection, with the derivatives that follow from the theorem of implicit functions.
+    """
+    x = jax.lax.stop_gradient(sum(bisect(lambda x: function(x) >= 0, low, high, halvings)) / 2)
+    value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
+    value_alone, slope = jax.lax.stop_gradient((value, slope))
+    return x - (value - value_alone) / jnp.where(slope == 0, 1.0, slope)
