@@ -39,6 +39,7 @@ from .equations import (
 )
 from .equations.coordinates import cylindrical
 from .equations.rotator_curves import closed_manifold, critical_manifold, separatrix
+from .prediction import Prediction, predict
 from .stability import Equilibria, Spectrum, equilibria, spectrum, threshold
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ __all__ = [
     "Outcome",
     "Particle",
     "Points",
+    "Prediction",
     "Reduced",
     "RotatorBranch",
     "RotatorFull",
@@ -107,6 +109,7 @@ __all__ = [
     "particles",
     "planar",
     "plots",
+    "predict",
     "radiation",
     "residual_rotation",
     "rod",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._base.bisection import root
 from .._base.types import Real
@@ -44,6 +44,8 @@ class SlowEnd(NamedTuple):
     """E∞."""
     half_time: Real
     """The time at which E − E∞ has fallen to one half."""
+    last_moment: Real
+    """The moment about the axis of the last rotation, if it is a pure spin."""
     lifetime: Real
     """The time in which L² falls to one half of the plateau L²ₚ of L² = L²ₚ/(1 + t/lifetime), the
     law at late times; infinite if the rotation is residual."""
@@ -74,14 +76,51 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
         ]
     )
     end = stage.end
-    last = jnp.where(residual, end.log, -jnp.inf)
     h = shape(stage.interval.side, limit.x, limit.rest)
     last_energy = jnp.where(residual, h * jnp.exp(end.log) / 2, 0.0)
-    first = motion.stage(0)
-    energy = _energies(first)[0]
-    half = (energy + last_energy) / 2
-    plateau = jnp.exp(end.log + r * end.s)
-    return SlowEnd(probability, last, energy, last_energy, _time_at(motion, half), 1 / (r * plateau))
+    energy = _energies(motion.stage(0))[0]
+    return SlowEnd(
+        probability,
+        jnp.where(residual, end.log, -jnp.inf),
+        energy,
+        last_energy,
+        _time_at(motion, (energy + last_energy) / 2),
+        rotation.moments[turns_about],
+        1 / (r * jnp.exp(end.log + r * end.s)),
+    )
+
+
+def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
+    """How a pure spin about a principal axis ends: L² = 1/(1 + rt), r = (1 − nᵢ²)/Jᵢ³."""
+    moment, cosine = rotation.moments[axis], rotation.dipole[axis]
+    r = (1 - cosine**2) / moment**3
+    along = (1 + jnp.sign(rotation.momentum[axis] * cosine)) / 2
+    residual = 1.0 * (r == 0)
+    stop = jax.nn.one_hot(axis, 3) * (1 - residual)
+    zeros = jnp.zeros(3)
+    probability = jnp.concatenate([residual * jnp.stack([along, 1 - along]), stop, zeros])
+    energy = 1 / (2 * moment)
+    log = jnp.where(r == 0, 0.0, -jnp.inf)
+    return SlowEnd(probability, log, energy, residual * energy, 1 / r, moment, 1 / r)
+
+
+def sphere_end(rotation: FreeRotation) -> SlowEnd:
+    """How the rotation of a sphere ends: n·Ω is constant, and u = |Ω×n|² obeys u′ = −(n·Ω)²u − u².
+
+    The solution is exact at order 1, u = u₀y/(1 + u₀(1 − y)/s²) with s = n·Ω and y = exp(−s²t).
+    """
+    cosine = rotation.dipole @ rotation.momentum
+    square = cosine**2
+    residual = 1.0 * (cosine != 0)
+    along = (1 + jnp.sign(cosine)) / 2
+    ends = jnp.zeros(8).at[4].set(1 - residual)
+    probability = ends.at[:2].set(residual * jnp.stack([along, 1 - along]))
+    log = jnp.where(cosine == 0, -jnp.inf, jnp.log(jnp.where(cosine == 0, 1.0, square)))
+    divisor = jnp.where(square == 0, 1.0, square)
+    half_time = jnp.where(square == 0, 1.0, jnp.log1p(square) / divisor)
+    half = jnp.asarray(0.5)
+    lifetime = jnp.where(cosine == 0, 1.0, jnp.inf)
+    return SlowEnd(probability, log, half, half * square, half_time, jnp.ones(()), lifetime)
 
 
 def shape(side: Side, x: Real, rest: Real) -> Real:

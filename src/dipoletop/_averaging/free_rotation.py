@@ -19,7 +19,8 @@ d(L²)/dt = −2κ⟨R⟩ at first order in κ = k d², where Ω = pL, v = Ω̇�
 Terms with nᵢnⱼ, i ≠ j, average to zero. So r = ⟨R⟩/L⁴ and f = dh/ds = ⟨hR/L⁴ − Q/L⁴⟩, with
 ds = 2κL²dt, are sums of nᵢ²rᵢ and nᵢ²fᵢ. For n along axis i, with j and k the other two,
 
-    n·L n·v/L⁴ = yᵢ pⱼpₖ Σⱼ yⱼ(pᵢ − pⱼ),   |Ω×n|²/L² = Σⱼ pⱼ²yⱼ,   |Ω̇×n|²/L⁴ = yᵢ Σⱼ pₖ²yⱼ(pᵢ − pⱼ)²,
+    n·L n·v/L⁴ = yᵢ pⱼpₖ Σⱼ yⱼ(pᵢ − pⱼ),
+    |Ω×n|²/L² = Σⱼ pⱼ²yⱼ,   |Ω̇×n|²/L⁴ = yᵢ Σⱼ pₖ²yⱼ(pᵢ − pⱼ)²,
 
 and Ω²/L² − h² = Var, the variance of p with the weights y: it is linear in sn², so it equals
 x Db [q cn² + (1 − x)Db sn²]. Hence, with the sums over the two axes j ≠ i,
@@ -27,10 +28,11 @@ x Db [q cn² + (1 − x)Db sn²]. Hence, with the sums over the two axes j ≠ i
     rᵢ = Σⱼ {pⱼ³⟨yⱼ²⟩ + pⱼ[pᵢpⱼ − pₖ(pᵢ − pⱼ)]⟨yᵢyⱼ⟩} + pⱼpₖ(pⱼ + pₖ)⟨yⱼyₖ⟩
     fᵢ = Σⱼ {−pⱼ²⟨yⱼ Var⟩ + ⟨yᵢyⱼ⟩(pᵢ − pⱼ) pₖ[(2pᵢ − h)pⱼ − pₖ(pᵢ − pⱼ)]}.
 
-Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. All means
-are of even powers of elliptic functions, each evaluated as a sum of positive terms; differences are
-those of the moments themselves. So r and F have no cancellation but the one that makes F zero, also
-for nearly spherical and nearly axisymmetric bodies, on the axes and next to the separatrix.
+Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. All
+means are of even powers of elliptic functions, each evaluated as a sum of positive terms, and
+differences are those of the moments themselves. So r and F have no cancellation but the one that
+makes F zero, also for nearly spherical and nearly axisymmetric bodies, on the axes and next to the
+separatrix.
 """
 
 from typing import NamedTuple
@@ -40,7 +42,32 @@ from jaxtyping import Array, Float
 
 from .._base.types import Real
 
-AGM_STEPS = 12  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-60
+AGM_STEPS = 9  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-30
+
+
+class Orbit(NamedTuple):
+    """The motion of L in the body: differences of a, b, c, and what follows from them."""
+
+    to_a: Real
+    """Da = a − c."""
+    to_b: Real
+    """Db = b − c."""
+    a_to_b: Real
+    """Dab = a − b."""
+    q: Real
+    """Dab + (1 − x)Db."""
+    m: Real
+    """The parameter of the elliptic functions."""
+    m1: Real
+    """1 − m, to its own relative accuracy."""
+
+
+def orbit(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Orbit:
+    """The orbit of L; arguments as for `averages`."""
+    ja, jb, jc = moments
+    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+    q = a_to_b + rest * to_b
+    return Orbit(to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q)
 
 
 class Averages(NamedTuple):
@@ -53,19 +80,16 @@ class Averages(NamedTuple):
 
 
 def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Averages:
-    """r and F of a dipole along each principal axis.
+    """The rates r and F of a dipole along each principal axis.
 
     Args:
         moments: J_a, J_b, J_c: the axis that L moves round comes last, the middle one second.
         x: (h − c)/Db, from 0 to 1.
         rest: 1 − x, to its own relative accuracy.
     """
-    ja, jb, jc = moments
-    a, b, c = p = 1 / ja, 1 / jb, 1 / jc
-    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
-    q = a_to_b + rest * to_b
+    _, b, c = p = tuple(1 / moment for moment in moments)
+    to_a, to_b, a_to_b, q, m, m1 = orbit(moments, x, rest)
     h = rest * c + x * b
-    m1, m = rest * to_a / q, a_to_b * x / q
     sn2, sn4 = elliptic_means(m, m1)
     cn2, cn4, sn2_cn2 = 1 - sn2, 1 - 2 * sn2 + sn4, sn2 - sn4
     cn2_dn2, sn2_dn2 = m1 * cn2 + m * cn4, m1 * sn2 + m * sn2_cn2  # dn² = (1 − m) + m cn²
@@ -91,16 +115,39 @@ def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Average
     def of_dipole(i: int) -> tuple[Real, Real]:
         j, k = (axis for axis in range(3) if axis != i)
         r, growth = p[j] * p[k] * (p[j] + p[k]) * mean[j, k], jnp.zeros_like(h)
-        for j, k in ((j, k), (k, j)):
-            pair, sign = (min(i, j), max(i, j)), 1 if i < j else -1
-            inner = p[k] * sign * gap[pair]
-            r += p[j] ** 3 * mean[j, j] + p[j] * (p[i] * p[j] - inner) * mean[pair]
-            growth += sign * torque[pair] * p[k] * ((2 * p[i] - h) * p[j] - inner)
-            growth -= p[j] ** 2 * variance[j]
+        for other, third in ((j, k), (k, j)):
+            pair, sign = (min(i, other), max(i, other)), 1 if i < other else -1
+            inner = p[third] * sign * gap[pair]
+            r += p[other] ** 3 * mean[other, other]
+            r += p[other] * (p[i] * p[other] - inner) * mean[pair]
+            growth += sign * torque[pair] * p[third] * ((2 * p[i] - h) * p[other] - inner)
+            growth -= p[other] ** 2 * variance[other]
         return r, growth
 
     r, growth = zip(*(of_dipole(axis) for axis in range(3)), strict=True)
     return Averages(jnp.stack(r), jnp.stack(growth))
+
+
+def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
+    """⟨Ω²⟩/L² = h² + ⟨Var⟩; arguments as for `averages`."""
+    _, jb, jc = moments
+    _, to_b, _, q, m, m1 = orbit(moments, x, rest)
+    sn2, _ = elliptic_means(m, m1)
+    return (rest / jc + x / jb) ** 2 + x * to_b * (q * (1 - sn2) + rest * to_b * sn2)
+
+
+def period(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
+    """The period of L in the body, times L; arguments as for `averages`."""
+    _, to_b, _, q, _, m1 = orbit(moments, x, rest)
+    return 4 * quarter_period(m1) / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
+
+
+def quarter_period(m1: Real) -> Real:
+    """K(m) of m = 1 − m1, by the arithmetic-geometric mean."""
+    mean, geometric = jnp.ones_like(m1), jnp.sqrt(m1)
+    for _ in range(AGM_STEPS):
+        mean, geometric = (mean + geometric) / 2, jnp.sqrt(mean * geometric)
+    return jnp.pi / (2 * mean)
 
 
 def elliptic_means(m: Real, m1: Real) -> tuple[Real, Real]:

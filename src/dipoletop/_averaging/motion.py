@@ -20,12 +20,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import root
-from .._base.chebyshev import collocation_rule
+from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
 MAX_STEPS = 800
+FIRST_STEP = 0.01  # of y
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
 
@@ -42,24 +43,20 @@ class State(NamedTuple):
 
     @property
     def log_time(self) -> Real:
-        """ln t, in units of 1/(2κL₀²)."""
+        """Ln t, in units of 1/(2κL₀²)."""
         return jnp.log(self.u) - self.log
 
 
 class Piece(NamedTuple):
-    """The motion between two knots, by its values at Chebyshev nodes of y."""
+    """The motion between two knots, by Chebyshev coefficients."""
 
     y: Float[Array, "n"]
     state: State
-    """With the nodes on the trailing axis."""
 
     def at(self, part: Real) -> tuple[Real, State]:
         """The values of y and of the state at a part of the way, 0 ≤ part ≤ 1."""
-        rule = collocation_rule(NODES)
-        t = 2 * part - 1
-        basis = jnp.cos(jnp.arange(NODES) * jnp.arccos(jnp.clip(t, -1.0, 1.0)))
-        weights = basis @ rule.coefficients
-        return weights @ self.y, State(*(weights @ values for values in self.state))
+        y, *state = (chebyshev_sum(x, 2 * part - 1) for x in (self.y, *self.state))
+        return y, State(*state)
 
 
 class Stage(eqx.Module):
@@ -106,7 +103,9 @@ class Stage(eqx.Module):
         pace, r = jax.vmap(self.interval.pace)(y)
         change = -integrate @ (r * pace)
         u = (start.u + integrate @ (pace * jnp.exp(-change))) * jnp.exp(change)
-        return Piece(y, State(start.s + integrate @ pace, start.log + change, u))
+        values = y, start.s + integrate @ pace, start.log + change, u
+        y, *state = (rule.coefficients @ x for x in values)
+        return Piece(y, State(*state))
 
 
 def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
@@ -125,7 +124,7 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         diffrax.Dopri8(),
         start,
         jnp.where(moves, end, start),
-        None,
+        jnp.where(end > start, FIRST_STEP, -FIRST_STEP),
         jnp.stack(initial),
         stepsize_controller=diffrax.PIDController(RTOL, RTOL),
         saveat=diffrax.SaveAt(t0=True, steps=True),

@@ -5,10 +5,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.types import Real
-from ..bodies import Body
 from .slow_flow import Side
 
 OUTERMOST = 600.0  # |logit x| of a start on an axis or on the separatrix
@@ -37,6 +36,26 @@ class FreeRotation(eqx.Module):
         return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
 
     @property
+    def is_sphere(self) -> Bool[Array, ""]:
+        """Whether all moments are equal."""
+        return self.moments[0] == self.moments[2]
+
+    @property
+    def spin_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
+        """Whether L lies exactly along a principal axis that is no axis of equal moments; which."""
+        j1, j2, j3 = self.moments
+        alone = jnp.stack([j1 < j2, (j1 < j2) & (j2 < j3), j2 < j3])
+        on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
+        return jnp.any(on_axis), jnp.argmax(on_axis)
+
+    def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
+        """Some other rotation where the condition holds, so that nothing is NaN there."""
+        other = FreeRotation(
+            jnp.array([0.5, 0.75, 1.0]), jnp.array([0.6, 0.0, 0.8]), jnp.array([0.48, 0.6, 0.64])
+        )
+        return jax.tree.map(lambda a, b: jnp.where(condition, a, b), other, self)
+
+    @property
     def place(self) -> tuple[Bool[Array, ""], Real]:
         """Whether L moves round the axis of J₁, and logit x of that motion."""
         y1, y2, y3 = self.momentum**2 / jnp.sum(self.momentum**2)
@@ -48,11 +67,13 @@ class FreeRotation(eqx.Module):
         return high, jnp.clip(z, -OUTERMOST, OUTERMOST)
 
 
-def free_rotation(body: Body, omega: Float[Array, "3"]) -> FreeRotation:
+def free_rotation(
+    inertia: Float[Array, "3 3"], dipole: Float[Array, "3"], omega: Float[Array, "3"]
+) -> FreeRotation:
     """The free rotation of a body that turns with the angular velocity Ω."""
-    moments, axes = principal_axes(body.inertia)
+    moments, axes = principal_axes(inertia)
     moments = _equal_where_rounded(moments)
-    n = axes.T @ (body.dipole / jnp.linalg.norm(body.dipole))
+    n = axes.T @ (dipole / jnp.linalg.norm(dipole))
     small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
     return FreeRotation(moments, jnp.where(small, 0.0, n), moments * (axes.T @ omega))
 

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
-from .._base.chebyshev import collocation_rule
+from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.types import Real
 from .free_rotation import averages
 
@@ -83,11 +83,7 @@ class Bound(NamedTuple):
 
     def quotient(self, shift: Real) -> Real:
         """F/(x − x*) at x = x* + shift."""
-        t = jnp.clip(shift / self.radius, -1.0, 1.0)
-        first = second = jnp.zeros_like(t)
-        for coefficient in self.coefficients[:0:-1]:
-            first, second = coefficient + 2 * t * first - second, first
-        return self.coefficients[0] + t * first - second
+        return chebyshev_sum(self.coefficients, jnp.clip(shift / self.radius, -1.0, 1.0))
 
 
 class Interval(eqx.Module):
@@ -138,8 +134,9 @@ def interval_of(side: Side, z: Real) -> Interval:
     zeros = side.zeros()
     low = jnp.max(jnp.where(zeros < z, zeros, -jnp.inf))
     high = jnp.min(jnp.where(zeros > z, zeros, jnp.inf))
-    bounds = jax.vmap(lambda z: _bound(side, z))(jnp.stack([low, high]))
-    return Interval(side, *(jax.tree.map(lambda leaf: leaf[k], bounds) for k in (0, 1)))
+    both = jax.vmap(lambda z: _bound(side, z))(jnp.stack([low, high]))
+    first, second = (Bound(*leaves) for leaves in zip(*both, strict=True))
+    return Interval(side, first, second)
 
 
 def _bound(side: Side, z: Real) -> Bound:

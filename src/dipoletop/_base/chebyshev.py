@@ -7,7 +7,12 @@ these values is integrated exactly, so an equation y′ = f(y) becomes y = y₀ 
 import functools
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+
+from .types import Real
 
 
 class CollocationRule(NamedTuple):
@@ -29,3 +34,15 @@ def collocation_rule(n: int) -> CollocationRule:
     coefficients = np.linalg.inv(polynomial.chebvander(x, n - 1))
     sums = [polynomial.chebval(x, polynomial.chebint(row, lbnd=-1)) for row in np.eye(n)]
     return CollocationRule((x + 1) / 2, np.stack(sums, axis=1) @ coefficients / 2, coefficients)
+
+
+def chebyshev_sum(coefficients: Float[Array, "n"], t: Real) -> Real:
+    """The sum of cᵢTᵢ(t), −1 ≤ t ≤ 1, by Clenshaw's recurrence."""
+
+    def step(carry: tuple[Real, Real], coefficient: Real) -> tuple[tuple[Real, Real], None]:
+        first, second = carry
+        return (coefficient + 2 * t * first - second, first), None
+
+    zero = jnp.zeros_like(t)
+    (first, second), _ = jax.lax.scan(step, (zero, zero), coefficients[:0:-1])
+    return coefficients[0] + t * first - second

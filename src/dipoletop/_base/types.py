@@ -50,6 +50,22 @@ class Stop(enum.IntEnum):
     """Free rotation of a general body whose energy and angular momentum decay."""
 
 
+class Regime(enum.IntEnum):
+    """The law that decided how a motion ends."""
+
+    RESOLVED = 0
+    """Integration of the equation of motion, turn by turn."""
+    SLOW_FLOW = 1
+    """The average over the free rotation of a body with three moments."""
+    AVERAGED = 2
+    """The same, of a body with two equal moments."""
+    UNFOLDED = 3
+    """The limit of small amplitudes of a body with two nearly equal moments, rotating across its
+    symmetry axis."""
+    EXACT = 4
+    """A solution in closed form."""
+
+
 class Verdict(NamedTuple):
     """The outcome that follows from a state, if it is certain, with ω∞ and estimates of errors.
 

@@ -1,0 +1,291 @@
+"""The future of real particles, which turn far too often to follow every turn.
+
+A particle of a laboratory has τ₀Ω ~ 1e-25 … 1e-17: it turns as many times while it brakes. Between
+turns its energy and angular momentum change by nothing, so their slow flow is that of the averages
+over free rotation (`_averaging`). `predict` follows it from a start to its end, at a cost that does
+not depend on the amplitude.
+
+Errors: averaging neglects relative changes of E and L within one period, of the order of τ₀Ω over
+the relative difference of the moments. `Prediction.error` estimates it.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ._averaging.ends import ENDS as ENDS
+from ._averaging.ends import shape, slow_end, sphere_end, spin_end
+from ._averaging.free_rotation import mean_square_speed, period
+from ._averaging.motion import Motion, motion_from
+from ._averaging.principal_axes import FreeRotation, free_rotation
+from ._averaging.slow_flow import from_logit
+from ._base.checks import ArrayLike, concrete, finite, refuse, where_valid
+from ._base.forward_mode import forward_differentiable
+from ._base.summaries import with_error
+from ._base.types import Outcome, Real, Regime
+from .bodies import Body
+from .particles import RADIATION, Particle
+
+CERTAIN = 1 - 1e-6
+"""The probability from which an outcome counts as decided."""
+ERROR = 1.0
+"""The estimated error in units of the part of L² that is radiated within one period."""
+QUADRATURE = 1e-12
+"""The relative error of the quadratures."""
+QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
+"""Those of L∞/L₀ in `Prediction.ratio_quantiles`."""
+
+
+class History(NamedTuple):
+    """The motion at given times, averaged over one free rotation."""
+
+    times: Float[Array, "T"]
+    energy: Float[Array, "T"]
+    """E."""
+    momentum: Float[Array, "T"]
+    """|L|."""
+    shape: Float[Array, "T"]
+    """h = 2E/L², between the reciprocals of the largest and of the smallest moment."""
+    speed: Float[Array, "T"]
+    """√⟨Ω²⟩."""
+
+
+class Prediction(eqx.Module):
+    """How a rotation ends, and how long that takes.
+
+    Quantities are dimensionless for a `Body`, and in SI units for a `Particle`.
+
+    Attributes:
+        outcome: a member of `Outcome`: RESIDUAL or STOP, where the ends of that kind have together
+            a probability above 1 − 1e-6, else UNDECIDED; FAILED where the argument is not a number.
+        probability: of each of the `ENDS`, shape (8,).
+        omega_inf: ω∞ along the dipole, signed; 0 for a stop, NaN where its sign is a matter of
+            chance or the outcome is undecided.
+        ratio: L∞/L₀, the mean over chance.
+        ratio_quantiles: the `QUANTILES` of L∞/L₀, shape (5,).
+        half_time: the time after which E − E∞ has fallen to one half.
+        radiated_energy: E₀ − E∞.
+        lifetime: how long the last rotation lives: its late law is L² = L²ₚ/(1 + t/lifetime);
+            infinite for residual rotation.
+        regime: a member of `Regime`, the law that decided.
+        error: estimated relative error of `ratio` and of the times.
+    """
+
+    outcome: Int[Array, "*batch"]
+    probability: Float[Array, "*batch 8"]
+    omega_inf: Float[Array, "*batch"]
+    ratio: Float[Array, "*batch"]
+    ratio_quantiles: Float[Array, "*batch 5"]
+    half_time: Float[Array, "*batch"]
+    radiated_energy: Float[Array, "*batch"]
+    lifetime: Float[Array, "*batch"]
+    regime: Int[Array, "*batch"]
+    error: Float[Array, "*batch"]
+    variables: Float[Array, "*batch 15"] = eqx.field(repr=False)
+    """Inertia, dipole and ω₀, in one vector."""
+    strength: float = eqx.field(static=True)
+    """The k of κ = k d²: 1 for a `Body`."""
+
+    def history(self, times: ArrayLike) -> History:
+        """Energy, angular momentum and speed at given times.
+
+        Args:
+            times: positive, shape (T,), in units of the body's time, or seconds for a `Particle`.
+
+        Returns:
+            A `History`, each field of shape (T,).
+
+        Raises:
+            ValueError: times that are not positive and finite.
+        """
+        given = finite("times", times, (-1,), batch=False)
+        given = where_valid("times", given, given > 0, "be positive")
+        values = _history(self.variables, (given, self.strength))
+        return History(given, *values)
+
+    def __repr__(self) -> str:
+        """The numbers of a single prediction."""
+        if self.outcome.ndim or not concrete(self.outcome):
+            return eqx.tree_pformat(self)
+        unit = ("", "", "") if self.strength == 1.0 else (" rad/s", " s", " J")
+        ends = (f"{p:.3g} {end}" for p, end in zip(self.probability, ENDS, strict=True) if p > 0)
+        shown = [
+            Outcome(int(self.outcome)).name,
+            f"ends: {', '.join(ends)}",
+            f"ratio={with_error(float(self.ratio), float(self.error * self.ratio))}",
+            f"omega_inf={float(self.omega_inf):.6g}{unit[0]}",
+            f"half_time={float(self.half_time):.6g}{unit[1]}",
+            f"lifetime={float(self.lifetime):.6g}{unit[1]}",
+            f"radiated_energy={float(self.radiated_energy):.6g}{unit[2]}",
+            Regime(int(self.regime)).name,
+        ]
+        return f"Prediction({'; '.join(shown)})"
+
+
+def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
+    """How a free rotation that radiates weakly ends: the slow flow of E and L to its end.
+
+        dE/dt = −κ⟨|n₂|²⟩,   d(L²)/dt = −2κ⟨L·(n₁×n₂)⟩,   averaged over free rotation,
+
+    with n₁, n₂ the derivatives of the dipole's direction n in space. May be jitted, vmapped, and
+    differentiated with respect to the inertia, the dipole and ω₀.
+
+    Args:
+        body: a `Body` (dimensionless), or a `Particle` (SI).
+        omega0: initial angular velocity in body axes, shape (3,), not zero; dimensionless, or in
+            rad/s for a `Particle`.
+
+    Returns:
+        A `Prediction`.
+
+    Raises:
+        ValueError: bad arguments.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> body = dt.Body([[1.0, 0, 0], [0, 1.3, 0], [0, 0, 1.8]], [0, 0, 1])
+        >>> prediction = dt.predict(body, [1e-20, 2e-20, 3e-20])
+        >>> dt.Outcome(int(prediction.outcome)).name, f"{prediction.ratio:.6f}"
+        ('RESIDUAL', '0.912825')
+    """
+    if not isinstance(body, Body | Particle):
+        refuse("body", "be a Body or a Particle", f"is of type {type(body).__name__}")
+    omega = finite("omega0", omega0, (3,), batch=False)
+    omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
+    strength = RADIATION if isinstance(body, Particle) else 1.0
+    variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
+    return Prediction(*_predicted(variables, strength), variables, strength)
+
+
+@eqx.filter_jit
+def _predicted(variables: Float[Array, "15"], strength: float) -> tuple[Array, ...]:
+    """The fields of a `Prediction`."""
+    values = forward_differentiable(_values)(variables, strength)
+    probability, quantiles, rest = jnp.split(values, [8, 13])
+    omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
+    residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
+    outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
+    outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
+    outcome = jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED)
+    numbers = outcome.astype(int), regime.astype(int)
+    times = half_time, radiated, lifetime
+    return numbers[0], probability, omega_inf, ratio, quantiles, *times, numbers[1], error
+
+
+class _Units(NamedTuple):
+    """The units of the slow motion."""
+
+    momentum: Real
+    """L₀."""
+    moment: Real
+    """J₃."""
+    time: Real
+    """J₃³/(2κL₀²)."""
+    weakness: Real
+    """κL₀/J₃², about τ₀Ω."""
+
+
+def _rotation(variables: Float[Array, "15"], strength: float) -> tuple[FreeRotation, _Units]:
+    """The free rotation in units of J₃ and L₀, and these units."""
+    inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
+    rotation = free_rotation(inertia, dipole, omega)
+    moment = rotation.moments[2]
+    momentum = jnp.linalg.norm(rotation.momentum)
+    coupling = strength * jnp.sum(dipole**2)
+    weakness = coupling / moment * (momentum / moment)
+    unit = moment / momentum / (2 * weakness)
+    scaled = FreeRotation(rotation.moments / moment, rotation.dipole, rotation.momentum / momentum)
+    return scaled, _Units(momentum, moment, unit, weakness)
+
+
+def _slow_motion(rotation: FreeRotation) -> Motion:
+    """The slow motion of a body with at least two different moments."""
+    high, z = rotation.place
+    return motion_from(rotation.side(high), high, z)
+
+
+def _values(variables: Float[Array, "15"], strength: float) -> Float[Array, "20"]:
+    rotation, units = _rotation(variables, strength)
+    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
+    apart = rotation.replaced_where(is_sphere | is_spin)
+    end = slow_end(apart, _slow_motion(apart))
+    for case, other in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
+        end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), other, end)
+    residual = jnp.sum(end.probability[:2])
+    sign = end.probability[0] - end.probability[1]
+    speed = units.momentum * jnp.exp(end.log / 2) / (units.moment * end.last_moment)
+    omega_inf = jnp.where(jnp.abs(sign) == 1, sign * speed, jnp.nan)
+    omega_inf = jnp.where(residual == 0, 0.0, omega_inf)
+    ratio = jnp.exp(end.log / 2)
+    symmetric = (rotation.moments[0] == rotation.moments[1]) | (
+        rotation.moments[1] == rotation.moments[2]
+    )
+    regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
+    regime = jnp.where(is_sphere, Regime.EXACT, regime)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, _error(apart, units.weakness))
+    energy_unit = units.momentum**2 / units.moment
+    rest = (
+        omega_inf,
+        ratio,
+        end.half_time * units.time,
+        (end.energy - end.last_energy) * energy_unit,
+        end.lifetime * units.time,
+        regime,
+        error,
+    )
+    return jnp.concatenate([end.probability, jnp.broadcast_to(ratio, (5,)), jnp.stack(rest)])
+
+
+def _error(rotation: FreeRotation, weakness: Real) -> Real:
+    """The part of L² that is radiated within one period at the start, which averaging neglects."""
+    high, z = rotation.place
+    side = rotation.side(high)
+    x, rest = from_logit(z)
+    r, _ = side.rates(x, rest)
+    lost = weakness * r * period(side.moments, x, rest) / jnp.pi
+    return ERROR * lost + QUADRATURE
+
+
+@eqx.filter_jit
+def _history(
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], float]
+) -> tuple[Float[Array, "T"], ...]:
+    """E, |L|, h and √⟨Ω²⟩ at given times."""
+    times, strength = constants
+    rotation, units = _rotation(variables, strength)
+    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
+    apart = rotation.replaced_where(is_sphere | is_spin)
+    motion = _slow_motion(apart)
+
+    def slow(time: Real) -> Float[Array, "3"]:
+        point = motion.at(jnp.log(time))
+        side = apart.side(point.high)
+        h = shape(side, point.x, point.rest)
+        return jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
+
+    def spinning(time: Real) -> Float[Array, "3"]:
+        moment, cosine = rotation.moments[axis], rotation.dipole[axis]
+        log = -jnp.log1p((1 - cosine**2) / moment**3 * time)
+        return jnp.stack([log, 1 / moment, 1 / moment**2])
+
+    def of_sphere(time: Real) -> Float[Array, "3"]:
+        square = (rotation.dipole @ rotation.momentum) ** 2
+        lost = jnp.where(
+            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
+        )
+        across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
+        one = jnp.ones(())
+        return jnp.stack([jnp.log(square + across), one, one])
+
+    scaled = times / units.time
+    log, h, squared = jnp.where(
+        is_sphere,
+        jax.vmap(of_sphere)(scaled),
+        jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
+    ).T
+    momentum = units.momentum * jnp.exp(log / 2)
+    energy = h * momentum * (momentum / units.moment) / 2
+    return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
