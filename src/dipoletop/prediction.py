@@ -31,8 +31,8 @@ from .particles import RADIATION, Particle
 
 CERTAIN = 1 - 1e-6
 """The probability from which an outcome counts as decided."""
-ERROR = 1.0
-"""The estimated error in units of the part of L² that is radiated within one period."""
+ERROR = 1.3
+"""The estimated error in units of the part of L² that is radiated within one period; measured."""
 QUADRATURE = 1e-12
 """The relative error of the quadratures."""
 QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
@@ -188,7 +188,7 @@ class _Units(NamedTuple):
     """κL₀/J₃², about τ₀Ω."""
 
 
-def _rotation(variables: Float[Array, "15"], strength: float) -> tuple[FreeRotation, _Units]:
+def _rotation(variables: Float[Array, "15"], strength: Real | float) -> tuple[FreeRotation, _Units]:
     """The free rotation in units of J₃ and L₀, and these units."""
     inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
     rotation = free_rotation(inertia, dipole, omega)
@@ -207,7 +207,7 @@ def _slow_motion(rotation: FreeRotation) -> Motion:
     return motion_from(rotation.side(high), high, z)
 
 
-def _values(variables: Float[Array, "15"], strength: float) -> Float[Array, "20"]:
+def _values(variables: Float[Array, "15"], strength: Real | float) -> Float[Array, "20"]:
     rotation, units = _rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
@@ -232,7 +232,7 @@ def _values(variables: Float[Array, "15"], strength: float) -> Float[Array, "20"
         ratio,
         end.half_time * units.time,
         (end.energy - end.last_energy) * energy_unit,
-        end.lifetime * units.time,
+        jnp.where(end.decay == 0, jnp.inf, units.time / safe_divisor(end.decay)),
         regime,
         error,
     )
@@ -251,7 +251,7 @@ def _error(rotation: FreeRotation, weakness: Real) -> Real:
 
 @eqx.filter_jit
 def _history(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], float]
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real | float]
 ) -> tuple[Float[Array, "T"], ...]:
     """E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants

@@ -1,6 +1,5 @@
 """Averages over free rotation: against sampled averages of the radiation, in extended precision."""
 
-import jax
 import jax.numpy as jnp
 import mpmath as mp
 import pytest

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._base.bisection import root
+from .._base.guards import safe_divisor
 from .._base.types import Real
 from .motion import HALVINGS, Motion, Stage
 from .principal_axes import FreeRotation
@@ -46,9 +47,8 @@ class SlowEnd(NamedTuple):
     """The time at which E − E∞ has fallen to one half."""
     last_moment: Real
     """The moment about the axis of the last rotation, if it is a pure spin."""
-    lifetime: Real
-    """The time in which L² falls to one half of the plateau L²ₚ of L² = L²ₚ/(1 + t/lifetime), the
-    law at late times; infinite if the rotation is residual."""
+    decay: Real
+    """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual."""
 
 
 def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
@@ -56,37 +56,27 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     stage = motion.final
     limit = stage.limit
     r, _ = stage.interval.side.rates(limit.x, limit.rest)
-    turns_about = jnp.where(motion.ends_high, 0, 2)
-    on_axis = (stage.knots[stage.last] < 0) & ~limit.is_zero
-    residual = on_axis & (r == 0)
+    axis = jnp.where(motion.ends_high, 0, 2)
+    spins = (stage.knots[stage.last] < 0) & ~limit.is_zero
+    residual = spins & (r == 0)
     # The sign of L about the last axis is the first one, or chance after the separatrix.
-    sign = jnp.sign(rotation.momentum[turns_about] * rotation.dipole[turns_about])
-    along = jnp.where(motion.crosses, 0.5, (1 + sign) / 2)
-    spin, tumbling = on_axis & ~residual, ~on_axis
-    probability = jnp.stack(
-        [
-            jnp.where(residual, along, 0.0),
-            jnp.where(residual, 1 - along, 0.0),
-            1.0 * (spin & motion.ends_high),
-            jnp.zeros_like(r),
-            1.0 * (spin & ~motion.ends_high),
-            1.0 * (tumbling & ~motion.ends_high),
-            1.0 * (tumbling & motion.ends_high),
-            jnp.zeros_like(r),
-        ]
-    )
+    sign = jnp.sign(rotation.momentum[axis] * rotation.dipole[axis])
     end = stage.end
     h = shape(stage.interval.side, limit.x, limit.rest)
     last_energy = jnp.where(residual, h * jnp.exp(end.log) / 2, 0.0)
     energy = _energies(motion.stage(0))[0]
     return SlowEnd(
-        probability,
+        jnp.where(
+            residual,
+            _residual_ends(jnp.where(motion.crosses, 0.0, sign)),
+            jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(motion.ends_high, 6, 5)), 8),
+        ),
         jnp.where(residual, end.log, -jnp.inf),
         energy,
         last_energy,
         _time_at(motion, (energy + last_energy) / 2),
-        rotation.moments[turns_about],
-        1 / (r * jnp.exp(end.log + r * end.s)),
+        rotation.moments[axis],
+        r * jnp.exp(end.log + r * end.s),
     )
 
 
@@ -94,33 +84,40 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     """How a pure spin about a principal axis ends: L² = 1/(1 + rt), r = (1 − nᵢ²)/Jᵢ³."""
     moment, cosine = rotation.moments[axis], rotation.dipole[axis]
     r = (1 - cosine**2) / moment**3
-    along = (1 + jnp.sign(rotation.momentum[axis] * cosine)) / 2
-    residual = 1.0 * (r == 0)
-    stop = jax.nn.one_hot(axis, 3) * (1 - residual)
-    zeros = jnp.zeros(3)
-    probability = jnp.concatenate([residual * jnp.stack([along, 1 - along]), stop, zeros])
+    residual = r == 0
+    sign = jnp.sign(rotation.momentum[axis] * cosine)
+    probability = jnp.where(residual, _residual_ends(sign), jax.nn.one_hot(2 + axis, 8))
     energy = 1 / (2 * moment)
-    log = jnp.where(r == 0, 0.0, -jnp.inf)
-    return SlowEnd(probability, log, energy, residual * energy, 1 / r, moment, 1 / r)
+    log, last_energy = jnp.where(residual, 0.0, -jnp.inf), jnp.where(residual, energy, 0.0)
+    half_time = jnp.where(residual, 0.0, 1 / safe_divisor(r))
+    return SlowEnd(probability, log, energy, last_energy, half_time, moment, r)
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
-    """How the rotation of a sphere ends: n·Ω is constant, and u = |Ω×n|² obeys u′ = −(n·Ω)²u − u².
+    """How the rotation of a sphere ends: s = n·Ω is constant, and u = |Ω×n|² obeys u′ = −(s² + u)u.
 
-    The solution is exact at order 1, u = u₀y/(1 + u₀(1 − y)/s²) with s = n·Ω and y = exp(−s²t).
+    The solution u = u₀y/(1 + u₀(1 − y)/s²), y = exp(−s²t), is exact at order 1. A stop is counted
+    as one about axis 3.
     """
     cosine = rotation.dipole @ rotation.momentum
-    square = cosine**2
-    residual = 1.0 * (cosine != 0)
-    along = (1 + jnp.sign(cosine)) / 2
-    ends = jnp.zeros(8).at[4].set(1 - residual)
-    probability = ends.at[:2].set(residual * jnp.stack([along, 1 - along]))
-    log = jnp.where(cosine == 0, -jnp.inf, jnp.log(jnp.where(cosine == 0, 1.0, square)))
-    divisor = jnp.where(square == 0, 1.0, square)
-    half_time = jnp.where(square == 0, 1.0, jnp.log1p(square) / divisor)
-    half = jnp.asarray(0.5)
-    lifetime = jnp.where(cosine == 0, 1.0, jnp.inf)
-    return SlowEnd(probability, log, half, half * square, half_time, jnp.ones(()), lifetime)
+    square, stops = cosine**2, cosine == 0
+    divisor = safe_divisor(square)
+    ends = jnp.where(stops, jax.nn.one_hot(4, 8), _residual_ends(jnp.sign(cosine)))
+    half = jnp.full_like(square, 0.5)
+    return SlowEnd(
+        ends,
+        jnp.where(stops, -jnp.inf, jnp.log(divisor)),
+        half,
+        half * square,
+        jnp.where(stops, 1.0, jnp.log1p(square) / divisor),
+        jnp.ones_like(square),
+        jnp.where(stops, 1.0, 0.0),
+    )
+
+
+def _residual_ends(sign: Real) -> Float[Array, "8"]:
+    """The probabilities of residual rotation along (1) or against (−1) the dipole; 0 for chance."""
+    return jnp.concatenate([jnp.stack([1 + sign, 1 - sign]) / 2, jnp.zeros(6, sign.dtype)])
 
 
 def shape(side: Side, x: Real, rest: Real) -> Real:

@@ -1,0 +1,118 @@
+"""Slow motions: against quadrature in extended precision, closed limits, and an integration."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dipoletop._averaging.free_rotation import averages
+from dipoletop._averaging.motion import motion_from
+from dipoletop._averaging.slow_flow import FARTHEST, Side
+
+MOMENTS = (0.616, 0.634, 1.0)
+LOW, HIGH = jnp.asarray(False), jnp.asarray(True)
+
+
+def _side(axis, high=False):
+    """The slow flow with the dipole on the principal axis 0, 1 or 2."""
+    order = slice(None, None, -1) if high else slice(None)
+    return Side(jnp.array(MOMENTS)[order], jnp.eye(3)[axis][order])
+
+
+def _textbook(h, p1, p2, p3):
+    """The mean f of a dipole along axis 3 on the low side, from E(m)/K(m)."""
+    m = (p1 - p2) * (h - p3) / ((p2 - p3) * (p1 - h))
+    w = mp.ellipe(m) / mp.ellipk(m)
+    y = (
+        h**2 * (2 * p1 * p2 - p1 * p3 - p2 * p3)
+        + h * (-2 * p1**2 * p2 + 2 * p1**2 * p3 - 2 * p1 * p2**2 - p1 * p2 * p3 + 2 * p2**2 * p3)
+        + p1**2 * p2**2
+        - p1**2 * p3**2
+        + 2 * p1 * p2 * p3**2
+        - p2**2 * p3**2
+    )
+    return -(p1 - h) * (p2 - h) * (p1 * p2 - h * (p1 + p2)) + w * (p1 - h) * y / (p1 - p3)
+
+
+def test_the_rate_of_h_is_that_of_the_textbook_form():
+    with mp.workdps(40):
+        p1, p2, p3 = (1 / mp.mpf(j) for j in MOMENTS)
+        for x in (0.01, 0.4, 0.9):
+            _, growth = _side(2).rates(jnp.asarray(x), jnp.asarray(1 - x))
+            exact = _textbook(p3 + mp.mpf(x) * (p2 - p3), p1, p2, p3)
+            assert abs(float(growth) * x * float(p2 - p3) / float(exact) - 1) < 1e-13
+
+
+def test_the_loss_of_angular_momentum_is_an_integral_over_x():
+    """ln L∞²/L₀² = −∫ r/(x F) dx from the start to the dipole's own axis."""
+    points, weights = np.polynomial.legendre.leggauss(20)
+    z = np.arange(-42, 2)[:, None] + (points + 1) / 2
+    x = jnp.asarray(1 / (1 + np.exp(-z)))
+    moments = jnp.broadcast_to(jnp.array(MOMENTS)[:, None, None], (3, *x.shape))
+    means = averages(moments, x, 1 - x)
+    exact = np.sum(means.r[2] / means.growth[2] * (1 - x) * weights / 2)
+    motion = jax.jit(motion_from)(_side(2), LOW, jnp.asarray(2.0))
+    assert not motion.crosses
+    assert abs(float(motion.final.end.log) / float(exact) - 1) < 3e-12
+
+
+@pytest.mark.parametrize(("axis", "high", "z"), [(2, True, 0.5), (1, False, -3.0)])
+def test_the_motion_in_time_is_that_of_the_rates(axis, high, z):
+    """Against an integration of x and ln L² over t on each side of the separatrix."""
+    motion = jax.jit(motion_from)(_side(axis, high), jnp.asarray(high), jnp.asarray(z))
+    crossing = float(jnp.exp(motion.stage(0).end.log_time)) if motion.crosses else np.inf
+    rates = {side: eqx.filter_jit(_side(axis, side).rates) for side in (False, True)}
+
+    def field(t, state, side):
+        x, log = state
+        r, growth = rates[side](jnp.asarray(x), jnp.asarray(1 - x))
+        return [float(x * growth) * np.exp(log), -float(r) * np.exp(log)]
+
+    x0, side = 1 / (1 + np.exp(-z)), high
+    times = np.array([0.01, 0.3, 0.9]) * min(crossing, 30.0)
+    at = jax.jit(jax.vmap(lambda log: motion.at(log)))
+    points = at(jnp.log(times))
+    settings = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13, "t_eval": times}
+    run = solve_ivp(field, (0, times[-1]), [x0, 0.0], args=(side,), **settings)
+    assert np.all(np.asarray(points.high) == high)
+    np.testing.assert_allclose(points.x, run.y[0], rtol=1e-9)
+    np.testing.assert_allclose(points.log, run.y[1], rtol=1e-9)
+    if motion.crosses:  # beyond, from a point next to the separatrix
+        first = motion.at(jnp.log(jnp.asarray(1.1 * crossing)))
+        later = jnp.log(crossing * jnp.array([1.5, 4.0]))
+        points = at(later)
+        assert np.all(np.asarray(points.high) != high)
+        span = np.exp(np.asarray(later)) - 1.1 * crossing
+        settings["t_eval"] = span
+        start = [float(first.x), float(first.log)]
+        run = solve_ivp(field, (0, span[-1]), start, args=(not high,), **settings)
+        np.testing.assert_allclose(points.x, run.y[0], rtol=1e-8)
+        np.testing.assert_allclose(points.log, run.y[1], rtol=1e-8)
+
+
+def test_rates_at_the_axes_have_their_closed_limits():
+    """The dipole on c: F = −Db⁻¹-free limit f′; on a: r = p_c³."""
+    ja, jb, jc = MOMENTS
+    slope = -(jc * (ja + jb) - (ja - jb) ** 2) / (2 * ja**2 * jb**2 * jc)
+    assert abs(float(_side(2).growth(jnp.asarray(-FARTHEST))) / slope - 1) < 1e-13
+    for axis, (a, b) in ((0, (ja, jb)), (1, (jb, ja))):
+        r, growth = _side(axis).rates(jnp.asarray(0.0), jnp.asarray(1.0))
+        slope = (a * b**2 - (jc - a) * (jc - b) ** 2) / (2 * a * b**2 * jc**3)
+        assert abs(float(r) - 1 / jc**3) < 1e-14
+        assert abs(float(growth) / slope - 1) < 1e-12
+
+
+def test_a_tumbling_attractor_is_a_stable_zero():
+    side = _side(1)
+    (zero, *others) = np.asarray(side.zeros())
+    assert np.all(np.isinf(others))
+    assert abs(float(side.growth(jnp.asarray(zero)))) < 1e-15
+    assert float(jax.grad(side.growth)(jnp.asarray(zero))) < 0
+    motion = jax.jit(motion_from)(side, LOW, jnp.asarray(3.0))
+    point = motion.at(jnp.asarray(300.0))
+    r, _ = side.rates(point.x, point.rest)
+    assert abs(float(jnp.log(point.x / point.rest)) - zero) < 1e-9
+    assert abs(float(point.log) + 300 + float(jnp.log(r))) < 1e-9  # L² t → 1/(2κr*)

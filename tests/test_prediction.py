@@ -1,0 +1,142 @@
+"""Predictions: against integration turn by turn, exact solutions, and their own balance."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from dipoletop.particles import DEBYE, RADIATION
+
+MOMENTS = jnp.diag(jnp.array([0.6, 0.75, 1.0]))
+ON_3, ON_1 = dt.Body(MOMENTS, [0.0, 0.0, 1.0]), dt.Body(MOMENTS, [1.0, 0.0, 0.0])
+STARTS = jnp.array([[0.3, 0.4, 0.8], [0.9, -0.3, 0.2], [0.2, 0.7, -0.6]])
+
+
+def _approx(value, rel=1e-12):
+    return pytest.approx(np.asarray(value), rel=rel)
+
+
+def _predict(body, omegas):
+    return jax.vmap(lambda omega: dt.predict(body, omega))(omegas)
+
+
+@pytest.mark.parametrize("body", [ON_3, ON_1], ids=["largest moment", "smallest moment"])
+def test_turn_by_turn_integration_tends_to_the_prediction(body):
+    """The error of ω∞ falls in proportion to |ω|, and is within the estimate."""
+    errors = []
+    for amplitude in (1e-2, 1e-3):
+        predicted = _predict(body, amplitude * STARTS)
+        runs = dt.classify_many(dt.SemiReduced(body), amplitude * STARTS, value="unchecked")
+        decided = np.isfinite(predicted.omega_inf) & (runs.outcome == dt.Outcome.RESIDUAL)
+        assert decided.any()
+        error = np.abs(runs.omega_inf / predicted.omega_inf - 1)[decided]
+        assert np.all(error < predicted.error[decided])
+        errors.append(error)
+    assert np.all(errors[1] < 0.2 * errors[0])
+
+
+def test_the_end_does_not_depend_on_the_amplitude():
+    ends = [dt.predict(ON_3, scale * STARTS[0]) for scale in (1e-6, 1e-25)]
+    assert float(ends[0].ratio) == _approx(ends[1].ratio, rel=1e-13)
+    # Times go with 1/ω², energies with ω².
+    assert float(ends[1].half_time) == _approx(ends[0].half_time * 1e38, rel=1e-12)
+    assert float(ends[1].radiated_energy) == _approx(ends[0].radiated_energy * 1e-38, rel=1e-12)
+
+
+def test_history_begins_and_ends_where_the_prediction_says():
+    predicted = dt.predict(ON_3, 1e-20 * STARTS[0])
+    history = predicted.history(jnp.array([1e-3, float(predicted.half_time), 1e60]))
+    momentum = jnp.linalg.norm(MOMENTS @ (1e-20 * STARTS[0]))
+    lost = history.energy[0] - history.energy
+    lost = np.asarray(lost)
+    assert lost[2] == _approx(predicted.radiated_energy, rel=1e-12)
+    assert lost[1] == _approx(predicted.radiated_energy / 2, rel=1e-11)
+    assert float(history.momentum[2]) == _approx(predicted.ratio * momentum, rel=1e-12)
+    assert float(history.speed[2]) == _approx(abs(predicted.omega_inf), rel=1e-12)
+    np.testing.assert_allclose(history.energy, history.shape * history.momentum**2 / 2, rtol=1e-13)
+
+
+def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
+    """Tilted by ε, the plateau decays as L² = L²ₚ/(1 + t/T), T = J³/(2κε²L²ₚ)."""
+    tilt = 1e-4
+    aligned = dt.predict(ON_3, 1e-20 * STARTS[0])
+    tilted = dt.predict(dt.Body(MOMENTS, [0.0, np.sin(tilt), np.cos(tilt)]), 1e-20 * STARTS[0])
+    assert (aligned.outcome, tilted.outcome) == (dt.Outcome.RESIDUAL, dt.Outcome.STOP)
+    assert np.isinf(aligned.lifetime)
+    assert float(tilted.lifetime) == _approx(1 / (2 * (tilt * aligned.omega_inf) ** 2), rel=1e-3)
+    plateau, half = tilted.history(jnp.array([1e-3, 1.0]) * tilted.lifetime).momentum
+    assert float(half / plateau) ** 2 == _approx(0.5, rel=2e-3)
+
+
+def test_derivatives_are_those_of_differences():
+    def ratio(moments, omega):
+        return dt.predict(dt.Body(jnp.diag(moments), jnp.array([0.0, 0.0, 1.0])), omega).ratio
+
+    moments, omega = jnp.diagonal(MOMENTS), 1e-20 * STARTS[0]
+    slopes = jax.grad(ratio, argnums=(0, 1))(moments, omega)
+    for k, step in enumerate((1e-5, 1e-25)):
+        for axis in (0, 2):
+            change = step * jnp.eye(3)[axis]
+            ends = [
+                ratio(moments + s * change, omega) if k == 0 else ratio(moments, omega + s * change)
+                for s in (1.0, -1.0)
+            ]
+            numeric = (ends[0] - ends[1]) / (2 * step)
+            assert float(slopes[k][axis]) == _approx(numeric, rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_pure_spin_obeys_its_own_law(axis):
+    """L² = L₀²/(1 + 2κ(1 − n²)Ω₀²t/J), or residual rotation along the dipole."""
+    omega = 1e-3 * jnp.eye(3)[axis]
+    predicted = dt.predict(ON_1, omega)
+    if axis == 0:
+        assert float(predicted.ratio) == 1
+        assert float(predicted.omega_inf) == _approx(1e-3)
+        return
+    moment = MOMENTS[axis, axis]
+    assert predicted.probability[2 + axis] == 1
+    assert float(predicted.half_time) == _approx(moment / (2 * 1e-6), rel=1e-12)
+
+
+def test_a_sphere_has_the_exact_solution():
+    body, omega = dt.axisymmetric(0.0), jnp.array([0.02, 0.03, -0.01])
+    predicted = dt.predict(body, omega)
+    assert float(predicted.omega_inf) == _approx(0.02, rel=1e-14)
+    times = jnp.array([10.0, 1e3, 1e5])
+    exact = dt.exact.transverse(0.0, omega, times)
+    speed = predicted.history(times).speed
+    np.testing.assert_allclose(speed, np.linalg.norm(exact, axis=1), rtol=1e-12)
+    at_half = jnp.linalg.norm(dt.exact.transverse(0.0, omega, predicted.half_time)) ** 2
+    assert float(at_half) == _approx((jnp.sum(omega**2) + 0.02**2) / 2, rel=1e-12)
+
+
+def test_particles_are_predicted_in_si_units():
+    """The same motion as that of the dimensionless body, in units of τ₀ and J₃."""
+    nm = 1e-9
+    particle = dt.Particle.cuboid(
+        [100 * nm, 20 * nm, 22 * nm], [2400 * DEBYE, 0.0, 0.0], density=2000
+    )
+    omega = 2 * np.pi * 1e9 * STARTS[1]
+    predicted = dt.predict(particle, omega)
+    moment = jnp.max(particle.moments) if hasattr(particle, "moments") else particle.inertia.max()
+    tau0 = RADIATION * jnp.sum(particle.dipole**2) / moment
+    body = dt.Body(particle.inertia / moment, [1.0, 0.0, 0.0])
+    plain = dt.predict(body, tau0 * omega)
+    assert float(predicted.ratio) == _approx(plain.ratio, rel=1e-12)
+    assert float(predicted.half_time) == _approx(plain.half_time * tau0, rel=1e-10)
+    assert "rad/s" in repr(predicted)
+
+
+@pytest.mark.parametrize(
+    ("body", "omega", "words"),
+    [
+        (ON_3, [0.0, 0.0, 0.0], "`omega0` must not be zero"),
+        (ON_3, [0.0, 1.0], "`omega0` must have shape"),
+        (ON_3, [0.0, np.nan, 1.0], "`omega0` must be finite"),
+    ],
+)
+def test_bad_input_is_refused(body, omega, words):
+    with pytest.raises(ValueError, match=words):
+        dt.predict(body, omega)
