@@ -1,0 +1,359 @@
+"""Capture of the axisymmetric top with transverse dipole, δ > 0, in the limit of small amplitude.
+
+While |ω₃| ≫ u = ω⊥² the top turns fast about its symmetry axis, and (4.13)–(4.15) hold. z = ω₃/u
+falls, and where q = 2δ|z| is of order 1 the rotation is captured: it becomes residual, or above δ_c2
+perhaps wobbles to a stop. The planar system (`dipoletop.planar`) with u,
+
+    φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − sin 2φ/(1−δ),   (ln u)_σ = −2 sin²φ,
+
+tells which, by the phase. The phase is that of a very fast rotation, so it is random. Orbits come
+from z = ∞ one turn after the other (z = −∞ is the mirror image). Put a = −3δ/(2(1−δ)), θ = 2φ. On
+the sections θ = 2πk an orbit obeys, as an expansion in 1/q whose odd terms vanish,
+
+    dq/dθ = −a (1 + g₁/q² + g₂/q⁴ + …),   d ln u/d ln q = −(1/a)(1 + k₁/q² + k₂/q⁴ + …),
+
+without any oscillation, because the sections all have one phase. The expansion is made by
+substitution of q⁻¹ = E + ΣBₙ(θ)Eⁿ, Bₙ(0) = 0, order by order. So on a section
+
+    N(q) = ∫dq/(2π dq/dθ)  is the number of turns, up to a constant of the orbit, and
+    W² = u q^{1/a} exp(−[k₁/(2q²) + k₂/(4q⁴) + …]/a)  is the constant that averaging keeps.
+
+A random phase means that N mod 1 is uniform: this, and no other measure, is kept from turn to turn.
+
+Residual orbits are those whose N lies between N_A and N_B (mod 1) of the orbits that end in the
+saddles. Below δ_c2 there is one such orbit, and all others are residual. X = |ω∞|/W vanishes like
+the square root of the distance in N from either end. With N = N₁ + P sin²(πs/2) it is smooth in s,
+and a polynomial through few values of s gives its distribution.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.chebyshev import collocation_rule
+from .._base.checks import or_nan
+from .._base.types import Outcome, Real
+from ..equations._verdicts import transverse
+from ..planar import Planar, saddle
+
+SMALLEST, LARGEST = 0.005, 0.995  # δ; beyond, the number of steps grows like 1/δ or 1/(1 − δ)
+ENTRY = 15.0  # q/(1 + |a|) where the expansion takes over; its error is then about 1e-8
+NEAR = 1e-8  # from a saddle, so near that the curvature of its stable manifold does not matter
+AMPLITUDE = 1e-6  # ω⊥ at which the regions of the semi-reduced level are those of the plane
+PRECISION = 1e-7  # of ω∞, relative, by its series
+NODES = 34  # in s, with the two ends, where X = 0
+FINE = 4000  # parts of s for the distribution
+PARTS = 512  # of equal probability
+MAX_STEPS = 16384
+RTOL = 1e-10
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""The levels of `Capture.quantiles`."""
+
+Scalar = Float[Array, ""]
+
+
+class Capture(NamedTuple):
+    """How the rotation of a given δ is captured: the distribution of X = |ω∞|/W."""
+
+    residual: Real
+    """The probability of residual rotation, one half for either sense; the rest wobbles."""
+    log_mean: Real
+    """The logarithm of the mean of X over residual rotations."""
+    log_table: Float[Array, "*any k"]
+    """ln X in k equally probable parts of the residual rotations, ascending."""
+
+    def log_quantiles(self, levels: Any = LEVELS) -> Float[Array, "l"]:
+        """The logarithms of the quantiles of X over residual rotations."""
+        return _quantiles(self.log_table, jnp.asarray(levels))
+
+    def log_quantiles_of_all(self, levels: Any = LEVELS) -> Float[Array, "l"]:
+        """The same with stops counted as X = 0, of which the logarithm is −∞."""
+        stop = 1 - self.residual
+        within = (jnp.asarray(levels) - stop) / jnp.where(self.residual > 0, self.residual, 1.0)
+        return jnp.where(within > 0, _quantiles(self.log_table, within), -jnp.inf)
+
+
+class TopEnd(NamedTuple):
+    """How a start of the averaged top ends. Logarithms, for they may not fit a number."""
+
+    along: Real
+    """The probability of residual rotation along the dipole, ω₁ > 0."""
+    against: Real
+    """The probability of residual rotation against the dipole, ω₁ < 0."""
+    wobbling: Real
+    """The probability of a stop by wobbling."""
+    symmetry_axis: Real
+    """1 where the start is a spin about the symmetry axis, which stops; else 0."""
+    across: Real
+    """1 where the start is a spin about the axis across both the dipole and it, which stops."""
+    log_scale: Real
+    """ln W/|ω₀|."""
+    capture: Capture
+    """With |ω∞|/|ω₀| in place of X; all alike where the phase at capture is known."""
+    log_time: Real
+    """ln τ of the capture, τ = 1/W² up to a factor of order 1; −∞ where the start is captured."""
+    random: Bool[Array, "*any"]
+    """Whether the start turns often before it is captured, so that chance decides."""
+
+
+class Settled(NamedTuple):
+    """The end of an orbit of the plane."""
+
+    residual: Bool[Array, "*any"]
+    wobbling: Bool[Array, "*any"]
+    log_ratio: Real
+    """ln |ω∞|/ω⊥ if it is residual."""
+    along: Bool[Array, "*any"]
+    """Whether ω∞ > 0."""
+
+
+def capture(delta: Scalar) -> Capture:
+    """The distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
+
+    May be jitted, vmapped, and differentiated forwards.
+
+    Args:
+        delta: δ in [0.005, 0.995]; NaN outside.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from dipoletop._averaging.capture import capture
+        >>> needle = jax.jit(capture)(jnp.asarray(0.8))
+        >>> f"{needle.residual:.4f} {jnp.exp(needle.log_mean):.4f}"
+        '0.8260 0.8845'
+    """
+    inside = (delta >= SMALLEST) & (delta <= LARGEST)
+    delta = jnp.where(inside, delta, 0.5)
+    expansion = Expansion(-1.5 * delta / (1 - delta))
+    first, residual = _residual_turns(delta, expansion)
+    s = jnp.asarray(collocation_rule(NODES).nodes)
+    q = expansion.q(first + residual * jnp.sin(jnp.pi * s[1:-1] / 2) ** 2)
+    ends = jax.vmap(lambda q: settle(delta, jnp.zeros_like(q), q / (2 * delta)))(q)
+    log_x = ends.log_ratio - expansion.log_w(q)
+    log_x = or_nan(log_x, inside & jnp.all(ends.residual))
+    largest = jnp.max(log_x)
+    zero = jnp.zeros(1, log_x.dtype)
+    coefficients = collocation_rule(NODES).coefficients @ jnp.concatenate(
+        [zero, jnp.exp(log_x - largest), zero]
+    )
+    fine = _middles(FINE)
+    x = np.polynomial.chebyshev.chebvander(2 * fine - 1, NODES - 1) @ coefficients
+    weights = np.sin(np.pi * fine)
+    weights = jnp.asarray(weights / np.sum(weights))
+    order = jnp.argsort(x)
+    x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
+    table = jnp.interp(_middles(PARTS), jnp.cumsum(part) - part / 2, jnp.log(x))
+    log_mean = largest + jnp.log(jnp.sum(part * x))
+    return Capture(or_nan(residual, inside), log_mean, largest + table)
+
+
+def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
+    """How a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
+
+    W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
+    |ω₀|^{1+κ}. Errors are of the order |ω₀|. A start with q = 2δ|ω₃|/ω⊥² below `ENTRY` (1 + |a|) is
+    followed in the plane instead, from its own phase; so is one with ω₃ = 0.
+
+    Args:
+        delta: δ in [0.005, 0.995]; NaN outside.
+        omega0: ω₀, not 0, of any small size: it enters by logarithms.
+    """
+    w1, w2, w3 = omega0
+    symmetry_axis = (w1 == 0) & (w2 == 0)
+    across = (w1 == 0) & (w3 == 0) & ~symmetry_axis
+    flat = jnp.where(symmetry_axis, 1.0, jnp.hypot(w1, w2))
+    log_perp, log_w3 = jnp.log(flat), jnp.log(jnp.where(w3 == 0, 1.0, jnp.abs(w3)))
+    log_all = jnp.logaddexp(2 * log_perp, jnp.where(w3 == 0, -jnp.inf, 2 * log_w3)) / 2
+    log_z = log_w3 - 2 * log_perp
+    d = jnp.where((delta >= SMALLEST) & (delta <= LARGEST), delta, 0.5)
+    log_entry = jnp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
+    random = (w3 != 0) & (log_z > log_entry) & ~symmetry_axis
+    stops = symmetry_axis | across
+
+    z = jnp.where(random | (w3 == 0), 0.0, jnp.sign(w3) * jnp.exp(jnp.minimum(log_z, log_entry)))
+    phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
+    known = settle(d, phi, z)
+    chance = capture(delta)
+    log_w = _log_w(d, log_perp, jnp.where(random, log_w3, log_perp))
+    log_scale = or_nan(log_w - log_all, random)
+    decided = _share(known.residual)
+    residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, decided))
+    along = jnp.where(random, 0.5, _share(known.along))
+    wobbling = jnp.where(random, 1 - chance.residual, jnp.where(stops, 0.0, _share(known.wobbling)))
+    lost = ~random & ~stops & ~(known.residual | known.wobbling) | jnp.isnan(chance.residual)
+    log_ratio = jnp.where(residual > 0, log_perp - log_all + known.log_ratio, jnp.nan)
+
+    def either(chance: Array) -> Array:
+        return jnp.where(random, chance + log_scale, jnp.full_like(chance, log_ratio))
+
+    distribution = Capture(
+        or_nan(residual, ~lost), either(chance.log_mean), either(chance.log_table)
+    )
+    return TopEnd(
+        or_nan(residual * along, ~lost),
+        or_nan(residual * (1 - along), ~lost),
+        or_nan(wobbling, ~lost),
+        _share(symmetry_axis),
+        _share(across),
+        log_scale,
+        distribution,
+        jnp.where(random, -2 * log_w, -jnp.inf),
+        random,
+    )
+
+
+def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
+    """The end of the orbit from a point of the plane, at the consistent levels; δ > 0."""
+    plane = Planar(delta)
+
+    def field(t: Any, y: Array, args: Any) -> Array:
+        return jnp.append(plane(t, y[:2]), -2 * jnp.sin(y[0]) ** 2)
+
+    def ends(t: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
+        at = _verdict(delta, y)
+        known = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
+        return known | (at.outcome == Outcome.STOP)
+
+    y = _follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends)
+    at = _verdict(delta, y)
+    residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
+    last = jnp.where(residual, at.omega_inf, AMPLITUDE) / AMPLITUDE
+    log_ratio = or_nan(jnp.log(jnp.abs(last)) + y[2] / 2, residual)
+    return Settled(residual, at.outcome == Outcome.STOP, log_ratio, residual & (last > 0))
+
+
+def _verdict(delta: Scalar, y: Array) -> Any:
+    """The semi-reduced verdict on a point of the plane, and ω∞ for ω⊥ = `AMPLITUDE`."""
+    across = AMPLITUDE * jnp.stack([jnp.cos(y[0]), jnp.sin(y[0])])
+    return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
+
+
+def _follow(field: Any, y0: Array, ends: Any) -> Array:
+    """The state of an autonomous system at the first step after which `ends` holds."""
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        diffrax.Dopri8(),
+        0.0,
+        jnp.inf,
+        0.01,
+        y0,
+        stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+        event=diffrax.Event(ends),
+        max_steps=MAX_STEPS,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+    ys: Any = solution.ys
+    return ys[-1]
+
+
+class Expansion(NamedTuple):
+    """The expansion in 1/q on the sections θ = 2πk, which depends on a = −3δ/(2(1−δ)) only."""
+
+    a: Real
+
+    @property
+    def turn(self) -> tuple[Real, Real]:
+        """The coefficients g₁, g₂."""
+        a = self.a
+        return (a - 7) / 12, -(1275 + a * (934 + a * (126 * a - 3095))) / 576
+
+    @property
+    def decay(self) -> tuple[Real, Real]:
+        """The coefficients k₁, k₂: those of d ln u/dθ = (1/q)(1 + h₁/q² + …) over those of q."""
+        a, (g1, g2) = self.a, self.turn
+        h1 = (9 + a * (5 - 12 * a)) / 4
+        h2 = 5 * (1125 + a * (1042 + a * (-4569 + a * (4656 * a - 2710)))) / 576
+        return h1 - g1, h2 - g2 - g1 * (h1 - g1)
+
+    def turns(self, q: Real) -> Real:
+        """The number of turns N, up to a constant."""
+        g1, g2 = self.turn
+        return (q + g1 / q + (g2 - g1**2) / (3 * q**3)) / (2 * jnp.pi * jnp.abs(self.a))
+
+    def q(self, turns: Real) -> Real:
+        """The q after N turns."""
+        g1, g2 = self.turn
+        leading = q = 2 * jnp.pi * jnp.abs(self.a) * turns
+        for _ in range(8):  # each gains a factor g₁/q²
+            q = leading - g1 / q - (g2 - g1**2) / (3 * q**3)
+        return q
+
+    def log_w(self, q: Real) -> Real:
+        """The logarithm of W/√u."""
+        k1, k2 = self.decay
+        return (jnp.log(q) - k1 / (2 * q**2) - k2 / (4 * q**4)) / (2 * self.a)
+
+
+def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar]:
+    """The turns N in which orbits become residual: their first, and the width P of the interval.
+
+    Orbits of z > 0 end in the saddle (−φ*, |z*|). Above δ_c2 others, that come over the wobbling
+    cycle, end in (φ*, −|z*|).
+    """
+    plane, at = Planar(delta), saddle(Planar(delta))
+    height = ENTRY * (1 - expansion.a) / (2 * delta)
+
+    def arrival(side: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
+        start = jnp.stack([NEAR - side * at.phi, NEAR * at.stable_slope - side * at.z])
+        phi, z = _follow(
+            lambda t, y, args: -plane(t, y),
+            start,
+            lambda t, y, args, **_: (y[1] > height) | (y[1] < -height),
+        )
+        arrives = z > height
+        z = jnp.where(arrives, z, height)
+
+        def slope(phi: Any, z: Scalar, args: Any) -> Scalar:
+            phi_rate, z_rate = plane(phi, jnp.stack([phi, z]))
+            return z_rate / phi_rate
+
+        section = diffrax.diffeqsolve(
+            diffrax.ODETerm(slope),
+            diffrax.Dopri8(),
+            phi,
+            jnp.ceil(phi / jnp.pi) * jnp.pi,
+            None,
+            z,
+            stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+            max_steps=MAX_STEPS,
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        ys: Any = section.ys
+        return expansion.turns(2 * delta * ys[-1]), arrives
+
+    wobbles = delta > transverse.WOBBLING_FROM
+    sides = jnp.stack([jnp.ones_like(delta), jnp.where(wobbles, -1.0, 1.0)])
+    turns, arrives = jax.vmap(arrival)(sides)
+    # Next to δ_c2 the second orbit may be lost, where the width of the gap is 0 but for rounding.
+    gap = jnp.where(wobbles & arrives[1], turns[1] - turns[0], 0.0)
+    gap = jnp.maximum(gap - jnp.floor(gap + 1e-6), 0.0)
+    return or_nan(turns[0] + gap, arrives[0]), 1 - gap
+
+
+def _log_w(delta: Scalar, log_perp: Scalar, log_w3: Scalar) -> Scalar:
+    """The ln W of a start of the averaged top, by (4.16) with ξ = ω⊥²/ω₃²."""
+    a, b = 1 + 2 * delta, 1 + delta**3
+    p = delta * (1 - delta) * (3 + 3 * delta + delta**2) / (a * b)
+    log_xi = 2 * (log_perp - log_w3)
+    log_k = 2 * log_w3 + (2 + delta) / a * log_xi - p * jnp.logaddexp(jnp.log(b / a) - log_xi, 0.0)
+    return a / (6 * delta) * log_k - (1 - delta) / (3 * delta) * jnp.log(2 * delta)
+
+
+def _share(certain: Bool[Array, ""]) -> Scalar:
+    """1 or 0."""
+    return jnp.where(certain, 1.0, 0.0)
+
+
+def _quantiles(table: Float[Array, "k"], levels: Float[Array, "l"]) -> Float[Array, "l"]:
+    return jnp.interp(levels, _middles(table.size), table)
+
+
+def _middles(n: int) -> np.ndarray:
+    """The middles of n equal parts of the interval from 0 to 1."""
+    return (np.arange(n) + 0.5) / n
