@@ -9,6 +9,7 @@ Errors: averaging neglects relative changes of E and L within one period, of the
 the relative difference of the moments. `Prediction.error` estimates it.
 """
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,13 +18,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
-from ._averaging.ends import shape, slow_end, sphere_end, spin_end
+from ._averaging.ends import QUANTILES as QUANTILES
+from ._averaging.ends import SlowEnd, needle_end, shape, slow_end, sphere_end, spin_end
 from ._averaging.free_rotation import mean_square_speed, period
 from ._averaging.motion import Motion, motion_from
 from ._averaging.principal_axes import FreeRotation, free_rotation
 from ._averaging.slow_flow import from_logit
 from ._base.checks import ArrayLike, concrete, finite, refuse, where_valid
 from ._base.forward_mode import forward_differentiable
+from ._base.guards import safe_divisor
 from ._base.summaries import with_error
 from ._base.types import Outcome, Real, Regime
 from .bodies import Body
@@ -35,8 +38,6 @@ ERROR = 1.3
 """The estimated error in units of the part of L² that is radiated within one period; measured."""
 QUADRATURE = 1e-12
 """The relative error of the quadratures."""
-QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
-"""Those of L∞/L₀ in `Prediction.ratio_quantiles`."""
 
 
 class History(NamedTuple):
@@ -157,13 +158,23 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
     strength = RADIATION if isinstance(body, Particle) else 1.0
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    return Prediction(*_predicted(variables, strength), variables, strength)
+    return Prediction(*_predicted(variables, strength, _is_needle(body)), variables, strength)
+
+
+def _is_needle(body: Body | Particle) -> bool | None:
+    """Whether chance may decide, see `needle_end`; None if the body is traced."""
+    if not concrete(body):
+        return None
+    still = jnp.zeros(3)
+    return bool(free_rotation(body.inertia, body.dipole, still).is_needle)
 
 
 @eqx.filter_jit
-def _predicted(variables: Float[Array, "15"], strength: float) -> tuple[Array, ...]:
+def _predicted(
+    variables: Float[Array, "15"], strength: float, is_needle: bool | None
+) -> tuple[Array, ...]:
     """The fields of a `Prediction`."""
-    values = forward_differentiable(_values)(variables, strength)
+    values = forward_differentiable(functools.partial(_values, is_needle))(variables, strength)
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
     residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
@@ -207,23 +218,38 @@ def _slow_motion(rotation: FreeRotation) -> Motion:
     return motion_from(rotation.side(high), high, z)
 
 
-def _values(variables: Float[Array, "15"], strength: Real | float) -> Float[Array, "20"]:
+def _values(
+    is_needle: bool | None, variables: Float[Array, "15"], strength: Real | float
+) -> Float[Array, "20"]:
+    """The floating-point fields of a `Prediction`, and its regime."""
     rotation, units = _rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
-    end = slow_end(apart, _slow_motion(apart))
-    for case, other in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
-        end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), other, end)
+    motion = _slow_motion(apart)
+
+    def needle() -> SlowEnd:
+        return needle_end(apart, motion, units.weakness)
+
+    def other() -> SlowEnd:
+        return slow_end(apart, motion)
+
+    if is_needle is None:
+        end = jax.lax.cond(apart.is_needle, needle, other)
+    else:
+        end = needle() if is_needle else other()
+    for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
+        end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
     residual = jnp.sum(end.probability[:2])
     sign = end.probability[0] - end.probability[1]
-    speed = units.momentum * jnp.exp(end.log / 2) / (units.moment * end.last_moment)
+    ratio = jnp.exp(end.log_ratio)
+    speed = units.momentum * ratio / (units.moment * end.last_moment)
     omega_inf = jnp.where(jnp.abs(sign) == 1, sign * speed, jnp.nan)
     omega_inf = jnp.where(residual == 0, 0.0, omega_inf)
-    ratio = jnp.exp(end.log / 2)
     symmetric = (rotation.moments[0] == rotation.moments[1]) | (
         rotation.moments[1] == rotation.moments[2]
     )
     regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
+    regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
     regime = jnp.where(is_sphere, Regime.EXACT, regime)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, _error(apart, units.weakness))
     energy_unit = units.momentum**2 / units.moment
@@ -236,7 +262,7 @@ def _values(variables: Float[Array, "15"], strength: Real | float) -> Float[Arra
         regime,
         error,
     )
-    return jnp.concatenate([end.probability, jnp.broadcast_to(ratio, (5,)), jnp.stack(rest)])
+    return jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
 
 
 def _error(rotation: FreeRotation, weakness: Real) -> Real:

@@ -1,8 +1,8 @@
 """Capture of the axisymmetric top with transverse dipole, δ > 0, in the limit of small amplitude.
 
 While |ω₃| ≫ u = ω⊥² the top turns fast about its symmetry axis, and (4.13)–(4.15) hold. z = ω₃/u
-falls, and where q = 2δ|z| is of order 1 the rotation is captured: it becomes residual, or above δ_c2
-perhaps wobbles to a stop. The planar system (`dipoletop.planar`) with u,
+falls, and where q = 2δ|z| is of order 1 the rotation is captured: it becomes residual or, above
+δ_c2, perhaps wobbles to a stop. The planar system (`dipoletop.planar`) with u,
 
     φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − sin 2φ/(1−δ),   (ln u)_σ = −2 sin²φ,
 

@@ -13,10 +13,13 @@ from jaxtyping import Array, Float, Int
 from .._base.bisection import root
 from .._base.guards import safe_divisor
 from .._base.types import Real
+from .capture import end_of_top
 from .motion import HALVINGS, Motion, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
+QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
+"""Those of L∞/L₀ that are given where it is a matter of chance."""
 ENDS = (
     "residual +",
     "residual -",
@@ -37,8 +40,10 @@ class SlowEnd(NamedTuple):
 
     probability: Float[Array, "8"]
     """Of each of the `ENDS`."""
-    log: Real
-    """ln L∞²/L₀²; −∞ for a stop."""
+    log_ratio: Real
+    """The logarithm of the mean of L∞/L₀; −∞ for a stop."""
+    log_quantiles: Float[Array, "5"]
+    """Those of its `QUANTILES`."""
     energy: Real
     """E₀."""
     last_energy: Real
@@ -71,7 +76,7 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
             _residual_ends(jnp.where(motion.crosses, 0.0, sign)),
             jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(motion.ends_high, 6, 5)), 8),
         ),
-        jnp.where(residual, end.log, -jnp.inf),
+        *_certain(jnp.where(residual, end.log / 2, -jnp.inf)),
         energy,
         last_energy,
         _time_at(motion, (energy + last_energy) / 2),
@@ -88,9 +93,11 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     sign = jnp.sign(rotation.momentum[axis] * cosine)
     probability = jnp.where(residual, _residual_ends(sign), jax.nn.one_hot(2 + axis, 8))
     energy = 1 / (2 * moment)
-    log, last_energy = jnp.where(residual, 0.0, -jnp.inf), jnp.where(residual, energy, 0.0)
+    log_ratio = jnp.where(residual, 0.0, -jnp.inf)
+    last_energy = jnp.where(residual, energy, 0.0)
     half_time = jnp.where(residual, 0.0, 1 / safe_divisor(r))
-    return SlowEnd(probability, log, energy, last_energy, half_time, moment, r)
+    certain = _certain(log_ratio)
+    return SlowEnd(probability, *certain, energy, last_energy, half_time, moment, r)
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
@@ -106,13 +113,55 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
     half = jnp.full_like(square, 0.5)
     return SlowEnd(
         ends,
-        jnp.where(stops, -jnp.inf, jnp.log(divisor)),
+        *_certain(jnp.where(stops, -jnp.inf, jnp.log(divisor) / 2)),
         half,
         half * square,
         jnp.where(stops, 1.0, jnp.log1p(square) / divisor),
         jnp.ones_like(square),
         jnp.where(stops, 1.0, 0.0),
     )
+
+
+def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEnd:
+    """How the rotation of a needle ends, an axisymmetric body with its dipole across its long axis.
+
+    The slow flow leads to rotation across the long axis, where the body is captured by chance.
+
+    Args:
+        rotation: its two larger moments are equal.
+        motion: its slow motion.
+        weakness: κL₀/J₃².
+    """
+    omega = rotation.momentum / rotation.moments
+    n = rotation.dipole
+    long = jnp.array([1.0, 0.0, 0.0])
+    frame = jnp.stack([n, jnp.cross(long, n), long])
+    end = end_of_top(1 - rotation.moments[0] / rotation.moments[2], weakness * (frame @ omega))
+    # |ω∞|/|ω₀| is L∞/L₀ times L₀/(J₃|ω₀|), with J₃ = 1 and L₀ = 1.
+    shift = jnp.log(jnp.linalg.norm(omega))
+    energy = _energies(motion.stage(0))[0]
+    squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
+    residual = end.along + end.against
+    last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
+    log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
+    half_time = jnp.where(end.random, _time_at(motion, (energy + last_energy) / 2), jnp.nan)
+    zero = jnp.zeros_like(residual)
+    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
+    return SlowEnd(
+        jnp.stack(ends),
+        jnp.where(residual > 0, log_mean, -jnp.inf),
+        end.capture.log_quantiles_of_all(jnp.array(QUANTILES)) + shift,
+        energy,
+        last_energy,
+        half_time,
+        rotation.moments[2],
+        jnp.where(residual == 1, 0.0, jnp.nan),
+    )
+
+
+def _certain(log_ratio: Real) -> tuple[Real, Float[Array, "5"]]:
+    """The logarithm of a ratio that is not a matter of chance, and its quantiles."""
+    return log_ratio, jnp.broadcast_to(log_ratio, (len(QUANTILES),))
 
 
 def _residual_ends(sign: Real) -> Float[Array, "8"]:

@@ -41,6 +41,12 @@ class FreeRotation(eqx.Module):
         return self.moments[0] == self.moments[2]
 
     @property
+    def is_needle(self) -> Bool[Array, ""]:
+        """Whether the two larger moments are equal, and the dipole is across the symmetry axis."""
+        j1, j2, j3 = self.moments
+        return (j1 < j2) & (j2 == j3) & (self.dipole[0] == 0)
+
+    @property
     def spin_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
         """Whether L lies exactly along a principal axis that is no axis of equal moments; which."""
         j1, j2, j3 = self.moments
@@ -88,13 +94,13 @@ def _equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
 
 @jax.custom_jvp
 def principal_axes(inertia: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
-    """The principal moments, ascending, and the principal axes as columns.
+    """The principal moments, ascending, and the principal axes as columns, right-handed.
 
     Axes of equal moments do not turn in a derivative: it holds for changes of the inertia that do
     not mix them, and for everything that does not depend on their choice.
     """
     moments, axes = jnp.linalg.eigh(inertia)
-    return moments, axes
+    return moments, axes.at[:, 2].multiply(jnp.sign(jnp.linalg.det(axes)))
 
 
 @principal_axes.defjvp
