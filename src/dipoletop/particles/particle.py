@@ -214,6 +214,8 @@ class Particle(eqx.Module):
         Args:
             axis: in body axes, shape (3,), of any length except 0. None is a principal axis with
                 the middle moment J₂: of an axisymmetric body any axis across its symmetry axis.
+                Where J₂ equals another moment it has a kink: the first derivative is that of one
+                of the two, and second derivatives need an `axis`.
 
         Returns:
             The moment, kg m².
