@@ -9,6 +9,7 @@ import pytest
 from scipy.constants import c, e, epsilon_0
 from scipy.integrate import solve_ivp
 
+from dipoletop.bodies import axisymmetric
 from dipoletop.equations.rigid import Reduced
 from dipoletop.particles import DEBYE, Particle, Rotator, paper_particles, particle_table
 
@@ -209,6 +210,178 @@ def test_a_family_of_spheres():
     assert np.isnan(lanes[2])
 
 
+CUBOID = Particle.cuboid([1e-8, 2e-8, 3e-8], D, density=3000)
+
+
+@pytest.mark.parametrize(
+    ("moments", "unit"),
+    [([2, 2, 3], 2), ([1e-3, 1, 1], 1), ([2, 2, 2], 2), ([2, 3, 4], 3), ([1, 1, 2], 1)],
+)
+def test_the_unit_without_an_axis(moments, unit):
+    """An axisymmetric body knows I₁; another one takes its middle moment."""
+    turn = rotation()
+    inertia = turn @ np.diag(np.array(moments) * 1e-40) @ turn.T
+    particle = Particle(1e-20, inertia, turn @ D)
+    close(particle.moment(), unit * 1e-40, 1e-14)
+    close(particle.body().inertia, particle.inertia / (unit * 1e-40), 1e-13)
+    close(particle.tau0(), particle.tau0(turn[:, 1]), 1e-13)
+
+
+def test_a_symmetric_shape_is_a_top_of_the_library():
+    particle = Particle.spheroid(3e-8, 2e-8, D, density=3000)
+    top = axisymmetric(1 - 18 / 13)  # I₃/I₁ = 2a²/(a² + c²)
+    np.testing.assert_allclose(particle.body().inertia, top.inertia, rtol=4e-16)
+    np.testing.assert_array_equal(particle.body().dipole, top.dipole)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+def test_the_unit_has_derivatives(ratio):
+    # I₁ = m(a² + c²)/5 at either side of the sphere, and at the sphere
+    tau0 = lambda c: jnp.log(Particle.spheroid(1e-8, c, D, mass=1e-20).tau0())  # noqa: E731
+    c = 1e-8 * ratio
+    for slope in jax.grad(tau0)(c), jax.jvp(tau0, (c,), (1.0,))[1]:
+        close(c * slope, -2 * ratio**2 / (1 + ratio**2), 1e-13)
+
+
+def test_the_motion_does_not_depend_on_the_unit():
+    particle = Particle(1e-18, MOMENTS, [1e-20, 2e-20, 2e-20])
+    w = 0.05 * np.array([0.6, -0.3, 0.7]) / float(particle.tau0())
+    close(acceleration(particle, None, w), acceleration(particle, [1.0, 2.0, 3.0], w), 1e-13)
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (3,), (4, 3), (2, 4, 3)])
+@pytest.mark.parametrize("axis", [None, Z])
+def test_scalars_and_vectors_go_there_and_back(shape, axis):
+    given = RNG.normal(size=shape)
+    for there, back in (CUBOID.omega, CUBOID.angular_velocity), (CUBOID.tau, CUBOID.seconds):
+        found = back(there(given, axis), axis)
+        assert found.shape == shape
+        np.testing.assert_allclose(found, given, rtol=1e-15)
+    # every component by the same factor
+    close(CUBOID.omega(given, axis), given * float(CUBOID.tau0(axis)), 1e-15)
+
+
+def test_results_of_runs_become_SI_values():
+    omega_inf = [1e-20, 0.0, -3e-20, np.nan]
+    expected = np.array(omega_inf) / float(CUBOID.tau0())
+    close(CUBOID.angular_velocity(omega_inf), expected, 1e-15)
+    assert np.isnan(CUBOID.seconds(np.nan))
+    close(CUBOID.omega("1 GHz"), CUBOID.omega(SPEED), 1e-15)
+    close(CUBOID.braking_time("1 GHz", Z), CUBOID.braking_time(SPEED, Z), 1e-15)
+    # one value for each particle of a batch, or all values for all of them
+    grains = jax.vmap(lambda density: Particle.sphere(1e-8, D, density=density))(
+        jnp.array([1000.0, 2000.0, 4000.0, 8000.0])
+    )
+    factors = np.array([1.0, 2.0, 4.0, 8.0])
+    each = jax.vmap(Particle.angular_velocity)(grains, jnp.asarray(omega_inf))
+    first = float(Particle.sphere(1e-8, D, density=1000).tau0())
+    close(each, omega_inf * factors / first, 1e-14)
+    close(grains.angular_velocity(omega_inf), np.outer(factors, omega_inf) / first, 1e-14)
+
+
+def test_braking_time_without_an_axis():
+    sphere = Particle.sphere(1e-8, [1e-27, 2e-27, 3e-27], density=2000)
+    close(sphere.braking_time(1e9), sphere.braking_time(1e9, Z), 1e-14)
+    turn = rotation()  # a top with its dipole along the symmetry axis
+    inertia = turn @ np.diag([3e-34, 3e-34, 2e-34]) @ turn.T
+    along = Particle(1e-18, inertia, turn @ [0, 0, 1e-26])
+    close(along.braking_time(1e9), along.braking_time(1e9, turn @ [3, 4, 0]), 1e-14)
+    # traced, the moments that differ are known to nobody
+    times = jax.jit(lambda particle: particle.braking_time(1e9))
+    assert np.isfinite(times(along))
+    for dipole in [1e-26, 0, 0], [1e-26, 0, 1e-26]:
+        particle = Particle(1e-18, inertia, turn @ dipole)
+        assert np.isnan(times(particle))
+        with pytest.raises(ValueError, match="`axis` must be given where moments about axes acr"):
+            particle.braking_time(1e9)
+
+
+def test_an_ellipsoid_by_quadrature():
+    semi_axes, density = np.array([1e-8, 2e-8, 4e-8]), 3000
+    # a product rule, exact for the polynomials below, on the unit ball
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    radii, azimuths = (nodes + 1) / 2, 2 * np.pi * np.arange(8) / 8
+    r, u, phi = np.meshgrid(radii, nodes, azimuths, indexing="ij")
+    across = np.sqrt(1 - u**2)
+    ball = r * np.array([across * np.cos(phi), across * np.sin(phi), u])
+    weight = (weights / 2)[:, None, None] * weights[None, :, None] * r**2 * (2 * np.pi / 8)
+    points = ball.reshape(3, -1) * semi_axes[:, None]
+    masses = density * np.prod(semi_axes) * weight.ravel()
+    second = (masses * points) @ points.T
+    made = Particle.ellipsoid(semi_axes, D, density=density)
+    close(made.mass, masses.sum(), 1e-13)
+    expected = np.trace(second) * np.eye(3) - second
+    np.testing.assert_allclose(made.inertia, expected, rtol=1e-13, atol=1e-14 * second[2, 2])
+
+
+def test_the_shapes_agree():
+    spheroid = Particle.spheroid(2e-8, 3e-8, D, density=3000)
+    for a, b in (
+        (spheroid, Particle.ellipsoid([2e-8, 2e-8, 3e-8], D, density=3000)),
+        (Particle.sphere(2e-8, D, density=3000), Particle.spheroid(2e-8, 2e-8, D, density=3000)),
+        (spheroid, Particle.spheroid(2e-8, 3e-8, D, mass=spheroid.mass)),
+        (
+            CUBOID,
+            Particle.gaussian(
+                1e3 * CUBOID.mass,
+                1e7 * CUBOID.inertia,
+                CUBOID.dipole / (1e18 * DEBYE),
+                radius=1e2 * CUBOID.radius,
+            ),
+        ),
+    ):
+        for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+            close(one, other, 1e-14)
+
+
+@pytest.mark.parametrize(
+    ("made", "farthest"),
+    [
+        (Particle.sphere(2e-8, D, density=1), [0, 2e-8, 0]),
+        (Particle.spheroid(2e-8, 1e-8, D, density=1), [2e-8, 0, 0]),
+        (Particle.spheroid(2e-8, 3e-8, D, density=1), [0, 0, 3e-8]),
+        (Particle.ellipsoid([2e-8, 5e-8, 3e-8], D, density=1), [0, 5e-8, 0]),
+        (CUBOID, [0.5e-8, 1e-8, 1.5e-8]),
+        (Particle.rod(6e-8, 2e-8, D, density=1), [0, 2e-8, 3e-8]),
+    ],
+)
+def test_the_rim(made, farthest):
+    close(made.radius, np.linalg.norm(farthest), 1e-15)
+    # v = Ω × ρ: no faster about any axis, and as fast about one across the farthest distance
+    omegas = SPEED * np.array([*RNG.normal(size=(4, 3)), np.cross(farthest, [1e8, 2e8, 3e8])])
+    v = np.linalg.norm(np.cross(omegas, farthest), axis=1) / c
+    bounds = np.asarray(made.rim_speed(omegas))
+    assert np.all(bounds >= v * (1 - 1e-15))
+    close(bounds[-1], v[-1], 1e-14)
+    close(made.rim_speed("1 GHz"), made.rim_speed([0, SPEED, 0]), 1e-15)
+    close(made.rim_speed(SPEED), SPEED * np.linalg.norm(farthest) / c, 1e-14)
+
+
+def test_the_rim_of_batches():
+    grains = jax.vmap(lambda radius: Particle.sphere(radius, D, density=2000))(
+        jnp.array([1e-8, 3e-8])
+    )
+    close(grains.rim_speed("1 GHz"), SPEED * np.array([1e-8, 3e-8]) / c, 1e-15)
+    assert grains.rim_speed(np.ones((5, 3))).shape == (2, 5)
+    slope = jax.grad(lambda omega: CUBOID.rim_speed(omega))(jnp.zeros(3))
+    np.testing.assert_array_equal(slope, np.zeros(3))
+
+
+def test_a_particle_as_text():
+    grain = Particle(1e-18, np.diag([4e-34, 2e-34, 3e-34]), [0, 100 * DEBYE, 0])
+    moments = "moments=(2e-34, 3e-34, 4e-34) kg m²"
+    assert repr(grain) == f"Particle(mass=1e-18 kg, {moments}, dipole=100 D along (0, 1, 0))"
+    assert repr(CUBOID).endswith(", radius=1.87083e-08 m)")
+    spheres = jax.vmap(lambda mass: Particle.sphere(1e-8, grain.dipole, mass=mass))
+    assert repr(spheres(jnp.array([1e-20, 5e-20]))) == (
+        "Particle(2 particles, mass=1e-20 to 5e-20 kg, least moment=4e-37 to 2e-36 kg m², "
+        "largest moment=4e-37 to 2e-36 kg m², dipole=100 D, radius=1e-08 m)"
+    )
+    traced = []
+    jax.jit(lambda particle: traced.append(repr(particle)))(grain)
+    assert "f64[3,3]" in traced[0]
+
+
 MESSAGES = [
     (lambda: Particle(-1, MOMENTS, D), "mass", "be positive", "is -1.0"),
     (lambda: Particle([1, 1], MOMENTS, D), "mass", "have shape ()", "has shape (2,)"),
@@ -231,9 +404,26 @@ MESSAGES = [
     (lambda: Particle.gaussian(-1, MOMENTS, D), "mass", "be positive", "is -1.0"),
     (lambda: Particle(1, MOMENTS, D).tau0([0, 0, 0]), "axis", "not be zero", "has 0, 0, 0"),
     (lambda: Particle(1, MOMENTS, D).body([1, 0]), "axis", "have shape (3,)", "has shape (2,)"),
-    (lambda: Particle(1, MOMENTS, D).omega(1.0, Z), "angular_velocity", "have shape", "has shape"),
+    (lambda: Particle(1, MOMENTS, D).omega(np.inf), "angular_velocity", "be finite", "is inf"),
+    (lambda: Particle(1, MOMENTS, D).omega("1"), "angular_velocity", "be a number with", "is '1'"),
+    (lambda: Particle(1, MOMENTS, D).angular_velocity("1"), "omega", "be a real number", "is '1'"),
+    (lambda: Particle(1, MOMENTS, D).tau(np.nan), "seconds", "be finite", "is nan"),
+    (lambda: Particle(1, MOMENTS, D).braking_time(1.0), "axis", "be given where", "is None"),
+    (lambda: Particle(1, MOMENTS, D).rim_speed(1.0), "radius", "be given to the", "is None"),
+    (lambda: Particle(1, MOMENTS, D, radius=-1), "radius", "be positive", "is -1.0"),
+    (lambda: Particle(1e-18, MOMENTS, D, radius=1e-9), "radius", "be at least", "is 1e-09"),
+    (lambda: CUBOID.rim_speed(-1.0), "angular_velocity", "not be negative", "is -1.0"),
+    (lambda: CUBOID.rim_speed([1.0, 2.0]), "angular_velocity", "have shape (3,)", "has shape"),
+    (lambda: Particle.spheroid(1, -1, D, mass=1), "c", "be positive", "is -1.0"),
+    (lambda: Particle.ellipsoid([1, 1], D, mass=1), "semi_axes", "have shape (3,)", "has shape"),
+    (lambda: Particle.ellipsoid([1, 1, 0], D, mass=1), "semi_axes", "be positive", "has 0"),
     (lambda: Particle(1, MOMENTS, D).braking_time(0, Z), "speed", "be positive", "is 0.0"),
-    (lambda: Particle(1, MOMENTS, D).seconds(np.nan, Z), "tau", "be finite", "is nan"),
+    (
+        lambda: Particle(1, MOMENTS, D).seconds([[1], [1, 2]]),
+        "tau",
+        "be a real",
+        "is [[1], [1, 2]]",
+    ),
 ]
 
 

@@ -1,0 +1,39 @@
+"""Moments of inertia that a unit or a braking time is made of."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._base.checks import concrete, finite, or_nan, refuse, where_valid
+from .._base.linalg import dot, length, matvec, trace
+
+
+def middle(inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """The middle one of the principal moments."""
+    # A power of two brings I near 1 and changes no digit.
+    _, exponent = jnp.frexp(trace(inertia))
+    unit = jax.lax.stop_gradient(jnp.ldexp(1.0, exponent))
+    return unit * jnp.linalg.eigvalsh(inertia / unit)[1]
+
+
+def about(axis: Any, inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """n·In, with n the direction of `axis`."""
+    axis = finite("axis", axis, (3,), batch=False)
+    axis = where_valid("axis", axis, jnp.any(axis != 0), "not be zero")
+    n = axis / length(axis)
+    return dot(n, matvec(inertia, n))
+
+
+def across(dipole: Float[Array, "3"], inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """The moment about the axes across the dipole, if it is the same about all of them."""
+    n = dipole / length(dipole)
+    along = dot(n, matvec(inertia, n))
+    moment = (trace(inertia) - along) / 2
+    projector = n[:, None] * n[None, :]
+    rest = inertia - along * projector - moment * (jnp.eye(3) - projector)
+    valid = jnp.max(jnp.abs(rest)) <= 1e-12 * trace(inertia)
+    if concrete(valid) and not valid:
+        refuse("axis", "be given where moments about axes across the dipole differ", "is None")
+    return or_nan(moment, valid)

@@ -1,0 +1,374 @@
+"""A particle in SI or Gaussian units: its units of inertia and time, and what they convert."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.constants import c as LIGHT
+
+from .._base.batches import over_batch
+from .._base.checks import concrete, finite, refuse, where_valid
+from .._base.guards import safe_sqrt
+from .._base.linalg import dot, trace
+from ..bodies import Body
+from . import moments, shapes
+from .texts import text
+from .units import RADIATION, STATCOULOMB_CM, numbers, positive_si, speed_in_rad
+
+
+def _batch_axes(particle: Any) -> int:
+    """The number of batch axes of a particle."""
+    return particle.mass.ndim
+
+
+class Particle(eqx.Module):
+    """A rigid body in SI units, for which τ₀ = k d²/I₁, k = 1/(6πε₀c³).
+
+    I₁ is the middle one of the principal moments, J₁ ≤ J₂ ≤ J₃. That is the transverse moment of
+    every axisymmetric body, as everywhere in the library; it changes continuously with the body
+    and is no less than J₃/2. Most methods take an `axis` of another I₁, the moment about it. The
+    SI values of a motion do not depend on that choice, if all its conversions share it.
+
+    SI values need float64, because float32 ends near 1e-38. `jax.vmap` makes a batch, whose
+    methods return arrays with the batch axes in front: all particles get the same arguments. For
+    one argument each, write `jax.vmap(Particle.angular_velocity)(particles, omega_inf)`.
+
+    Args:
+        mass: mass, kg.
+        inertia: inertia tensor I in body axes, shape (3, 3), kg m².
+        dipole: dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
+        radius: the largest distance R of a point of the body from the centre of mass, m; None if
+            it is not known. Nothing but `rim_speed` needs it.
+
+    Raises:
+        ValueError: a `mass` that is not positive; a bad `inertia` or `dipole`, as for `Body`; a
+            `radius` below √(tr I/(2m)), which no body of that inertia has; float64 is off. Traced
+            bad values become NaN instead.
+
+    Source: equation (2.2) and the conclusions.
+
+    Example:
+        >>> from dipoletop.particles import DEBYE
+        >>> grain = Particle.rod(100e-9, 10e-9, [2400 * DEBYE, 0, 0], density=2200)
+        >>> grain  # doctest: +NORMALIZE_WHITESPACE
+        Particle(mass=6.9115e-20 kg, moments=(3.45575e-36, 5.93237e-35, 5.93237e-35) kg m²,
+                 dipole=2400 D along (1, 0, 0), radius=5.09902e-08 m)
+        >>> f"{grain.tau0():.3e}"  # seconds
+        '2.402e-34'
+        >>> body = grain.body()
+        >>> body.inertia.diagonal().round(6).tolist(), body.dipole.tolist()
+        ([1.0, 1.0, 0.058252], [1.0, 0.0, 0.0])
+    """
+
+    mass: Float[Array, "*batch"]
+    inertia: Float[Array, "*batch 3 3"]
+    dipole: Float[Array, "*batch 3"]
+    radius: Float[Array, "*batch"] | None = None
+
+    def __init__(self, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> None:
+        self.mass = positive_si("mass", mass)
+        # The conditions on a body have no scale, so they hold for SI values, too.
+        body = Body(
+            finite("inertia", inertia, (3, 3), batch=False),
+            finite("dipole", dipole, (3,), batch=False),
+        )
+        self.inertia, self.dipole = body.inertia, body.dipole
+        self.radius = None
+        if radius is not None:
+            given = positive_si("radius", radius)
+            # tr I = 2 Σ mρ² ≤ 2mR²
+            least = jnp.sqrt(trace(self.inertia) / (2 * self.mass))
+            must = "be at least √(tr I/(2m)), the mean distance of the mass from the centre"
+            self.radius = where_valid("radius", given, given >= (1 - 1e-12) * least, must)
+
+    def __repr__(self) -> str:
+        """The numbers of one particle, ranges of many; shapes of what is traced."""
+        leaves = jax.tree.leaves(self)
+        known = all(isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves)
+        if len(leaves) < 3 or not (known and concrete(self)):
+            return eqx.tree_pformat(self)
+        return text(self)
+
+    @classmethod
+    def sphere(
+        cls, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous sphere, I = 2mR²/5, m = 4πR³ρ/3.
+
+        Args:
+            radius: radius R, m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass m, kg; or else
+            density: density ρ, kg/m³.
+
+        Raises:
+            ValueError: `radius`, or the one of `mass` and `density` that is given, not positive;
+                neither or both of these given; a bad `dipole`, as for `Particle`.
+        """
+        radius = positive_si("radius", radius)
+        return cls._of(shapes.spheroid(radius, radius, mass, density), dipole)
+
+    @classmethod
+    def spheroid(
+        cls, a: Any, c: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous spheroid about the third body axis, m = 4πa²cρ/3.
+
+        Args:
+            a: equatorial semi-axis, m.
+            c: polar semi-axis, m; c > a is prolate.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass m, kg; or else
+            density: density ρ, kg/m³.
+
+        Raises:
+            ValueError: `a`, `c`, or the one of `mass` and `density` that is given, not positive;
+                neither or both of these given; a bad `dipole`, as for `Particle`.
+        """
+        return cls._of(shapes.spheroid(a, c, mass, density), dipole)
+
+    @classmethod
+    def ellipsoid(
+        cls, semi_axes: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous ellipsoid, I = m/5 diag(b²+c², c²+a², a²+b²), m = 4πabcρ/3.
+
+        Args:
+            semi_axes: semi-axes a, b, c along the body axes, shape (3,), m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass m, kg; or else
+            density: density ρ, kg/m³.
+
+        Raises:
+            ValueError: `semi_axes`, or the one of `mass` and `density` that is given, not
+                positive; neither or both of these given; a bad `dipole`, as for `Particle`.
+        """
+        return cls._of(shapes.ellipsoid(semi_axes, mass, density), dipole)
+
+    @classmethod
+    def cuboid(
+        cls, lengths: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous cuboid with its edges along the body axes, m = l₁l₂l₃ρ.
+
+        Args:
+            lengths: edges, shape (3,), m.
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass, kg; or else
+            density: density ρ, kg/m³.
+
+        Raises:
+            ValueError: `lengths`, or the one of `mass` and `density` that is given, not positive;
+                neither or both of these given; a bad `dipole`, as for `Particle`.
+        """
+        return cls._of(shapes.cuboid(lengths, mass, density), dipole)
+
+    @classmethod
+    def rod(
+        cls, length: Any, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
+    ) -> "Particle":
+        """The homogeneous cylinder about the third body axis, m = πr²lρ.
+
+        Args:
+            length: length l, m.
+            radius: radius r, m; the field `radius` is √(l²/4 + r²).
+            dipole: dipole moment, shape (3,), C m.
+            mass: mass, kg; or else
+            density: density ρ, kg/m³.
+
+        Raises:
+            ValueError: `length`, `radius`, or the one of `mass` and `density` that is given, not
+                positive; neither or both of these given; a bad `dipole`, as for `Particle`.
+        """
+        return cls._of(shapes.rod(length, radius, mass, density), dipole)
+
+    @classmethod
+    def _of(cls, solid: shapes.Solid, dipole: Any) -> "Particle":
+        return cls(solid.mass, solid.inertia, dipole, radius=solid.radius)
+
+    @classmethod
+    def gaussian(cls, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> "Particle":
+        """A particle from values in Gaussian units.
+
+        Args:
+            mass: mass, g.
+            inertia: inertia tensor, shape (3, 3), g cm².
+            dipole: dipole moment, shape (3,), statC cm (1 debye is 1e-18 statC cm).
+            radius: as for `Particle`, cm.
+
+        Raises:
+            ValueError: as for `Particle`; the message shows the Gaussian values.
+        """
+        given = cls(mass, inertia, dipole, radius=radius)
+        metres = None if given.radius is None else 1e-2 * given.radius
+        dipole = STATCOULOMB_CM * given.dipole
+        return cls(1e-3 * given.mass, 1e-7 * given.inertia, dipole, radius=metres)
+
+    @over_batch(_batch_axes)
+    def moment(self, axis: Any = None) -> Float[Array, "*batch"]:
+        """I₁ = n·In, the moment of inertia about the direction n of `axis`.
+
+        Args:
+            axis: in body axes, shape (3,), of any length except 0. None is a principal axis with
+                the middle moment J₂: of an axisymmetric body any axis across its symmetry axis.
+                Where J₂ equals another moment it has a kink: the first derivative is that of one
+                of the two, and second derivatives need an `axis`.
+
+        Returns:
+            The moment, kg m².
+
+        Raises:
+            ValueError: an `axis` of zero, or of a wrong shape.
+        """
+        if axis is None:
+            return moments.middle(self.inertia)
+        return moments.about(axis, self.inertia)
+
+    @over_batch(_batch_axes)
+    def tau0(self, axis: Any = None) -> Float[Array, "*batch"]:
+        """τ₀ = k d²/I₁, with I₁ the moment about `axis`: the unit of time.
+
+        Args:
+            axis: as for `moment`; for a plane rotator its axis of rotation.
+
+        Returns:
+            τ₀, s.
+
+        Source: equation (2.2).
+        """
+        return RADIATION * dot(self.dipole, self.dipole) / self.moment(axis)
+
+    @over_batch(_batch_axes)
+    def body(self, axis: Any = None) -> Body:
+        """The dimensionless body: I in units of I₁, the moment about `axis`, and |d| = 1.
+
+        Args:
+            axis: as for `tau0`, which is then the unit of time.
+
+        Returns:
+            The body.
+        """
+        return Body(self.inertia / self.moment(axis), self.dipole / jnp.linalg.norm(self.dipole))
+
+    @over_batch(_batch_axes)
+    def omega(self, angular_velocity: Any, axis: Any = None) -> Float[Array, "..."]:
+        """ω = τ₀Ω, dimensionless, of an angular velocity, of a component or of a speed.
+
+        Args:
+            angular_velocity: Ω, rad/s: vectors in body axes or scalars, of any shape; or a text
+                such as "1 GHz" (`angular_speed`).
+            axis: as for `tau0`.
+
+        Returns:
+            ω, of the same shape.
+        """
+        if isinstance(angular_velocity, str):
+            return self.tau0(axis) * speed_in_rad("angular_velocity", angular_velocity)
+        given = numbers("angular_velocity", angular_velocity)
+        given = where_valid("angular_velocity", given, jnp.isfinite(given), "be finite")
+        return self.tau0(axis) * given
+
+    @over_batch(_batch_axes)
+    def angular_velocity(self, omega: Any, axis: Any = None) -> Float[Array, "..."]:
+        """Ω = ω/τ₀ in rad/s, of an angular velocity ω, of a component or of an ω∞.
+
+        Args:
+            omega: dimensionless: vectors in body axes or scalars, of any shape. NaN, the ω∞ of a
+                run that is not decided, stays NaN.
+            axis: as for `tau0`.
+
+        Returns:
+            Ω, of the same shape, rad/s.
+        """
+        return numbers("omega", omega) / self.tau0(axis)
+
+    @over_batch(_batch_axes)
+    def tau(self, seconds: Any, axis: Any = None) -> Float[Array, "..."]:
+        """The dimensionless time τ = t/τ₀.
+
+        Args:
+            seconds: t, s, of any shape.
+            axis: as for `tau0`.
+
+        Returns:
+            τ, of the same shape.
+        """
+        given = numbers("seconds", seconds)
+        given = where_valid("seconds", given, jnp.isfinite(given), "be finite")
+        return given / self.tau0(axis)
+
+    @over_batch(_batch_axes)
+    def seconds(self, tau: Any, axis: Any = None) -> Float[Array, "..."]:
+        """The time t = τ₀τ in seconds.
+
+        Args:
+            tau: dimensionless time τ, of any shape. NaN, a time that is not known, stays NaN.
+            axis: as for `tau0`.
+
+        Returns:
+            t, of the same shape, s.
+        """
+        return self.tau0(axis) * numbers("tau", tau)
+
+    @over_batch(_batch_axes)
+    def braking_time(self, speed: Any, axis: Any = None) -> Float[Array, "*batch"]:
+        """T = I/(k d²Ω₀²), the time in which a rotator slows down from Ω₀ to Ω₀/√3.
+
+        Args:
+            speed: angular speed Ω₀ > 0, shape () or (B,), rad/s; or a text (`angular_speed`).
+            axis: axis of rotation, shape (3,), across the dipole. It may be left out if the moment
+                I is the same about all of these, as of a sphere or along a symmetry axis.
+
+        Returns:
+            T, of the same shape, s.
+
+        Raises:
+            ValueError: a `speed` that is not positive; a bad `axis`, as for `moment`; no `axis`
+                where the moment depends on it (of a batch, or traced, T is NaN there).
+
+        Source: equation (2.4).
+        """
+        speed = speed_in_rad("speed", speed)
+        speed = where_valid("speed", speed, jnp.asarray(speed > 0), "be positive")
+        moment = (
+            moments.across(self.dipole, self.inertia)
+            if axis is None
+            else moments.about(axis, self.inertia)
+        )
+        return moment / (RADIATION * dot(self.dipole, self.dipole) * speed**2)
+
+    @over_batch(_batch_axes)
+    def rim_speed(self, angular_velocity: Any) -> Float[Array, "*batch"]:
+        """|Ω|R/c: no point of the body moves faster, in units of the velocity of light c.
+
+        R is the field `radius`. About an axis through the centre a point at that distance has
+        this speed if its distance is across the axis. The theory is not relativistic: it holds
+        where this is small.
+
+        Args:
+            angular_velocity: a speed |Ω| in rad/s, shape (), or a text (`angular_speed`); or Ω in
+                rad/s, shape (3,) or (B, 3).
+
+        Returns:
+            v/c, of shape () or (B,).
+
+        Raises:
+            ValueError: the `radius` of the particle is not known; a negative speed.
+
+        Example:
+            >>> grain = Particle.sphere(50e-9, [8e-27, 0, 0], density=2000)
+            >>> f"{grain.rim_speed('1 GHz'):.2e}"
+            '1.05e-06'
+        """
+        if self.radius is None:
+            refuse("radius", "be given to the particle, which `rim_speed` needs", "is None")
+        given = angular_velocity
+        if not isinstance(given, str) and numbers("angular_velocity", given).ndim > 0:
+            squares = jnp.square(finite("angular_velocity", given, (3,)))
+            speed = safe_sqrt(jnp.sum(squares, axis=-1))
+        else:
+            speed = speed_in_rad("angular_velocity", given)
+        return speed * (self.radius / LIGHT)

@@ -1,0 +1,65 @@
+"""Homogeneous solids in SI units: their mass, inertia tensor and radius by formula."""
+
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .. import bodies
+from .._base.checks import refuse
+from .._base.linalg import length as distance
+from .units import positive_si
+
+_ANY_DIPOLE = (1.0, 0.0, 0.0)
+"""The dipole of a body from which only the inertia is taken."""
+
+
+class Solid(NamedTuple):
+    """A homogeneous body without its dipole."""
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    radius: Float[Array, ""]
+    """The largest distance of a point from the centre."""
+
+
+def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
+    """The spheroid with semi-axes a, a, c."""
+    a, c = positive_si("a", a), positive_si("c", c)
+    mass = _mass(4 * math.pi / 3 * a**2 * c, mass, density)
+    inertia = bodies.spheroid(mass, a, c, dipole=_ANY_DIPOLE).inertia
+    return Solid(mass, inertia, jnp.maximum(a, c))
+
+
+def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
+    """The ellipsoid with its semi-axes along the body axes."""
+    semi_axes = positive_si("semi_axes", semi_axes, (3,))
+    mass = _mass(4 * math.pi / 3 * jnp.prod(semi_axes), mass, density)
+    a, b, c = mass * semi_axes**2 / 5
+    return Solid(mass, jnp.diag(jnp.stack([b + c, c + a, a + b])), jnp.max(semi_axes))
+
+
+def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
+    """The cuboid with its edges along the body axes."""
+    lengths = positive_si("lengths", lengths, (3,))
+    mass = _mass(jnp.prod(lengths), mass, density)
+    return Solid(mass, bodies.box(mass, lengths, _ANY_DIPOLE).inertia, distance(lengths) / 2)
+
+
+def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
+    """The cylinder about the third axis."""
+    length, radius = positive_si("length", length), positive_si("radius", radius)
+    mass = _mass(math.pi * radius**2 * length, mass, density)
+    inertia = bodies.rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia
+    return Solid(mass, inertia, jnp.hypot(length / 2, radius))
+
+
+def _mass(volume: Float[Array, ""], mass: Any, density: Any) -> Float[Array, ""]:
+    """The mass that is given, or that follows from the density, kg."""
+    if (mass is None) == (density is None):
+        was = "neither is" if mass is None else "both are"
+        refuse("mass", "be given or else `density`", was)
+    if mass is None:
+        return volume * positive_si("density", density)
+    return positive_si("mass", mass)

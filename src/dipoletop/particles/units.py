@@ -1,0 +1,82 @@
+"""Units of dipole moment and angular speed, and the checks of SI values."""
+
+import math
+import re
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from scipy.constants import c, epsilon_0
+
+from .._base.checks import finite, real, refuse, where_valid
+
+RADIATION = 1 / (6 * math.pi * epsilon_0 * c**3)
+"""k = 1/(6πε₀c³), in kg m² s/(C m)²: the strength of the radiation torque in SI units."""
+DEBYE = 1e-21 / c
+"""One debye, 1e-18 statC cm, in C m (c is its number in m/s)."""
+STATCOULOMB_CM = 1e18 * DEBYE
+"""The Gaussian unit of dipole moment, in C m."""
+
+_TURN = 2 * math.pi
+_UNITS = {
+    "Hz": _TURN,
+    "kHz": _TURN * 1e3,
+    "MHz": _TURN * 1e6,
+    "GHz": _TURN * 1e9,
+    "THz": _TURN * 1e12,
+    "rad/s": 1.0,
+    "rpm": _TURN / 60,
+}
+"""Units of a rotation frequency, in rad/s. Their case counts: mHz would be a millihertz."""
+_TEXT = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z/]+)\s*", re.ASCII)
+
+
+def angular_speed(spin: Any) -> Float[Array, "*batch"]:
+    """Ω = 2πf, an angular speed in rad/s, from a text such as "1 GHz" or from a number.
+
+    Args:
+        spin: a number in rad/s, shape () or (B,); or a text, a number with its unit Hz, kHz, MHz,
+            GHz, THz, rad/s or rpm.
+
+    Returns:
+        Ω, rad/s, of the same shape; of shape () for a text.
+
+    Raises:
+        ValueError: a negative `spin`, one that is not finite, or a text without such a unit.
+
+    Example:
+        >>> print(f"{angular_speed('1 GHz'):.6e}, {angular_speed('3000rpm'):.6f}")
+        6.283185e+09, 314.159265
+        >>> float(angular_speed(2.5))
+        2.5
+    """
+    return speed_in_rad("spin", spin)
+
+
+def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
+    """`angular_speed` of an argument with another name."""
+    if isinstance(value, str):
+        given = _TEXT.fullmatch(value)
+        if given is None or given[2] not in _UNITS:
+            refuse(name, f"be a number with a unit among {', '.join(_UNITS)}", f"is {value!r}")
+        value = float(given[1]) * _UNITS[given[2]]
+    speed = finite(name, value)
+    return where_valid(name, speed, jnp.asarray(speed >= 0), "not be negative")
+
+
+def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+    """A positive number in SI units, or an array of them."""
+    array = finite(name, value, shape, batch=False)
+    if array.dtype != jnp.float64:
+        hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
+        refuse(name, "be float64", f"is {array.dtype}, which ends near 1e-38 ({hint})")
+    return where_valid(name, array, array > 0, "be positive")
+
+
+def numbers(name: str, value: Any) -> Float[Array, "..."]:
+    """Real numbers of any shape."""
+    try:
+        shape = jnp.shape(jnp.asarray(value))
+    except (TypeError, ValueError, OverflowError):
+        shape = ()  # `real` refuses such a value
+    return real(name, value, shape, batch=False)
