@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ._averaging.dipole_series import Series, series
+from ._averaging.landen import Descent
 from ._averaging.orbit import Orbit, Spin, motion_of
 from ._base.checks import concrete, finite, instance, refuse, where_valid
 from ._base.linalg import cross, dot
@@ -147,12 +148,15 @@ def _lines(
     upward = jnp.zeros_like(omega).at[2].set(1.0)
     direction = jnp.where(speed > 0, omega / jnp.where(speed > 0, speed, 1.0), upward)
     orbit, spin = motion_of(inertia / jnp.max(jnp.abs(inertia)), dipole / moment, direction)
-    precession, libration, total, (along, across) = _of_unit_dipole(orbit, spin, n)
+    steps = orbit.steps
+    precession, libration, total, terms = _of_unit_dipole(orbit, steps, spin, n)
     j = jnp.arange(1.0, n + 1, dtype=speed.dtype)
     rates = precession + libration * jnp.concatenate([-j[::-1], jnp.zeros((1,), j.dtype), j])
     frequency = speed * jnp.concatenate([jnp.abs(libration) * j, jnp.abs(rates)])
+    # Powers are without the phases, whose derivatives are large next to an axis.
+    squares = jnp.concatenate([4 * _square(terms.along), 2 * _square(terms.across)])
+    along, across = _from_now(terms, orbit.phase(steps))
     amplitude = _amplitudes(jnp.where(libration < 0, along, jnp.conj(along)), across, rates)
-    squares = jnp.sum(amplitude.real**2 + amplitude.imag**2, axis=-1)
     return Lines(
         frequency,
         k * moment**2 * frequency**4 * squares / 2,
@@ -163,32 +167,41 @@ def _lines(
     )
 
 
-def _of_unit_dipole(orbit: Orbit, spin: Spin, n: int) -> tuple[Real, Real, Real, Series]:
-    """Φ̇, the signed 2π/T, ⟨|d̈|²⟩ and the series of a dipole of length 1, at the time 0."""
-    steps = orbit.steps
+def _of_unit_dipole(
+    orbit: Orbit, steps: Descent, spin: Spin, n: int
+) -> tuple[Real, Real, Real, Series]:
+    """Φ̇, the signed 2π/T, ⟨|d̈|²⟩ and the series of a dipole of length 1."""
     precession, libration = orbit.rates(steps)
-    terms = series(orbit, steps, n)
-    theta = orbit.phase(steps) * jnp.arange(-float(n), n + 1, dtype=orbit.momentum.dtype)
-    turns = jax.lax.complex(jnp.cos(theta), jnp.sin(theta))
-    along, across = terms.along * turns[n + 1 :], terms.across * turns
-    # Axis 1 is in the plane of L and the dipole.
-    now = jnp.sum(across)
-    known = (now.real != 0) | (now.imag != 0)
-    real = jnp.where(known, now.real, 1.0)
-    size = jnp.sqrt(real**2 + now.imag**2)
-    across = across * jax.lax.complex(real / size, -now.imag / size)
+    along, across = series(orbit, steps, n)
     single = jnp.where(jnp.arange(-n, n + 1) == 0, spin.across, 0.0)
     single = jax.lax.complex(single, jnp.zeros_like(single))
-    series_now = (
-        jnp.where(spin.holds, jnp.zeros_like(along), along),
-        jnp.where(spin.holds, single, across),
-    )
     return (
         jnp.where(spin.holds, spin.rate, precession),
         jnp.where(spin.holds, 0.0, libration),
         jnp.where(spin.holds, spin.rate**4 * spin.across**2, orbit.power()),
-        Series(*series_now),
+        Series(
+            jnp.where(spin.holds, jnp.zeros_like(along), along),
+            jnp.where(spin.holds, single, across),
+        ),
     )
+
+
+def _from_now(terms: Series, phase: Real) -> Series:
+    """The series in θ − θ₀, with axis 1 in the plane of L and the dipole at θ = θ₀."""
+    n = terms.along.size
+    theta = phase * jnp.arange(-float(n), n + 1, dtype=phase.dtype)
+    turns = jax.lax.complex(jnp.cos(theta), jnp.sin(theta))
+    along, across = terms.along * turns[n + 1 :], terms.across * turns
+    now = jnp.sum(across)
+    known = (now.real != 0) | (now.imag != 0)
+    real = jnp.where(known, now.real, 1.0)
+    size = jnp.sqrt(real**2 + now.imag**2)
+    return Series(along, across * jax.lax.complex(real / size, -now.imag / size))
+
+
+def _square(values: Complex[Array, "k"]) -> Float[Array, "k"]:
+    """The squares of the moduli, with derivatives at 0."""
+    return values.real**2 + values.imag**2
 
 
 def _amplitudes(
@@ -212,15 +225,16 @@ def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> St
 
     A line of amplitude a has the field E ∝ ω²(a − s(s·a)) towards the direction s, and emits
     I = (3/8π)·½ω⁴|a − s(s·a)|² per unit solid angle there; the integral of I over all directions
-    is its power. With N the projection of L on the sky and E = s×N,
+    is its power. With N the projection of L on the sky, and M = s×N at 90° counter-clockwise from
+    it,
 
-        I = |E_N|² + |E_E|²,  Q = |E_N|² − |E_E|²,  U = 2Re(E_N* E_E),  V = 2Im(E_N* E_E),
+        I = |E_N|² + |E_M|²,  Q = |E_N|² − |E_M|²,  U = 2Re(E_N* E_M),  V = 2Im(E_N* E_M),
 
     for fields that vary as exp(−iωt). So V is positive if the field at the observer turns
-    counter-clockwise for him, as that of a dipole does whose L points at him; seen across L the
-    light of that dipole is linear, across L. (V has the sign that the International Astronomical
-    Union fixed in 1973; angles count from N, not from north.) Along L itself N is axis 1. Different
-    lines do not interfere.
+    counter-clockwise for him, as that of a dipole does whose L points at him. Seen across L the
+    light of that dipole is linear, along M. U = 0, since every line is symmetric about L. (V has
+    the sign that the International Astronomical Union fixed in 1973; angles count from N, not from
+    north.) Towards ±L itself N is axis 1. Different lines do not interfere.
 
     Args:
         body: a dimensionless body, or a particle, as for `lines`.
@@ -271,7 +285,7 @@ def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> St
 
 
 def _sky(s: Vector3) -> tuple[Vector3, Vector3]:
-    """The axes E = s×N and N of an observer in the direction s."""
+    """The axes M = s×N and N of an observer in the direction s."""
     across2 = s[0] ** 2 + s[1] ** 2
     tilted = across2 > 0
     across = jnp.sqrt(jnp.where(tilted, across2, 1.0))

@@ -21,7 +21,7 @@ from .._base.linalg import cross, dot
 from .._base.types import Real
 from .free_rotation import averages
 from .landen import Descent, descent, mean_of_ratio, uniform_phase
-from .principal_axes import ROUNDING, principal_axes
+from .principal_axes import ROUNDING, equal_where_rounded, principal_axes
 
 Triple = Float[Array, "3"]
 
@@ -99,6 +99,7 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
         omega: the angular velocity, not zero.
     """
     moments, axes = principal_axes(inertia)
+    moments = equal_where_rounded(moments)
     hand = jnp.where(jnp.linalg.det(axes) < 0, -1.0, 1.0)
     axes = axes * jnp.stack([hand, jnp.ones_like(hand), jnp.ones_like(hand)])[None]
     n = axes.T @ dipole
@@ -106,8 +107,9 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
     gaps, y = _gaps(moments), momentum**2 / dot(momentum, momentum)
     above = gaps[0] * y[0] - gaps[1] * y[2]  # h − p₂
     high = (above > 0) | ((gaps[1] == 0) & (gaps[0] > 0))
+    tiny = ROUNDING * float(jnp.finfo(moments.dtype).eps)
     edge = jnp.where(high, gaps[0], gaps[1])  # Db
-    spin = _spin(moments, gaps, n, momentum, jnp.abs(above) <= _tiny(moments) ** 2 * edge)
+    spin = _spin(moments, gaps, n, momentum, jnp.abs(above) <= tiny**2 * edge)
     # Where the motion is a spin, one that is none stands in.
     example = jnp.arange(2.0, 5.0, dtype=moments.dtype)
     moments = jnp.where(spin.holds, example, moments)
@@ -115,18 +117,10 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
     return _orbit(moments, n, momentum, high & ~spin.holds), spin
 
 
-def _tiny(values: Triple) -> float:
-    return ROUNDING * float(jnp.finfo(values.dtype).eps)
-
-
 def _gaps(moments: Triple) -> Triple:
-    """p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J; of moments equal but for rounding 0."""
-    first, second, third = moments
-
-    def gap(less: Real, more: Real) -> Real:
-        return jnp.where(more - less <= _tiny(moments) * third, 0.0, (more - less) / (less * more))
-
-    p12, p23 = gap(first, second), gap(second, third)
+    """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
+    j1, j2, j3 = moments
+    p12, p23 = (j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3)
     return jnp.stack([p12, p23, p12 + p23])
 
 
