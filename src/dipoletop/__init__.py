@@ -48,11 +48,13 @@ if TYPE_CHECKING:
         boundary,
         complexity,
         continuation,
+        emission,
         fitting,
         particles,
         plots,
         uncertainty,
     )
+    from .emission import lines, stokes
     from .particles import Particle
 
 __all__ = [
@@ -100,12 +102,14 @@ __all__ = [
     "critical_manifold",
     "cylindrical",
     "decay_time",
+    "emission",
     "equation_at",
     "equilibria",
     "exact",
     "fitting",
     "from_charges",
     "isotropic",
+    "lines",
     "particles",
     "planar",
     "plots",
@@ -118,6 +122,7 @@ __all__ = [
     "slow_manifold",
     "spectrum",
     "spheroid",
+    "stokes",
     "sweep",
     "symmetry_cell",
     "threshold",
@@ -128,8 +133,9 @@ __version__ = version("dipoletop")
 
 
 # Imported when they are used, not before: with matplotlib, SciPy, or the constants of physics.
-_MODULES = ("adaptive", "boundary", "complexity", "continuation", "fitting", "particles", "plots")
-_LAZY = {name: name for name in (*_MODULES, "uncertainty")} | {"Particle": "particles"}
+_MODULES = ("adaptive", "boundary", "complexity", "continuation", "emission", "fitting")
+_NAMES = {"Particle": "particles", "lines": "emission", "stokes": "emission"}
+_LAZY = {name: name for name in (*_MODULES, "particles", "plots", "uncertainty")} | _NAMES
 
 
 def __getattr__(name: str) -> Any:

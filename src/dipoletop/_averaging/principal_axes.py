@@ -78,13 +78,13 @@ def free_rotation(
 ) -> FreeRotation:
     """The free rotation of a body that turns with the angular velocity Ω."""
     moments, axes = principal_axes(inertia)
-    moments = _equal_where_rounded(moments)
+    moments = equal_where_rounded(moments)
     n = axes.T @ (dipole / jnp.linalg.norm(dipole))
     small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
     return FreeRotation(moments, jnp.where(small, 0.0, n), moments * (axes.T @ omega))
 
 
-def _equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
+def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
     """Moments that differ by rounding only are made equal."""
     j1, j2, j3 = moments
     j2 = jnp.where(j3 - j2 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j3, j2)
