@@ -158,7 +158,8 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
     strength = RADIATION if isinstance(body, Particle) else 1.0
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    return Prediction(*_predicted(variables, strength, _is_needle(body)), variables, strength)
+    numbers = _predicted(variables, strength, _is_needle(body))
+    return Prediction(*numbers, variables=variables, strength=strength)
 
 
 def _is_needle(body: Body | Particle) -> bool | None:

@@ -45,8 +45,8 @@ from .._base.types import Real
 AGM_STEPS = 9  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-30
 
 
-class Orbit(NamedTuple):
-    """The motion of L in the body: differences of a, b, c, and what follows from them."""
+class Path(NamedTuple):
+    """The path of L in the body: differences of a, b, c, and what follows from them."""
 
     to_a: Real
     """Da = a − c."""
@@ -62,12 +62,12 @@ class Orbit(NamedTuple):
     """1 − m, to its own relative accuracy."""
 
 
-def orbit(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Orbit:
-    """The orbit of L; arguments as for `averages`."""
+def path(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Path:
+    """The path of L; arguments as for `averages`."""
     ja, jb, jc = moments
     to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
     q = a_to_b + rest * to_b
-    return Orbit(to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q)
+    return Path(to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q)
 
 
 class Averages(NamedTuple):
@@ -88,7 +88,7 @@ def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Average
         rest: 1 − x, to its own relative accuracy.
     """
     _, b, c = p = tuple(1 / moment for moment in moments)
-    to_a, to_b, a_to_b, q, m, m1 = orbit(moments, x, rest)
+    to_a, to_b, a_to_b, q, m, m1 = path(moments, x, rest)
     h = rest * c + x * b
     sn2, sn4 = elliptic_means(m, m1)
     cn2, cn4, sn2_cn2 = 1 - sn2, 1 - 2 * sn2 + sn4, sn2 - sn4
@@ -131,14 +131,14 @@ def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Average
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
     """⟨Ω²⟩/L² = h² + ⟨Var⟩; arguments as for `averages`."""
     _, jb, jc = moments
-    _, to_b, _, q, m, m1 = orbit(moments, x, rest)
+    _, to_b, _, q, m, m1 = path(moments, x, rest)
     sn2, _ = elliptic_means(m, m1)
     return (rest / jc + x / jb) ** 2 + x * to_b * (q * (1 - sn2) + rest * to_b * sn2)
 
 
 def period(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
     """The period of L in the body, times L; arguments as for `averages`."""
-    _, to_b, _, q, _, m1 = orbit(moments, x, rest)
+    _, to_b, _, q, _, m1 = path(moments, x, rest)
     return 4 * quarter_period(m1) / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
 
 

@@ -104,7 +104,7 @@ class Stage(eqx.Module):
         change = -integrate @ (r * pace)
         u = (start.u + integrate @ (pace * jnp.exp(-change))) * jnp.exp(change)
         values = y, start.s + integrate @ pace, start.log + change, u
-        y, *state = (rule.coefficients @ x for x in values)
+        y, *state = (jnp.asarray(rule.coefficients) @ x for x in values)
         return Piece(y, State(*state))
 
 
@@ -115,7 +115,7 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
     pace, _ = interval.pace(start)
     end = jnp.where(pace > 0, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
 
-    def field(y: Real, state: Array, args: Any) -> Array:
+    def field(y: Any, state: Array, args: Any) -> Array:
         pace, r = interval.pace(y)
         return pace * jnp.stack([jnp.ones_like(r), -r, 1 - r * state[2]])
 

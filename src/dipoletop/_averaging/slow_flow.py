@@ -148,7 +148,8 @@ def _bound(side: Side, z: Real) -> Bound:
     shifts = radius * (2 * rule.nodes - 1)
     centre, remainder = jnp.where(is_zero, x, 0.5), jnp.where(is_zero, rest, 0.5)
     _, growth = jax.vmap(lambda shift: side.rates(centre + shift, remainder - shift))(shifts)
-    return Bound(x, rest, is_zero, radius, rule.coefficients @ (growth / shifts))
+    coefficients = jnp.asarray(rule.coefficients) @ (growth / shifts)
+    return Bound(x, rest, is_zero, radius, coefficients)
 
 
 def from_logit(z: Real) -> tuple[Real, Real]:
