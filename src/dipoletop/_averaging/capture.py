@@ -41,12 +41,12 @@ from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
 
 SMALLEST, LARGEST = 0.005, 0.995  # δ; beyond, the number of steps grows like 1/δ or 1/(1 − δ)
-ENTRY = 15.0  # q/(1 + |a|) where the expansion takes over; its error is then about 1e-8
+ENTRY = 24.0  # q/(1 + |a|) where the expansion takes over; its error is then below 1e-6
 NEAR = 1e-8  # from a saddle, so near that the curvature of its stable manifold does not matter
 AMPLITUDE = 1e-6  # ω⊥ at which the regions of the semi-reduced level are those of the plane
 PRECISION = 1e-7  # of ω∞, relative, by its series
 NODES = 34  # in s, with the two ends, where X = 0
-FINE = 4000  # parts of s for the distribution
+FINE = 8000  # parts of s for the distribution
 PARTS = 512  # of equal probability
 MAX_STEPS = 16384
 RTOL = 1e-10
@@ -136,19 +136,19 @@ def capture(delta: Scalar) -> Capture:
     log_x = ends.log_ratio - expansion.log_w(q)
     log_x = or_nan(log_x, inside & jnp.all(ends.residual))
     largest = jnp.max(log_x)
-    zero = jnp.zeros(1, log_x.dtype)
-    coefficients = collocation_rule(NODES).coefficients @ jnp.concatenate(
-        [zero, jnp.exp(log_x - largest), zero]
-    )
+    values = jnp.pad(jnp.exp(log_x - largest), 1)
+    coefficients = collocation_rule(NODES).coefficients @ values
     fine = _middles(FINE)
     x = np.polynomial.chebyshev.chebvander(2 * fine - 1, NODES - 1) @ coefficients
     weights = np.sin(np.pi * fine)
     weights = jnp.asarray(weights / np.sum(weights))
     order = jnp.argsort(x)
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
-    table = jnp.interp(_middles(PARTS), jnp.cumsum(part) - part / 2, jnp.log(x))
-    log_mean = largest + jnp.log(jnp.sum(part * x))
-    return Capture(or_nan(residual, inside), log_mean, largest + table)
+    # Means over the parts, not values in them, have the derivatives of the quantiles: X takes a
+    # value at two s, and its derivative there is the mean of both.
+    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, _from_zero(part), _from_zero(part * x))
+    table = jnp.log(PARTS * jnp.diff(sums))
+    return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
 
 
 def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
@@ -178,7 +178,8 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
     phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
     known = settle(d, phi, z)
     chance = capture(delta)
-    log_w = _log_w(d, log_perp, jnp.where(random, log_w3, log_perp))
+    turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
+    log_w = _log_w(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
     log_scale = or_nan(log_w - log_all, random)
     decided = _share(known.residual)
     residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, decided))
@@ -336,12 +337,22 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
     return or_nan(turns[0] + gap, arrives[0]), 1 - gap
 
 
-def _log_w(delta: Scalar, log_perp: Scalar, log_w3: Scalar) -> Scalar:
-    """The ln W of a start of the averaged top, by (4.16) with ξ = ω⊥²/ω₃²."""
+def _log_w(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> Scalar:
+    """The ln W of a start of the averaged top, by (4.16) with ξ = ω⊥²/ω₃²; S = sgn ω₃ sin 2φ.
+
+    A start has oscillations about the averages. By (4.2)–(4.4) those of (ln u)′ and (ln v)′ are
+    (u + Mv) cos 2φ and −3δu cos 2φ/(1−δ), and φ′ = −δω₃. Their integrals are taken out of ln K.
+    """
     a, b = 1 + 2 * delta, 1 + delta**3
     p = delta * (1 - delta) * (3 + 3 * delta + delta**2) / (a * b)
     log_xi = 2 * (log_perp - log_w3)
-    log_k = 2 * log_w3 + (2 + delta) / a * log_xi - p * jnp.logaddexp(jnp.log(b / a) - log_xi, 0.0)
+    log_ratio = jnp.log(b / a) - log_xi
+    log_k = 2 * log_w3 + (2 + delta) / a * log_xi - p * jnp.logaddexp(log_ratio, 0.0)
+    slope = (2 + delta) / a + p * jax.nn.sigmoid(log_ratio)  # d ln K/d ln ξ at constant v
+    u, v = jnp.exp(2 * log_perp - log_w3), jnp.exp(log_w3)  # over |ω₃|
+    m = 1 + delta + delta**2
+    oscillation = slope * (u + m * v) - (1 - slope) * 3 * delta / (1 - delta) * u
+    log_k = log_k + s * oscillation / (2 * delta)
     return a / (6 * delta) * log_k - (1 - delta) / (3 * delta) * jnp.log(2 * delta)
 
 
@@ -352,6 +363,11 @@ def _share(certain: Bool[Array, ""]) -> Scalar:
 
 def _quantiles(table: Float[Array, "k"], levels: Float[Array, "l"]) -> Float[Array, "l"]:
     return jnp.interp(levels, _middles(table.size), table)
+
+
+def _from_zero(values: Float[Array, "n"]) -> Float[Array, "m"]:
+    """The sums of the first 0, 1, 2, … values."""
+    return jnp.append(jnp.zeros(1, values.dtype), jnp.cumsum(values))
 
 
 def _middles(n: int) -> np.ndarray:
