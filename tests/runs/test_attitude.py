@@ -119,7 +119,8 @@ def momentum_defect(equation, start, end, **settings):
 def test_full_equation_keeps_the_balance_of_angular_momentum():
     """d/dτ(L − d×d₂) = −d₁×d₂ in the laboratory, along the branch and off it."""
     start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)
-    along, changed = momentum_defect(dt.TransverseFull(-0.2), start, 60.0, rtol=1e-11)
+    # Nearly a sphere: it turns much faster than ω changes.
+    along, changed = momentum_defect(dt.TransverseFull(-0.02), start, 150.0, rtol=1e-11)
     assert along < 1e-12
     assert changed > 0.1
     fast = np.cross(GENERIC.dipole, [0.01, -0.02, 0.01])  # across the dipole
