@@ -27,7 +27,7 @@ def test_turn_by_turn_integration_tends_to_the_prediction(body):
     errors = []
     for amplitude in (1e-2, 1e-3):
         predicted = _predict(body, amplitude * STARTS)
-        runs = dt.classify_many(dt.SemiReduced(body), amplitude * STARTS, value="unchecked")
+        runs = dt.classify_many(dt.Reduced(body), amplitude * STARTS, value="unchecked")
         decided = np.isfinite(predicted.omega_inf) & (runs.outcome == dt.Outcome.RESIDUAL)
         assert decided.any()
         error = np.abs(runs.omega_inf / predicted.omega_inf - 1)[decided]
@@ -69,6 +69,7 @@ def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
     assert float(half / plateau) ** 2 == _approx(0.5, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     def ratio(moments, omega):
         return dt.predict(dt.Body(jnp.diag(moments), jnp.array([0.0, 0.0, 1.0])), omega).ratio

@@ -104,7 +104,7 @@ class Prediction(eqx.Module):
         """
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
-        values = _history(self.variables, (given, self.strength))
+        values = _history(self.variables, (given, jnp.asarray(self.strength, given.dtype)))
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -157,8 +157,9 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     omega = finite("omega0", omega0, (3,), batch=False)
     omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
     strength = RADIATION if isinstance(body, Particle) else 1.0
+    coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    numbers = _predicted(variables, strength, _is_needle(body))
+    numbers = _predicted(variables, coupling, _is_needle(body))
     return Prediction(*numbers, variables=variables, strength=strength)
 
 
@@ -172,7 +173,7 @@ def _is_needle(body: Body | Particle) -> bool | None:
 
 @eqx.filter_jit
 def _predicted(
-    variables: Float[Array, "15"], strength: float, is_needle: bool | None
+    variables: Float[Array, "15"], strength: Real, is_needle: bool | None
 ) -> tuple[Array, ...]:
     """The fields of a `Prediction`."""
     values = forward_differentiable(functools.partial(_values, is_needle))(variables, strength)
@@ -200,7 +201,7 @@ class _Units(NamedTuple):
     """κL₀/J₃², about τ₀Ω."""
 
 
-def _rotation(variables: Float[Array, "15"], strength: Real | float) -> tuple[FreeRotation, _Units]:
+def _rotation(variables: Float[Array, "15"], strength: Real) -> tuple[FreeRotation, _Units]:
     """The free rotation in units of J₃ and L₀, and these units."""
     inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
     rotation = free_rotation(inertia, dipole, omega)
@@ -220,7 +221,7 @@ def _slow_motion(rotation: FreeRotation) -> Motion:
 
 
 def _values(
-    is_needle: bool | None, variables: Float[Array, "15"], strength: Real | float
+    is_needle: bool | None, variables: Float[Array, "15"], strength: Real
 ) -> Float[Array, "20"]:
     """The floating-point fields of a `Prediction`, and its regime."""
     rotation, units = _rotation(variables, strength)
@@ -278,7 +279,7 @@ def _error(rotation: FreeRotation, weakness: Real) -> Real:
 
 @eqx.filter_jit
 def _history(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real | float]
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real]
 ) -> tuple[Float[Array, "T"], ...]:
     """E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants

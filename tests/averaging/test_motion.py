@@ -53,7 +53,7 @@ def test_the_loss_of_angular_momentum_is_an_integral_over_x():
     x = jnp.asarray(1 / (1 + np.exp(-z)))
     moments = jnp.broadcast_to(jnp.array(MOMENTS)[:, None, None], (3, *x.shape))
     means = averages(moments, x, 1 - x)
-    exact = np.sum(means.r[2] / means.growth[2] * (1 - x) * weights / 2)
+    exact = np.sum(np.asarray(means.r[2] / means.growth[2] * (1 - x)) * weights / 2)
     motion = jax.jit(motion_from)(_side(2), LOW, jnp.asarray(2.0))
     assert not motion.crosses
     assert abs(float(motion.final.end.log) / float(exact) - 1) < 3e-12

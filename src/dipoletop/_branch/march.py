@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import radiation
 from .._base.bisection import bisect
+from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
 EFOLDS = 36.0  # of a runaway, in a first window: −ln of the rounding error of float64
@@ -96,6 +97,8 @@ class Motion(NamedTuple):
     windows: Int[Array, ""]
     reached: Float[Array, ""]
     """The time up to which the motion was found."""
+    attitude: Float[Array, "T 4"] | None = None
+    """Unit quaternions, relative to the first time."""
 
 
 @eqx.filter_jit
@@ -105,6 +108,7 @@ def follow(
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
     max_windows: Any,
+    attitude: bool = False,
 ) -> Motion:
     """The physical motion of a full equation from ω₀ at times[0] on, forwards.
 
@@ -113,7 +117,8 @@ def follow(
         omega0: start, shape (3,).
         times: shape (T,), increasing.
         rtol: tolerance of each window, relative to |ω|.
-        max_windows: budget.
+        max_windows: budget, of the pieces of `turning`, too.
+        attitude: whether the attitude is wanted.
     """
     body = equation.body
 
@@ -121,11 +126,12 @@ def follow(
         return radiation.radiated_power(body, equation.omega(y), equation.omega_dot(y))
 
     def unfinished(carry: Any) -> Bool[Array, ""]:
-        state, _, _ = carry
-        return (state.time < times[-1]) & ~state.failed & (state.windows < max_windows)
+        state, _, _, turning = carry
+        going = (state.time < times[-1]) & ~state.failed & (state.windows < max_windows)
+        return going if turning is None else going & (turning.pieces < max_windows)
 
     def advance(carry: Any) -> Any:
-        state, output, total = carry
+        state, output, total, turning = carry
         new, window, accepted = advance_window(equation, state, rtol)
         powers = jax.vmap(jax.vmap(power))(window.states)
         inside = jnp.einsum("ejk,ek->ej", window.weights, powers, precision="highest")
@@ -135,14 +141,23 @@ def follow(
         wanted = (times >= state.time) & (times <= new.time) & (accepted > 0)
         here = evaluate(window, values, jnp.where(wanted, times - state.time, 0.0))
         total = jnp.where(accepted > 0, emitted[jnp.maximum(accepted - 1, 0), -1], total)
-        return new, jnp.where(wanted[:, None], here, output), total
+        if turning is not None:
+            since = jnp.where(wanted, times - state.time, -1.0)
+            asked = {"accepted": accepted, "since": since, "rtol": rtol, "most": max_windows}
+            turning = advance_turning(equation, window, turning, **asked)
+            # A motion whose turns are not known to the end of the window has not reached it.
+            time = jnp.where(turning.pieces < max_windows, new.time, state.time)
+            new = new._replace(time=time)
+        return new, jnp.where(wanted[:, None], here, output), total, turning
 
     n = jax.eval_shape(equation.lift, omega0).shape[0]
     # NaN that depends on ω₀, so that its derivatives are NaN, too: those of a constant are 0.
     output = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + 1))
-    begun = start_march(equation, omega0, times[0]), output, jnp.zeros((), omega0.dtype)
-    state, output, _ = jax.lax.while_loop(unfinished, advance, begun)
-    return Motion(output[:, :n], output[:, n], state.windows, state.time)
+    turning = start_turning(omega0, times.shape[0]) if attitude else None
+    begun = start_march(equation, omega0, times[0]), output, jnp.zeros((), omega0.dtype), turning
+    state, output, _, turning = jax.lax.while_loop(unfinished, advance, begun)
+    turned = None if turning is None else attitudes(equation, turning)
+    return Motion(output[:, :n], output[:, n], state.windows, state.time, turned)
 
 
 def crossing(

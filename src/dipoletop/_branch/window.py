@@ -243,13 +243,19 @@ def evaluate(
     sigma = jnp.log1p(times / window.span * jnp.expm1(window.bend)) / window.bend * ELEMENTS
     element = jnp.clip(jnp.floor(sigma), 0, ELEMENTS - 1)
     x = jnp.clip(2 * (sigma - element) - 1, -1.0, 1.0)
-    basis = [jnp.ones_like(x), x]  # by recurrence: arccos has no derivative at the ends
-    while len(basis) < NODES:
-        basis.append(2 * x * basis[-1] - basis[-2])
+    basis = chebyshev(x)
     transform = jnp.asarray(collocation_rule(NODES).coefficients, x.dtype)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, values, precision="highest")
     here = coefficients[element.astype(int)]
     return jnp.einsum("kt,tkn->tn", jnp.stack(basis), here, precision="highest")
+
+
+def chebyshev(x: Array) -> list[Array]:
+    """The first NODES Chebyshev polynomials, on [−1, 1]."""
+    basis = [jnp.ones_like(x), x]  # by recurrence: arccos has no derivative at the ends
+    while len(basis) < NODES:
+        basis.append(2 * x * basis[-1] - basis[-2])
+    return basis
 
 
 def _damped_rate(slow: Any, omega: Array) -> Array:

@@ -16,6 +16,14 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .. import radiation
+from .._base.attitudes import (
+    attitude_after,
+    no_turn,
+    product,
+    quaternion_rate,
+    turn_rate,
+    unit_quaternion,
+)
 from .._base.checks import (
     FLAG,
     ArrayLike,
@@ -34,7 +42,7 @@ from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
 from .._branch import march
 from .._engines.step_sizes import Controller
-from ..equations._common import error_scale_of, is_full, physical
+from ..equations._common import error_scale_of, is_full, physical, twist_axis
 from .trajectory import BranchSolution, Trajectory, rate_of_omega
 
 BRANCH_LOST = (
@@ -56,6 +64,7 @@ class Options(TypedDict, total=False):
     throw: bool
     dense: bool
     balance: bool
+    attitude: ArrayLike | None
 
 
 OPTIONS = {
@@ -68,6 +77,7 @@ OPTIONS = {
         diffrax.AbstractAdjoint,
         "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
     ),
+    "attitude": (object, ""),  # checked by `unit_quaternion`
 } | dict.fromkeys(("throw", "dense", "balance"), (FLAG, "be True or False"))
 """The class of each of the `Options`, and how a refusal describes it."""
 
@@ -95,6 +105,7 @@ def simulate(
     | `throw` | raise if the run ends early, else fill up with NaN | True |
     | `dense` | keep the interpolation, for `Trajectory.evaluate` | False |
     | `balance` | integrate the radiated energy, too | False |
+    | `attitude` | the attitude at ts[0], shape (4,); integrate dq/dτ = ½ q∘(0, ω), too | None |
 
     With `throw=False` a run that ends early has no derivatives in reverse mode.
 
@@ -108,8 +119,10 @@ def simulate(
         rtol: relative tolerance of every step.
         atol: absolute tolerance of every step; None means 0, since errors are measured by the
             present |ω|.
-        max_steps: largest number of steps, or of windows along a physical branch.
-        options: see the table. Along a physical branch only `throw` and `balance`.
+        max_steps: largest number of steps, or of windows along a physical branch; with
+            `attitude` also of the pieces of 2 radians there.
+        options: see the table. Along a physical branch only `throw`, `balance` and `attitude`. An
+            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes.
 
     Returns:
         A `Trajectory`.
@@ -126,6 +139,8 @@ def simulate(
     """
     check_single(equation)
     _check_options(options)
+    given = options.pop("attitude", None)
+    q0 = None if given is None else unit_quaternion("attitude", given)
     whole_state = is_whole_state(omega0)
     if not whole_state:
         equation = physical(equation)
@@ -134,10 +149,10 @@ def simulate(
     tolerances = step_tolerances(rtol, atol, equation.omega(y0))
     steps = budget("max_steps", max_steps)
     if is_full(equation) and not whole_state:
-        run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options)
+        run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options, q0)
         failures = {BRANCH_LOST: ~(reached >= times[-1])}
     else:
-        run, result = _solve(equation, y0, times, tolerances, steps, options)
+        run, result = _solve(equation, y0, times, tolerances, steps, options, q0)
         out_of_steps = result == diffrax.RESULTS.max_steps_reached
         failed = ~(diffrax.is_successful(result) | out_of_steps)
         failures = {OUT_OF_STEPS: out_of_steps, STEP_FAILED: failed}
@@ -177,17 +192,20 @@ def _follow(
     rtol: Float[Array, ""],
     max_windows: int,
     options: Options,
+    q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Float[Array, ""]]:
     """The motion along the physical branch of a full equation, and the time that it reached."""
     for name in ("solver", "stepsize_controller", "adjoint", "dense"):
         if options.get(name):
             refuse(
                 "options",
-                "be `throw` or `balance` for a start of shape (3,) of a full equation, whose "
-                "physical branch diffrax cannot follow (give a whole state for the vector field)",
+                "be `throw`, `balance` or `attitude` for a start of shape (3,) of a full equation, "
+                "whose physical branch diffrax cannot follow (give a whole state for the vector "
+                "field)",
                 f"one is `{name}`",
             )
-    motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows)
+    turns = q0 is not None
+    motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows, turns)
     # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
     # which is 0, gives the states their derivatives with respect to the times.
     elapsed = times - times[0]
@@ -195,7 +213,17 @@ def _follow(
     states = motion.states + jax.vmap(equation)(times, motion.states) * elapsed[:, None]
     emitted = motion.emitted if options.get("balance", False) else None
     solution = BranchSolution({"num_steps": motion.windows}, motion.reached)
-    return Trajectory(equation, times, states, emitted, solution), motion.reached
+    attitude = motion.attitude
+    if q0 is not None and attitude is not None:
+        omegas = jax.vmap(equation.omega)(motion.states)
+        rates = jax.vmap(quaternion_rate)(attitude, omegas)
+        attitude = _from_start(q0, attitude + rates * elapsed[:, None])
+    return Trajectory(equation, times, states, emitted, solution, attitude), motion.reached
+
+
+def _from_start(q0: Float[Array, "4"], attitude: Float[Array, "T 4"]) -> Float[Array, "T 4"]:
+    """The attitudes of a motion that begins at q₀, from those relative to its start."""
+    return jax.vmap(lambda q: product(q0, q))(attitude)
 
 
 def _differentiable_motion(
@@ -204,6 +232,7 @@ def _differentiable_motion(
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
     max_windows: int,
+    attitude: bool,
 ) -> march.Motion:
     """`march.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
@@ -213,7 +242,7 @@ def _differentiable_motion(
         arrays, omega0 = unravel(variables)
         times, rtol = constants
         varied = eqx.combine(arrays, rest)
-        motion = march.follow(varied, omega0, times, rtol, max_windows)
+        motion = march.follow(varied, omega0, times, rtol, max_windows, attitude)
         return motion._replace(windows=motion.windows.astype(variables.dtype))
 
     # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
@@ -237,6 +266,50 @@ def _sizes_with_energy(equation: Equation, y: State) -> State:
     return jnp.concatenate([error_scale_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
 
 
+def _sizes_with_turn(equation: Equation, y: State) -> State:
+    """The same of a state that a turn follows, behind the energy if there is one.
+
+    An error of the turn is an angle, which is measured in radians.
+    """
+    return jnp.concatenate([_sizes_with_energy(equation, y[:-5]), jnp.ones_like(y[-5:])])
+
+
+def _with_integrals(y0: State, balance: bool, turns: bool) -> Float[Array, "m"]:
+    """A start of the state, of the radiated energy and of the turn, if wanted."""
+    if not (balance or turns):
+        return y0
+    parts = [y0]
+    if balance:
+        parts.append(jnp.zeros(1))
+    if turns:
+        parts.append(no_turn(y0))
+    return jnp.concatenate(parts)
+
+
+def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
+    """The rates of a state of n numbers, of the radiated energy and of the turn, if wanted."""
+
+    def field(t: Any, y: State, args: Any) -> State:
+        rate = equation(t, y[:n], args)
+        if not (balance or turns):
+            return rate
+        omega, rates = equation.omega(y[:n]), [rate]
+        if balance:
+            quantities = equation.body, omega, rate_of_omega(equation, t, y[:n])
+            rates.append(radiation.radiated_power(*quantities)[None])
+        if turns:
+            rates.append(turn_rate(y[-5:], twist_axis(equation), omega))
+        return jnp.concatenate(rates)
+
+    return field
+
+
+def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
+    """The attitudes of states that end with a turn, relative to the first."""
+    axis = twist_axis(equation)
+    return jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys)
+
+
 @eqx.filter_jit
 def _solve(
     equation: Any,
@@ -245,29 +318,22 @@ def _solve(
     tolerances: Tolerances,
     max_steps: int,
     options: Options,
+    q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Any]:
     """The motion by diffrax, and diffrax's result."""
     n = y0.shape[0]
-    balance = options.get("balance", False)
-
-    def field(t: Any, y: State, args: Any) -> State:
-        rate = equation(t, y[:n], args)
-        if not balance:
-            return rate
-        omega = equation.omega(y[:n])
-        power = radiation.radiated_power(equation.body, omega, rate_of_omega(equation, t, y[:n]))
-        return jnp.concatenate([rate, power[None]])
-
+    balance, turns = options.get("balance", False), q0 is not None
+    sizes = _sizes_with_turn if turns else _sizes_with_energy
     controller = options.get("stepsize_controller")
     if controller is None:
-        controller = Controller(*tolerances, Partial(_sizes_with_energy, equation))
+        controller = Controller(*tolerances, Partial(sizes, equation))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
+        diffrax.ODETerm(_field(equation, n, balance, turns)),
         options.get("solver") or diffrax.Dopri8(),
         times[0],
         times[-1],
         None,
-        jnp.concatenate([y0, jnp.zeros(1)]) if balance else y0,
+        _with_integrals(y0, balance, turns),
         saveat=diffrax.SaveAt(ts=times, dense=options.get("dense", False)),
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
@@ -280,5 +346,6 @@ def _solve(
     # reverse-mode derivatives of complete runs.
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
     ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
-    run = Trajectory(equation, times, ys[:, :n], ys[:, n] if balance else None, solution)
-    return run, solution.result
+    states, emitted = ys[:, :n], ys[:, n] if balance else None
+    attitude = None if q0 is None else _from_start(q0, _attitudes(equation, ys))
+    return Trajectory(equation, times, states, emitted, solution, attitude), solution.result

@@ -11,8 +11,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .. import radiation
+from .._base.attitudes import rotate
 from .._base.batches import over_batch
-from .._base.checks import ArrayLike, NumberLike, concrete, finite, refuse, where_valid
+from .._base.checks import (
+    ArrayLike,
+    NumberLike,
+    check_body,
+    concrete,
+    finite,
+    real,
+    refuse,
+    where_valid,
+)
 from .._base.types import Equation, State, Vector
 from ..equations.levels import level_of
 
@@ -53,6 +63,9 @@ class Trajectory(eqx.Module):
         energy: property; kinetic energy E = ½ Ω·IΩ, shape (T,).
         power: property; radiated power |d₂|², shape (T,).
         balance_defect: property; error of the energy balance, shape (T,); needs `balance=True`.
+        attitude: property; unit quaternions from body axes to the laboratory, scalar first, shape
+            (T, 4); needs `attitude=q0`.
+        dipole: property; the dipole in the laboratory, shape (T, 3); needs `attitude=q0`.
         stats: property; counts of steps, a dict.
         level: property; the level of approximation of the equation, a text.
     """
@@ -62,6 +75,7 @@ class Trajectory(eqx.Module):
     ys: Float[Array, "*batch T n"]
     emitted: Float[Array, "*batch T"] | None
     solution: diffrax.Solution | BranchSolution
+    _attitude: Float[Array, "*batch T 4"] | None = None
 
     def __repr__(self) -> str:
         """The level, the range of times and the number of steps; shapes of what is traced."""
@@ -116,6 +130,59 @@ class Trajectory(eqx.Module):
         total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
         initial = self.energy[0]
         return (total - total[0]) / jnp.where(initial > 0, initial, 1.0)
+
+    @property
+    def attitude(self) -> Float[Array, "*batch T 4"]:
+        """Unit quaternions q with v_lab = q∘v∘q* for v in body axes, scalar first.
+
+        Raises:
+            ValueError: the trajectory was computed without `attitude=q0`.
+        """
+        if self._attitude is None:
+            refuse("attitude", "be given to `simulate` for attitudes in the laboratory", "was not")
+        return self._attitude
+
+    @property
+    @over_batch(_batch_axes)
+    def dipole(self) -> Float[Array, "*batch T 3"]:
+        """The dipole d in the laboratory.
+
+        Raises:
+            ValueError: the trajectory was computed without `attitude=q0`, or its equation has no
+                body.
+        """
+        check_body(self.equation)
+        return self.to_laboratory(self._body.dipole)
+
+    def to_laboratory(self, vectors: ArrayLike) -> Float[Array, "*batch T 3"]:
+        """v_lab = q∘v∘q*: vectors in body axes, in the laboratory.
+
+        Args:
+            vectors: one vector at each time, such as `omega`, shape (T, 3) behind any batch axes;
+                or one that is fixed in the body, shape (3,).
+
+        Returns:
+            Their components in the laboratory, shape (T, 3) behind any batch axes.
+
+        Raises:
+            ValueError: an array of another shape, or a trajectory computed without `attitude=q0`.
+
+        Example:
+            >>> import jax.numpy as jnp, dipoletop as dt
+            >>> ts, level = jnp.array([0.0, 1.0]), [1.0, 0.0, 0.0, 0.0]
+            >>> run = dt.simulate(dt.RotatorReduced(), [0.0, 0.0, 2.0], ts, attitude=level)
+            >>> angle = jnp.sqrt(1 + 2 * 2.0**2) / 2.0 - 1 / 2.0  # ∫ω dτ with ω by (2.4)
+            >>> expected = jnp.array([jnp.cos(angle), jnp.sin(angle), 0.0])
+            >>> bool(jnp.allclose(run.to_laboratory([1.0, 0.0, 0.0])[-1], expected, atol=1e-9))
+            True
+        """
+        q = self.attitude
+        wanted = (*q.shape[:-1], 3)
+        shape = np.shape(vectors)
+        if shape not in ((3,), wanted):
+            refuse("vectors", f"have shape (3,) or {wanted}", f"has shape {shape}")
+        v = jnp.broadcast_to(real("vectors", vectors, shape, batch=False), wanted)
+        return jnp.moveaxis(rotate(jnp.moveaxis(q, -1, 0), jnp.moveaxis(v, -1, 0)), 0, -1)
 
     @property
     def stats(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._base.checks import concrete, instance, real, refuse, where_valid
-from .._base.linalg import largest
+from .._base.linalg import largest, length, scale
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
 from ..bodies import Body
 
@@ -71,6 +71,21 @@ def has_body_field(equation: Any) -> bool:
     fields = dataclasses.fields(equation) if dataclasses.is_dataclass(equation) else ()
     is_field = any(field.name == "body" for field in fields)
     return is_field and isinstance(getattr(equation, "body", None), Body)
+
+
+def twist_axis(equation: Any) -> Vector:
+    """The axis about which the turns of an attitude are counted (`_base.attitudes`).
+
+    It is the dipole, along which a residual rotation ends. Without a dipole any axis serves. No
+    attitude depends on it, so it has no derivatives.
+    """
+    third = jnp.array([0.0, 0.0, 1.0])
+    body = getattr(equation, "body", None)
+    if body is None:
+        return third
+    dipole = jax.lax.stop_gradient(body.dipole)
+    dipole = jnp.where(jnp.any(dipole != 0), dipole, third)
+    return scale(1 / length(dipole), dipole)
 
 
 def omega_scale_of(equation: Any) -> OmegaScale:
