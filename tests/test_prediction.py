@@ -10,6 +10,7 @@ from dipoletop.particles import DEBYE, RADIATION
 
 MOMENTS = jnp.diag(jnp.array([0.6, 0.75, 1.0]))
 ON_3, ON_1 = dt.Body(MOMENTS, [0.0, 0.0, 1.0]), dt.Body(MOMENTS, [1.0, 0.0, 0.0])
+GRAIN = dt.Particle.cuboid([1e-7, 2e-8, 2.2e-8], [2400 * DEBYE, 0.0, 0.0], density=2000)
 STARTS = jnp.array([[0.3, 0.4, 0.8], [0.9, -0.3, 0.2], [0.2, 0.7, -0.6]])
 
 
@@ -115,15 +116,11 @@ def test_a_sphere_has_the_exact_solution():
 
 def test_particles_are_predicted_in_si_units():
     """The same motion as that of the dimensionless body, in units of τ₀ and J₃."""
-    nm = 1e-9
-    particle = dt.Particle.cuboid(
-        [100 * nm, 20 * nm, 22 * nm], [2400 * DEBYE, 0.0, 0.0], density=2000
-    )
     omega = 2 * np.pi * 1e9 * STARTS[1]
-    predicted = dt.predict(particle, omega)
-    moment = jnp.max(particle.moments) if hasattr(particle, "moments") else particle.inertia.max()
-    tau0 = RADIATION * jnp.sum(particle.dipole**2) / moment
-    body = dt.Body(particle.inertia / moment, [1.0, 0.0, 0.0])
+    predicted = dt.predict(GRAIN, omega)
+    moment = GRAIN.inertia.max()
+    tau0 = RADIATION * jnp.sum(GRAIN.dipole**2) / moment
+    body = dt.Body(GRAIN.inertia / moment, [1.0, 0.0, 0.0])
     plain = dt.predict(body, tau0 * omega)
     assert float(predicted.ratio) == _approx(plain.ratio, rel=1e-12)
     assert float(predicted.half_time) == _approx(plain.half_time * tau0, rel=1e-10)
@@ -136,8 +133,37 @@ def test_particles_are_predicted_in_si_units():
         (ON_3, [0.0, 0.0, 0.0], "`omega0` must not be zero"),
         (ON_3, [0.0, 1.0], "`omega0` must have shape"),
         (ON_3, [0.0, np.nan, 1.0], "`omega0` must be finite"),
+        (ON_3, [1.0, 2.0, 3.0], "`omega0` must radiate little within one turn"),
+        (GRAIN, [0.0, 1e16, 0.0], "`omega0` must have a rim slower than 0.1 c"),
     ],
 )
 def test_bad_input_is_refused(body, omega, words):
     with pytest.raises(ValueError, match=words):
         dt.predict(body, omega)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delta", [0.3, 0.8])
+def test_a_needle_is_captured_by_chance(delta):
+    """Of many starts the mean, and the share below the median, are those of integration."""
+    needle = dt.axisymmetric(delta)
+    directions = np.random.default_rng(2).normal(size=(600, 3))
+    starts = 1e-3 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    predicted = _predict(needle, jnp.asarray(starts))
+    runs = dt.classify_many(dt.TransverseSemi(delta), starts, value="unchecked")
+    momentum = np.linalg.norm(starts * [1, 1, 1 - delta], axis=1)
+    ratio = np.where(runs.outcome == dt.Outcome.STOP, 0.0, np.abs(runs.omega_inf) / momentum)
+    known = np.isfinite(ratio)
+    assert known.mean() > 0.97
+    spread = np.std(ratio[known]) / np.sqrt(known.sum())
+    assert abs(np.mean(ratio[known]) - np.mean(predicted.ratio[known])) < 4 * spread
+    for quantile, level in zip(predicted.ratio_quantiles.T[1:4], (0.25, 0.5, 0.75), strict=True):
+        share = np.mean(ratio[known] < np.asarray(quantile)[known])
+        assert abs(share - level) < 4 * np.sqrt(level * (1 - level) / known.sum()) + 0.02
+    residual = np.mean(np.asarray(predicted.probability)[:, :2].sum(axis=1))
+    assert np.mean(runs.outcome == dt.Outcome.RESIDUAL) == pytest.approx(residual, abs=0.07)
+
+
+def test_an_oblate_top_with_its_dipole_across_the_axis_stops():
+    predicted = dt.predict(dt.axisymmetric(-0.3), [3e-20, 1e-20, 2e-20])
+    assert (predicted.outcome, predicted.regime) == (dt.Outcome.STOP, dt.Regime.AVERAGED)

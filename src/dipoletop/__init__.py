@@ -5,7 +5,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from . import exact, planar, radiation
-from ._base.types import Outcome, Stop, Verdict
+from ._base.types import Outcome, Regime, Stop, Verdict
 from ._branch.slow_manifold import slow_manifold
 from ._maps.basin import Basin
 from ._maps.grids import Grid, Points, Sample, isotropic, symmetry_cell, uniform_box
@@ -73,6 +73,7 @@ __all__ = [
     "Points",
     "Prediction",
     "Reduced",
+    "Regime",
     "RotatorBranch",
     "RotatorFull",
     "RotatorReduced",

@@ -32,6 +32,10 @@ from ._base.types import Outcome, Real, Regime
 from .bodies import Body
 from .particles import RADIATION, Particle
 
+LARGEST_ERROR = 0.5
+"""The estimated error beyond which the slow flow says nothing."""
+FASTEST_RIM = 0.1
+"""The largest speed of a point of a particle, over that of light."""
 CERTAIN = 1 - 1e-6
 """The probability from which an outcome counts as decided."""
 ERROR = 1.3
@@ -61,7 +65,8 @@ class Prediction(eqx.Module):
 
     Attributes:
         outcome: a member of `Outcome`: RESIDUAL or STOP, where the ends of that kind have together
-            a probability above 1 − 1e-6, else UNDECIDED; FAILED where the argument is not a number.
+            a probability above 1 − 1e-6, else UNDECIDED, as where `error` exceeds 0.5; FAILED where
+            the argument is not a number.
         probability: of each of the `ENDS`, shape (8,).
         omega_inf: ω∞ along the dipole, signed; 0 for a stop, NaN where its sign is a matter of
             chance or the outcome is undecided.
@@ -143,7 +148,8 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         A `Prediction`.
 
     Raises:
-        ValueError: bad arguments.
+        ValueError: bad arguments; a rotation so fast that averaging or non-relativistic mechanics
+            ends. Where ω₀ is traced, the former is UNDECIDED, and the latter is not looked for.
 
     Example:
         >>> import dipoletop as dt
@@ -160,7 +166,23 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
     numbers = _predicted(variables, coupling, _is_needle(body))
-    return Prediction(*numbers, variables=variables, strength=strength)
+    prediction = Prediction(*numbers, variables=variables, strength=strength)
+    if concrete(variables):
+        _check_theory(prediction, body, omega)
+    return prediction
+
+
+def _check_theory(prediction: Prediction, body: Body | Particle, omega: Array) -> None:
+    """Refuse a rotation so fast that a theory ends; one that is traced is UNDECIDED."""
+    if isinstance(body, Particle) and body.radius is not None:
+        rim = float(body.rim_speed(omega))
+        if rim > FASTEST_RIM:
+            must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
+            refuse("omega0", must, f"makes it {rim:.2g} c")
+    if prediction.error > LARGEST_ERROR:
+        must = "radiate little within one turn, to be averaged (`classify` follows every turn)"
+        was = f"makes the estimated relative error {float(prediction.error):.2g}"
+        refuse("omega0", must, was)
 
 
 def _is_needle(body: Body | Particle) -> bool | None:
@@ -182,6 +204,7 @@ def _predicted(
     residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
     outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
     outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
+    outcome = jnp.where(error > LARGEST_ERROR, Outcome.UNDECIDED, outcome)
     outcome = jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED)
     numbers = outcome.astype(int), regime.astype(int)
     times = half_time, radiated, lifetime

@@ -60,7 +60,9 @@ def test_expansion_counts_turns_and_keeps_its_constant(delta):
         np.testing.assert_allclose(expansion.q(expansion.turns(before)), q, rtol=1e-14)
 
 
-@pytest.mark.parametrize("delta", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize(
+    "delta", [0.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.3, 0.8))]
+)
 def test_direct_integration_keeps_as_much(delta):
     rng = np.random.default_rng(7)
     omega0 = rng.normal(size=(N, 3))
@@ -142,6 +144,7 @@ def test_starts_on_an_axis_stop_and_others_without_spin_decide_at_once():
     assert not np.any(ends.random)
 
 
+@pytest.mark.slow
 def test_derivative_is_that_of_differences():
     slope = jax.jit(jax.jacfwd(capture))(jnp.asarray(0.82))
     found = captures(jnp.array([0.8195, 0.8205, 0.82, 0.82, 0.82]))

@@ -183,6 +183,7 @@ def test_derivatives_of_the_rotator():
         np.testing.assert_allclose(slope, difference @ WAY, rtol=0, atol=3e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_along_the_branch():
     """By shape, start, times and first attitude, against differences of fourth order.
 

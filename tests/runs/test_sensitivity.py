@@ -433,6 +433,7 @@ def test_on_the_boundary_there_is_no_derivative():
     assert np.isnan(slope)
 
 
+@pytest.mark.slow
 def test_bad_input_has_no_derivative_backwards():
     spin = dt.cylindrical(0.2, 0.2, np.pi / 30)
 
@@ -469,7 +470,7 @@ def test_a_verdict_has_no_derivatives():
         (dt.Reduced, (1.0, 1.0, 0.7)),  # dipole across the axis of a top, along axis 1
         (dt.SemiReduced, (1.0, 0.8, 1.0)),
         (dt.Reduced, (1.0, 0.9, 0.9)),  # along the axis
-        (dt.SemiReduced, (1.0, 1.0, 1.0)),
+        pytest.param(dt.SemiReduced, (1.0, 1.0, 1.0), marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_at_repeated_moments(level, moments):
