@@ -38,7 +38,7 @@ FASTEST_RIM = 0.1
 """The largest speed of a point of a particle, over that of light."""
 CERTAIN = 1 - 1e-6
 """The probability from which an outcome counts as decided."""
-ERROR = 1.3
+ERROR = 1.0
 """The estimated error in units of the part of L² that is radiated within one period; measured."""
 QUADRATURE = 1e-12
 """The relative error of the quadratures."""
@@ -276,7 +276,7 @@ def _values(
     regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
     regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
     regime = jnp.where(is_sphere, Regime.EXACT, regime)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, _error(apart, units.weakness))
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, _error(apart, motion, units.weakness))
     energy_unit = units.momentum**2 / units.moment
     rest = (
         omega_inf,
@@ -290,14 +290,23 @@ def _values(
     return jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
 
 
-def _error(rotation: FreeRotation, weakness: Real) -> Real:
-    """The part of L² that is radiated within one period at the start, which averaging neglects."""
+def _error(rotation: FreeRotation, motion: Motion, weakness: Real) -> Real:
+    """The part of L² that is radiated within one period, which averaging neglects.
+
+    It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
+    nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
+    """
     high, z = rotation.place
     side = rotation.side(high)
     x, rest = from_logit(z)
     r, _ = side.rates(x, rest)
-    lost = weakness * r * period(side.moments, x, rest) / jnp.pi
-    return ERROR * lost + QUADRATURE
+    first = r * period(side.moments, x, rest)
+    p12, p23, _ = rotation.gaps
+    across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
+    libration = jnp.sqrt(jnp.where(motion.crosses, p12 * p23, 1.0))
+    momentum = jnp.exp(motion.stage(0).end.log / 2)
+    crossing = jnp.where(motion.crosses, momentum * across * 4 * 5 / libration, 0.0)
+    return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
 
 
 @eqx.filter_jit
