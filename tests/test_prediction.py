@@ -130,6 +130,7 @@ def test_particles_are_predicted_in_si_units():
 @pytest.mark.parametrize(
     ("body", "omega", "words"),
     [
+        (dt.axisymmetric([0.1, 0.2]), [0.0, 0.0, 1.0], "`body` must be a single one"),
         (ON_3, [0.0, 0.0, 0.0], "`omega0` must not be zero"),
         (ON_3, [0.0, 1.0], "`omega0` must have shape"),
         (ON_3, [0.0, np.nan, 1.0], "`omega0` must be finite"),

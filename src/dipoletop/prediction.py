@@ -24,7 +24,7 @@ from ._averaging.free_rotation import mean_square_speed, period
 from ._averaging.motion import Motion, motion_from
 from ._averaging.principal_axes import FreeRotation, free_rotation
 from ._averaging.slow_flow import from_logit
-from ._base.checks import ArrayLike, concrete, finite, refuse, where_valid
+from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.forward_mode import forward_differentiable
 from ._base.guards import safe_divisor
 from ._base.summaries import with_error
@@ -148,8 +148,9 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         A `Prediction`.
 
     Raises:
-        ValueError: bad arguments; a rotation so fast that averaging or non-relativistic mechanics
-            ends. Where ω₀ is traced, the former is UNDECIDED, and the latter is not looked for.
+        ValueError: bad arguments; float64 is off; a rotation so fast that averaging or
+            non-relativistic mechanics ends. Where ω₀ is traced, the former is UNDECIDED, and the
+            latter is not looked for.
 
     Example:
         >>> import dipoletop as dt
@@ -159,8 +160,13 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         ('RESIDUAL', '0.912825')
     """
     if not isinstance(body, Body | Particle):
-        refuse("body", "be a Body or a Particle", f"is of type {type(body).__name__}")
+        refuse("body", "be a Body or a Particle", described(body))
+    if body.inertia.ndim != 2:
+        refuse("body", "be a single one (`jax.vmap` takes a batch)", "is a batch of them")
     omega = finite("omega0", omega0, (3,), batch=False)
+    if omega.dtype != jnp.float64:
+        hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
+        refuse("omega0", "be float64", f"is {omega.dtype} ({hint})")
     omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
     strength = RADIATION if isinstance(body, Particle) else 1.0
     coupling = jnp.asarray(strength, omega.dtype)

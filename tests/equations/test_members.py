@@ -59,6 +59,7 @@ def test_which_bodies_are_parameters():
     assert free == {"Full", "Reduced", "SemiReduced"}
 
 
+@pytest.mark.slow
 def test_a_body_that_is_no_field_is_no_parameter():
     """A plain class has no arrays that vary, so its gradient is that with respect to ω₀ only."""
 

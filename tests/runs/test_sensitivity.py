@@ -285,6 +285,7 @@ def test_infinite_only_along_changes_that_leave_what_keeps_the_residual_rotation
     assert not np.any(second[~by_hand][~expected[~by_hand]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [(0.3, 0.4, 0.0), (-0.3, 0.0, 0.0)])
 def test_a_body_whose_line_attracts_nothing_keeps_its_value_beside_derivatives(start):
     """At order 1 and δ ≤ −1/2 nothing comes to the line: what is in the plane ω₃ = 0 stays there.
@@ -317,6 +318,7 @@ HELD = [  # moments, start, angle by which all is turned, derivatives by these
 ]
 
 
+@pytest.mark.slow
 def test_infinite_only_along_changes_that_leave_what_keeps_a_body_rotating():
     """Where J_a = J_b alone keeps w = 0, and where the plane of the paper's order does.
 
@@ -468,7 +470,7 @@ def test_a_verdict_has_no_derivatives():
     ("level", "moments"),
     [
         (dt.Reduced, (1.0, 1.0, 0.7)),  # dipole across the axis of a top, along axis 1
-        (dt.SemiReduced, (1.0, 0.8, 1.0)),
+        pytest.param(dt.SemiReduced, (1.0, 0.8, 1.0), marks=pytest.mark.slow),
         (dt.Reduced, (1.0, 0.9, 0.9)),  # along the axis
         pytest.param(dt.SemiReduced, (1.0, 1.0, 1.0), marks=pytest.mark.slow),
     ],
