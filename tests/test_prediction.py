@@ -168,3 +168,31 @@ def test_a_needle_is_captured_by_chance(delta):
 def test_an_oblate_top_with_its_dipole_across_the_axis_stops():
     predicted = dt.predict(dt.axisymmetric(-0.3), [3e-20, 1e-20, 2e-20])
     assert (predicted.outcome, predicted.regime) == (dt.Outcome.STOP, dt.Regime.AVERAGED)
+
+
+def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
+    """ω₃ = 0: no fast rotation that chance could act on. After capture no history is shown."""
+    start = jnp.array([9e-4, 5e-4, 0.0])
+    predicted = dt.predict(dt.axisymmetric(0.5), start)
+    run = dt.classify(dt.TransverseSemi(0.5), start)
+    assert (predicted.outcome, predicted.regime) == (dt.Outcome.RESIDUAL, dt.Regime.UNFOLDED)
+    assert float(predicted.omega_inf) == _approx(run.omega_inf, rel=float(predicted.error))
+    assert np.all(np.isnan(predicted.history([1.0, 1e9]).energy))
+    later = dt.predict(dt.axisymmetric(0.5), [9e-20, 5e-20, 5e-20]).history([1.0, 1e39, 1e90])
+    assert np.array_equal(np.isnan(later.energy), [False, False, True])
+
+
+def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
+    monkeypatch.setattr("dipoletop._averaging.motion.MAX_STEPS", 5)
+    jax.clear_caches()
+    predicted = dt.predict(ON_3, 1e-20 * STARTS[0])
+    jax.clear_caches()
+    assert predicted.outcome == dt.Outcome.FAILED
+    assert np.isnan(predicted.ratio)
+    assert np.isnan(predicted.omega_inf)
+
+
+def test_a_rotation_too_fast_for_averages_is_undecided_where_it_is_traced():
+    predicted = jax.jit(lambda omega: dt.predict(ON_3, omega))(STARTS[0])
+    assert predicted.outcome == dt.Outcome.UNDECIDED
+    assert np.isnan(predicted.omega_inf)

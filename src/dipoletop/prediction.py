@@ -1,9 +1,9 @@
 """The future of real particles, which turn far too often to follow every turn.
 
-A particle of a laboratory has τ₀Ω ~ 1e-25 … 1e-17: it turns as many times while it brakes. Between
-turns its energy and angular momentum change by nothing, so their slow flow is that of the averages
-over free rotation (`_averaging`). `predict` follows it from a start to its end, at a cost that does
-not depend on the amplitude.
+A particle of a laboratory has τ₀Ω ~ 1e-25 … 1e-17 and makes 1e17 … 1e25 turns while it brakes. Its
+energy and its angular momentum hardly change during one turn, so they follow the averages over
+free rotation (`_averaging`). `predict` follows this slow flow from a start to its end, at a cost
+that does not depend on the amplitude.
 
 Errors: averaging neglects relative changes of E and L within one period, of the order of τ₀Ω over
 the relative difference of the moments. `Prediction.error` estimates it.
@@ -19,12 +19,20 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.ends import SlowEnd, needle_end, shape, slow_end, sphere_end, spin_end
+from ._averaging.ends import (
+    SlowEnd,
+    needle_end,
+    shape,
+    slow_end,
+    sphere_end,
+    spin_end,
+    turns_fast,
+)
 from ._averaging.free_rotation import mean_square_speed, period
 from ._averaging.motion import Motion, motion_from
 from ._averaging.principal_axes import FreeRotation, free_rotation
 from ._averaging.slow_flow import from_logit
-from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
+from ._base.checks import ArrayLike, concrete, described, finite, or_nan, refuse, where_valid
 from ._base.forward_mode import forward_differentiable
 from ._base.guards import safe_divisor
 from ._base.summaries import with_error
@@ -72,10 +80,11 @@ class Prediction(eqx.Module):
             chance or the outcome is undecided.
         ratio: L∞/L₀, the mean over chance.
         ratio_quantiles: the `QUANTILES` of L∞/L₀, shape (5,).
-        half_time: the time after which E − E∞ has fallen to one half.
+        half_time: the time after which E − E∞ has fallen to one half; NaN for an exactly
+            axisymmetric needle whose capture begins before that.
         radiated_energy: E₀ − E∞.
         lifetime: how long the last rotation lives: its late law is L² = L²ₚ/(1 + t/lifetime);
-            infinite for residual rotation.
+            infinite for residual rotation, NaN where chance decides.
         regime: a member of `Regime`, the law that decided.
         error: estimated relative error of `ratio` and of the times.
     """
@@ -102,7 +111,8 @@ class Prediction(eqx.Module):
             times: positive, shape (T,), in units of the body's time, or seconds for a `Particle`.
 
         Returns:
-            A `History`, each field of shape (T,).
+            A `History`, each field of shape (T,). NaN for an exactly axisymmetric needle from the
+            time on at which its capture begins, since that is a matter of chance.
 
         Raises:
             ValueError: times that are not positive and finite.
@@ -195,8 +205,8 @@ def _is_needle(body: Body | Particle) -> bool | None:
     """Whether chance may decide, see `needle_end`; None if the body is traced."""
     if not concrete(body):
         return None
-    still = jnp.zeros(3)
-    return bool(free_rotation(body.inertia, body.dipole, still).is_needle)
+    with jax.ensure_compile_time_eval():  # under `jit`, too
+        return bool(free_rotation(body.inertia, body.dipole, jnp.zeros(3)).is_needle)
 
 
 @eqx.filter_jit
@@ -212,6 +222,8 @@ def _predicted(
     outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
     outcome = jnp.where(error > LARGEST_ERROR, Outcome.UNDECIDED, outcome)
     outcome = jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED)
+    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    omega_inf = jnp.where(decided, omega_inf, jnp.nan)
     numbers = outcome.astype(int), regime.astype(int)
     times = half_time, radiated, lifetime
     return numbers[0], probability, omega_inf, ratio, quantiles, *times, numbers[1], error
@@ -282,7 +294,8 @@ def _values(
     regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
     regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
     regime = jnp.where(is_sphere, Regime.EXACT, regime)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, _error(apart, motion, units.weakness))
+    error = jnp.where(end.known_phase, units.weakness, _error(apart, motion, units.weakness))
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
     energy_unit = units.momentum**2 / units.moment
     rest = (
         omega_inf,
@@ -290,10 +303,11 @@ def _values(
         end.half_time * units.time,
         (end.energy - end.last_energy) * energy_unit,
         jnp.where(end.decay == 0, jnp.inf, units.time / safe_divisor(end.decay)),
-        regime,
+        jnp.zeros_like(error),
         error,
     )
-    return jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
+    values = jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
+    return or_nan(values, ~motion.failed | is_sphere | is_spin).at[-2].set(regime.astype(float))
 
 
 def _error(rotation: FreeRotation, motion: Motion, weakness: Real) -> Real:
@@ -330,7 +344,9 @@ def _history(
         point = motion.at(jnp.log(time))
         side = apart.side(point.high)
         h = shape(side, point.x, point.rest)
-        return jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
+        values = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
+        captured = apart.is_needle & ~turns_fast(apart, point, units.weakness)
+        return or_nan(values, ~captured & ~motion.failed)
 
     def spinning(time: Real) -> Float[Array, "3"]:
         moment, cosine = rotation.moments[axis], rotation.dipole[axis]

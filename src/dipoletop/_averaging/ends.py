@@ -8,18 +8,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import root
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import end_of_top
-from .motion import HALVINGS, Motion, Stage
+from .capture import ENTRY, end_of_top
+from .capture import LEVELS as QUANTILES
+from .motion import HALVINGS, Motion, Point, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
-QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
-"""Those of L∞/L₀ that are given where it is a matter of chance."""
 ENDS = (
     "residual +",
     "residual -",
@@ -53,7 +52,10 @@ class SlowEnd(NamedTuple):
     last_moment: Real
     """The moment about the axis of the last rotation, if it is a pure spin."""
     decay: Real
-    """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual."""
+    """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual, NaN
+    if that is a matter of chance."""
+    known_phase: Bool[Array, ""]
+    """Whether the body is captured at once, from its own phase, so that nothing is averaged."""
 
 
 def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
@@ -82,6 +84,7 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
         _time_at(motion, (energy + last_energy) / 2),
         rotation.moments[axis],
         r * jnp.exp(end.log + r * end.s),
+        jnp.zeros((), bool),
     )
 
 
@@ -97,7 +100,8 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     last_energy = jnp.where(residual, energy, 0.0)
     half_time = jnp.where(residual, 0.0, 1 / safe_divisor(r))
     certain = _certain(log_ratio)
-    return SlowEnd(probability, *certain, energy, last_energy, half_time, moment, r)
+    captured = jnp.zeros((), bool)
+    return SlowEnd(probability, *certain, energy, last_energy, half_time, moment, r, captured)
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
@@ -119,6 +123,7 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
         jnp.where(stops, 1.0, jnp.log1p(square) / divisor),
         jnp.ones_like(square),
         jnp.where(stops, 1.0, 0.0),
+        jnp.zeros((), bool),
     )
 
 
@@ -144,7 +149,9 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
-    half_time = jnp.where(end.random, _time_at(motion, (energy + last_energy) / 2), jnp.nan)
+    half_time = _time_at(motion, (energy + last_energy) / 2)
+    averaged = turns_fast(rotation, motion.at(jnp.log(half_time)), weakness)
+    half_time = jnp.where(end.random & averaged, half_time, jnp.nan)
     zero = jnp.zeros_like(residual)
     ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
     return SlowEnd(
@@ -156,7 +163,22 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
         half_time,
         rotation.moments[2],
         jnp.where(residual == 1, 0.0, jnp.nan),
+        ~end.random,
     )
+
+
+def turns_fast(rotation: FreeRotation, point: Point, weakness: Real) -> Bool[Array, "*times"]:
+    """Whether a body with two equal moments turns fast about its symmetry axis, before capture.
+
+    So it does while q = 2|δω₃|/ω⊥² is large; then averaging over that turn holds.
+    """
+    axial = jnp.where(rotation.moments[1] == rotation.moments[2], 0, 2)
+    delta = 1 - rotation.moments[axial] / rotation.moments[1]
+    # ω₃ = κL√(1 − x)/J_c and ω⊥² = κ²L²x/J_b², in units of 1/τ₀.
+    across = jnp.sqrt(point.x) / rotation.moments[1]
+    along = jnp.sqrt(point.rest) / rotation.moments[axial]
+    log_q = jnp.log(2 * jnp.abs(delta) * along / across**2) - jnp.log(weakness) - point.log / 2
+    return log_q > jnp.log(ENTRY * (1 + 1.5 * jnp.abs(delta / (1 - delta))))
 
 
 def _certain(log_ratio: Real) -> tuple[Real, Float[Array, "5"]]:

@@ -8,7 +8,8 @@ An adaptive Runge–Kutta method chooses the knots in y and integrates from one 
 two knots the same integrals are those of the polynomial through Chebyshev nodes (collocation).
 
 Where y ends the motion has come to a zero x* of F or to an axis, and L² obeys dL²/dt = −2κr*L⁴
-exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* = 0.
+exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* = 0. A body with two equal
+moments that comes to its equator goes on towards it as a power of L².
 """
 
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
+from .._base.guards import safe_divisor
 from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
@@ -43,7 +45,7 @@ class State(NamedTuple):
 
     @property
     def log_time(self) -> Real:
-        """Ln t, in units of 1/(2κL₀²)."""
+        """The logarithm of t, in units of 1/(2κL₀²)."""
         return jnp.log(self.u) - self.log
 
 
@@ -169,6 +171,11 @@ class Motion(eqx.Module):
         """The side on which it ends."""
         return self.starts_high ^ self.crosses
 
+    @property
+    def failed(self) -> Bool[Array, ""]:
+        """Whether a quadrature ran out of steps."""
+        return jnp.any(self.stages.failed)
+
     def stage(self, index: Any) -> Stage:
         """The first or the second stage."""
         return jax.tree.map(lambda leaf: leaf[index], self.stages)
@@ -189,9 +196,13 @@ class Motion(eqx.Module):
         x, rest = stage.interval.position(y)
         limit = stage.limit
         r, _ = stage.interval.side.rates(limit.x, limit.rest)
-        # After the last knot 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1).
+        # After the last knot 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1), and dy = −d ln L²/(r ds/dy).
         later = state.u * jnp.expm1(jnp.maximum(log_time - state.log_time, 0.0))
-        return Point(self.starts_high ^ second, x, rest, state.log - jnp.log1p(r * later))
+        fall = -jnp.log1p(r * later)
+        pace, _ = stage.interval.pace(y)
+        farther = fall / safe_divisor(r * pace)
+        rest = jnp.where(stage.reaches_separatrix, rest * jnp.exp(farther), rest)
+        return Point(self.starts_high ^ second, x, rest, state.log + fall)
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> Motion:

@@ -100,8 +100,6 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
     """
     moments, axes = principal_axes(inertia)
     moments = equal_where_rounded(moments)
-    hand = jnp.where(jnp.linalg.det(axes) < 0, -1.0, 1.0)
-    axes = axes * jnp.stack([hand, jnp.ones_like(hand), jnp.ones_like(hand)])[None]
     n = axes.T @ dipole
     momentum = moments * (axes.T @ omega)
     gaps, y = _gaps(moments), momentum**2 / dot(momentum, momentum)
