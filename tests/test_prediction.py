@@ -182,6 +182,15 @@ def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
     assert np.array_equal(np.isnan(later.energy), [False, False, True])
 
 
+@pytest.mark.parametrize("delta", [-0.7, 0.5])
+def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
+    """The closed solution (4.16)–(4.19), from before braking sets in until long after."""
+    omega, times = jnp.array([3e-9, 4e-9, 7e-9]), jnp.array([1e15, 1e17, 1e19, 1e21])
+    energy = dt.predict(dt.axisymmetric(delta), omega).history(times).energy
+    exact = np.asarray(dt.exact.averaged(delta, omega, times)) ** 2 @ [0.5, 0.5, (1 - delta) / 2]
+    np.testing.assert_allclose(energy, exact, rtol=1e-12)
+
+
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.motion.MAX_STEPS", 5)
     jax.clear_caches()

@@ -349,8 +349,8 @@ def _history(
         return or_nan(values, ~captured & ~motion.failed)
 
     def spinning(time: Real) -> Float[Array, "3"]:
-        moment, cosine = rotation.moments[axis], rotation.dipole[axis]
-        log = -jnp.log1p((1 - cosine**2) / moment**3 * time)
+        moment = rotation.moments[axis]
+        log = -jnp.log1p(rotation.spin_decay(axis) * time)
         return jnp.stack([log, 1 / moment, 1 / moment**2])
 
     def of_sphere(time: Real) -> Float[Array, "3"]:

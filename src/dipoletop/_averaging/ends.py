@@ -89,9 +89,9 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
 
 
 def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
-    """How a pure spin about a principal axis ends: L² = 1/(1 + rt), r = (1 − nᵢ²)/Jᵢ³."""
+    """How a pure spin about a principal axis ends, by its law L² = 1/(1 + rt)."""
     moment, cosine = rotation.moments[axis], rotation.dipole[axis]
-    r = (1 - cosine**2) / moment**3
+    r = rotation.spin_decay(axis)
     residual = r == 0
     sign = jnp.sign(rotation.momentum[axis] * cosine)
     probability = jnp.where(residual, _residual_ends(sign), jax.nn.one_hot(2 + axis, 8))

@@ -21,7 +21,7 @@ from .._base.linalg import cross, dot
 from .._base.types import Real
 from .free_rotation import averages
 from .landen import Descent, descent, mean_of_ratio, uniform_phase
-from .principal_axes import ROUNDING, equal_where_rounded, principal_axes
+from .principal_axes import ROUNDING, free_rotation, gaps_of
 
 Triple = Float[Array, "3"]
 
@@ -98,11 +98,9 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
         dipole: the unit vector n along the dipole.
         omega: the angular velocity, not zero.
     """
-    moments, axes = principal_axes(inertia)
-    moments = equal_where_rounded(moments)
-    n = axes.T @ dipole
-    momentum = moments * (axes.T @ omega)
-    gaps, y = _gaps(moments), momentum**2 / dot(momentum, momentum)
+    rotation = free_rotation(inertia, dipole, omega)
+    moments, n, momentum = rotation.moments, rotation.dipole, rotation.momentum
+    gaps, y = rotation.gaps, momentum**2 / dot(momentum, momentum)
     above = gaps[0] * y[0] - gaps[1] * y[2]  # h − p₂
     high = (above > 0) | ((gaps[1] == 0) & (gaps[0] > 0))
     tiny = ROUNDING * float(jnp.finfo(moments.dtype).eps)
@@ -113,13 +111,6 @@ def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tu
     moments = jnp.where(spin.holds, example, moments)
     momentum = jnp.where(spin.holds, jnp.ones_like(example), momentum)
     return _orbit(moments, n, momentum, high & ~spin.holds), spin
-
-
-def _gaps(moments: Triple) -> Triple:
-    """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
-    j1, j2, j3 = moments
-    p12, p23 = (j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3)
-    return jnp.stack([p12, p23, p12 + p23])
 
 
 def _spin(
@@ -135,7 +126,7 @@ def _spin(
 
 
 def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) -> Orbit:
-    p12, p23, p13 = _gaps(moments)
+    p12, p23, p13 = gaps_of(moments)
     to_b, a_to_b = jnp.where(high, p12, p23), jnp.where(high, p23, p12)
 
     def axes(values: Triple, sign: Real | float = -1.0) -> Triple:

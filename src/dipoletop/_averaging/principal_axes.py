@@ -32,8 +32,7 @@ class FreeRotation(eqx.Module):
     @property
     def gaps(self) -> Float[Array, "3"]:
         """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ of reciprocal moments, not negative."""
-        j1, j2, j3 = self.moments
-        return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
+        return gaps_of(self.moments)
 
     @property
     def is_sphere(self) -> Bool[Array, ""]:
@@ -54,6 +53,10 @@ class FreeRotation(eqx.Module):
         on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
         return jnp.any(on_axis), jnp.argmax(on_axis)
 
+    def spin_decay(self, axis: Int[Array, ""]) -> Real:
+        """The r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
+        return (1 - self.dipole[axis] ** 2) / self.moments[axis] ** 3
+
     def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
         """Some other rotation where the condition holds, so that nothing is NaN there."""
         other = FreeRotation(
@@ -71,6 +74,12 @@ class FreeRotation(eqx.Module):
         inside = jnp.where(high, p13 * y3 + p12 * y2, p13 * y1 + p23 * y2)
         z = jnp.log(inside) - jnp.log(jnp.abs(above))
         return high, jnp.clip(z, -OUTERMOST, OUTERMOST)
+
+
+def gaps_of(moments: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
+    j1, j2, j3 = moments
+    return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
 
 
 def free_rotation(
