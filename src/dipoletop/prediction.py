@@ -9,7 +9,6 @@ Errors: averaging neglects relative changes of E and L within one period, of the
 the relative difference of the moments. `Prediction.error` estimates it.
 """
 
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,37 +18,16 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.ends import (
-    SlowEnd,
-    needle_end,
-    shape,
-    slow_end,
-    sphere_end,
-    spin_end,
-    turns_fast,
-)
-from ._averaging.free_rotation import mean_square_speed, period
-from ._averaging.motion import Motion, motion_from
-from ._averaging.principal_axes import FreeRotation, free_rotation
-from ._averaging.slow_flow import from_logit
-from ._base.checks import ArrayLike, concrete, described, finite, or_nan, refuse, where_valid
-from ._base.forward_mode import forward_differentiable
-from ._base.guards import safe_divisor
+from ._averaging.forecast import LARGEST_ERROR, forecast, history_at
+from ._averaging.principal_axes import free_rotation
+from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.summaries import with_error
-from ._base.types import Outcome, Real, Regime
+from ._base.types import Outcome, Regime
 from .bodies import Body
 from .particles import RADIATION, Particle
 
-LARGEST_ERROR = 0.5
-"""The estimated error beyond which the slow flow says nothing."""
 FASTEST_RIM = 0.1
 """The largest speed of a point of a particle, over that of light."""
-CERTAIN = 1 - 1e-6
-"""The probability from which an outcome counts as decided."""
-ERROR = 1.0
-"""The estimated error in units of the part of L² that is radiated within one period; measured."""
-QUADRATURE = 1e-12
-"""The relative error of the quadratures."""
 
 
 class History(NamedTuple):
@@ -119,7 +97,7 @@ class Prediction(eqx.Module):
         """
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
-        values = _history(self.variables, (given, jnp.asarray(self.strength, given.dtype)))
+        values = history_at(self.variables, (given, jnp.asarray(self.strength, given.dtype)))
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -181,7 +159,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     strength = RADIATION if isinstance(body, Particle) else 1.0
     coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    numbers = _predicted(variables, coupling, _is_needle(body))
+    numbers = forecast(variables, coupling, _is_needle(body))
     prediction = Prediction(*numbers, variables=variables, strength=strength)
     if concrete(variables):
         _check_theory(prediction, body, omega)
@@ -207,167 +185,3 @@ def _is_needle(body: Body | Particle) -> bool | None:
         return None
     with jax.ensure_compile_time_eval():  # under `jit`, too
         return bool(free_rotation(body.inertia, body.dipole, jnp.zeros(3)).is_needle)
-
-
-@eqx.filter_jit
-def _predicted(
-    variables: Float[Array, "15"], strength: Real, is_needle: bool | None
-) -> tuple[Array, ...]:
-    """The fields of a `Prediction`."""
-    values = forward_differentiable(functools.partial(_values, is_needle))(variables, strength)
-    probability, quantiles, rest = jnp.split(values, [8, 13])
-    omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
-    residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
-    outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
-    outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
-    outcome = jnp.where(error > LARGEST_ERROR, Outcome.UNDECIDED, outcome)
-    outcome = jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED)
-    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
-    omega_inf = jnp.where(decided, omega_inf, jnp.nan)
-    numbers = outcome.astype(int), regime.astype(int)
-    times = half_time, radiated, lifetime
-    return numbers[0], probability, omega_inf, ratio, quantiles, *times, numbers[1], error
-
-
-class _Units(NamedTuple):
-    """The units of the slow motion."""
-
-    momentum: Real
-    """L₀."""
-    moment: Real
-    """J₃."""
-    time: Real
-    """J₃³/(2κL₀²)."""
-    weakness: Real
-    """κL₀/J₃², about τ₀Ω."""
-
-
-def _rotation(variables: Float[Array, "15"], strength: Real) -> tuple[FreeRotation, _Units]:
-    """The free rotation in units of J₃ and L₀, and these units."""
-    inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
-    rotation = free_rotation(inertia, dipole, omega)
-    moment = rotation.moments[2]
-    momentum = jnp.linalg.norm(rotation.momentum)
-    coupling = strength * jnp.sum(dipole**2)
-    weakness = coupling / moment * (momentum / moment)
-    unit = moment / momentum / (2 * weakness)
-    scaled = FreeRotation(rotation.moments / moment, rotation.dipole, rotation.momentum / momentum)
-    return scaled, _Units(momentum, moment, unit, weakness)
-
-
-def _slow_motion(rotation: FreeRotation) -> Motion:
-    """The slow motion of a body with at least two different moments."""
-    high, z = rotation.place
-    return motion_from(rotation.side(high), high, z)
-
-
-def _values(
-    is_needle: bool | None, variables: Float[Array, "15"], strength: Real
-) -> Float[Array, "20"]:
-    """The floating-point fields of a `Prediction`, and its regime."""
-    rotation, units = _rotation(variables, strength)
-    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
-    apart = rotation.replaced_where(is_sphere | is_spin)
-    motion = _slow_motion(apart)
-
-    def needle() -> SlowEnd:
-        return needle_end(apart, motion, units.weakness)
-
-    def other() -> SlowEnd:
-        return slow_end(apart, motion)
-
-    if is_needle is None:
-        end = jax.lax.cond(apart.is_needle, needle, other)
-    else:
-        end = needle() if is_needle else other()
-    for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
-        end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
-    residual = jnp.sum(end.probability[:2])
-    sign = end.probability[0] - end.probability[1]
-    ratio = jnp.exp(end.log_ratio)
-    speed = units.momentum * ratio / (units.moment * end.last_moment)
-    omega_inf = jnp.where(jnp.abs(sign) == 1, sign * speed, jnp.nan)
-    omega_inf = jnp.where(residual == 0, 0.0, omega_inf)
-    symmetric = (rotation.moments[0] == rotation.moments[1]) | (
-        rotation.moments[1] == rotation.moments[2]
-    )
-    regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
-    regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
-    regime = jnp.where(is_sphere, Regime.EXACT, regime)
-    error = jnp.where(end.known_phase, units.weakness, _error(apart, motion, units.weakness))
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
-    energy_unit = units.momentum**2 / units.moment
-    rest = (
-        omega_inf,
-        ratio,
-        end.half_time * units.time,
-        (end.energy - end.last_energy) * energy_unit,
-        jnp.where(end.decay == 0, jnp.inf, units.time / safe_divisor(end.decay)),
-        jnp.zeros_like(error),
-        error,
-    )
-    values = jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
-    return or_nan(values, ~motion.failed | is_sphere | is_spin).at[-2].set(regime.astype(float))
-
-
-def _error(rotation: FreeRotation, motion: Motion, weakness: Real) -> Real:
-    """The part of L² that is radiated within one period, which averaging neglects.
-
-    It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
-    nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
-    """
-    high, z = rotation.place
-    side = rotation.side(high)
-    x, rest = from_logit(z)
-    r, _ = side.rates(x, rest)
-    first = r * period(side.moments, x, rest)
-    p12, p23, _ = rotation.gaps
-    across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
-    libration = jnp.sqrt(jnp.where(motion.crosses, p12 * p23, 1.0))
-    momentum = jnp.exp(motion.stage(0).end.log / 2)
-    crossing = jnp.where(motion.crosses, momentum * across * 4 * 5 / libration, 0.0)
-    return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
-
-
-@eqx.filter_jit
-def _history(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real]
-) -> tuple[Float[Array, "T"], ...]:
-    """E, |L|, h and √⟨Ω²⟩ at given times."""
-    times, strength = constants
-    rotation, units = _rotation(variables, strength)
-    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
-    apart = rotation.replaced_where(is_sphere | is_spin)
-    motion = _slow_motion(apart)
-
-    def slow(time: Real) -> Float[Array, "3"]:
-        point = motion.at(jnp.log(time))
-        side = apart.side(point.high)
-        h = shape(side, point.x, point.rest)
-        values = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
-        captured = apart.is_needle & ~turns_fast(apart, point, units.weakness)
-        return or_nan(values, ~captured & ~motion.failed)
-
-    def spinning(time: Real) -> Float[Array, "3"]:
-        moment = rotation.moments[axis]
-        log = -jnp.log1p(rotation.spin_decay(axis) * time)
-        return jnp.stack([log, 1 / moment, 1 / moment**2])
-
-    def of_sphere(time: Real) -> Float[Array, "3"]:
-        square = (rotation.dipole @ rotation.momentum) ** 2
-        lost = jnp.where(
-            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
-        )
-        across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
-        one = jnp.ones(())
-        return jnp.stack([jnp.log(square + across), one, one])
-
-    scaled = times / units.time
-    log, h, squared = jnp.where(
-        is_sphere,
-        jax.vmap(of_sphere)(scaled),
-        jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
-    ).T
-    momentum = units.momentum * jnp.exp(log / 2)
-    energy = h * momentum * (momentum / units.moment) / 2
-    return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
