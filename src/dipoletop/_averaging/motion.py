@@ -24,13 +24,14 @@ from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
+from .slow_flow import FARTHEST, SMALLEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
-MAX_STEPS = 800
+MAX_STEPS = 1200
 FIRST_STEP = 0.01  # of y
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
+LATEST = 750.0  # ln t behind every time that is a number
 
 
 class State(NamedTuple):
@@ -119,7 +120,10 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
 
     def field(y: Any, state: Array, args: Any) -> Array:
         pace, r = interval.pace(y)
-        return pace * jnp.stack([jnp.ones_like(r), -r, 1 - r * state[2]])
+        _, log, u = state
+        # Where x comes to its end far more slowly than L² falls, u = 1/r makes the system stiff.
+        counts = log > jnp.log(jnp.maximum(u, SMALLEST)) - LATEST
+        return pace * jnp.stack([jnp.ones_like(r), -r, jnp.where(counts, 1 - r * u, 0.0)])
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
