@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from .._base.checks import or_nan
 from .._base.forward_mode import forward_differentiable
-from .._base.guards import safe_divisor
+from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Outcome, Real, Regime
 from .ends import SlowEnd, needle_end, shape, slow_end, sphere_end, spin_end, turns_fast
-from .free_rotation import mean_square_speed, period
+from .free_rotation import averages, mean_square_speed, period
 from .motion import Motion, motion_from
 from .principal_axes import FreeRotation, free_rotation
 from .slow_flow import from_logit
@@ -139,7 +139,9 @@ def _values(
     regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
     regime = jnp.where(is_sphere, Regime.EXACT, regime)
     error = jnp.where(
-        end.known_phase, units.weakness, estimated_error(apart, motion, units.weakness)
+        end.known_phase,
+        _error_of_phase(apart, units.weakness),
+        estimated_error(apart, motion, units.weakness),
     )
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
     energy_unit = units.momentum**2 / units.moment
@@ -161,18 +163,34 @@ def estimated_error(rotation: FreeRotation, motion: Motion, weakness: Real) -> R
 
     It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
     nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
+
+    The mean rate of a dipole off the principal axes is Σnᵢ²rᵢ, but there are oscillations in
+    proportion to nᵢnⱼ, too: at the start (Σ|nᵢ|√rᵢ)² stands for both.
     """
     high, z = rotation.place
     side = rotation.side(high)
     x, rest = from_logit(z)
-    r, _ = side.rates(x, rest)
-    first = r * period(side.moments, x, rest)
+    parts = side.weights * averages(side.moments, x, rest).r
+    first = jnp.sum(safe_sqrt(parts)) ** 2 * period(side.moments, x, rest)
     p12, p23, _ = rotation.gaps
     across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
     libration = jnp.sqrt(jnp.where(motion.crosses, p12 * p23, 1.0))
     momentum = jnp.exp(motion.stage(0).end.log / 2)
     crossing = jnp.where(motion.crosses, momentum * across * 4 * 5 / libration, 0.0)
     return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
+
+
+def _error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
+    """The error of a needle that is captured from its own phase.
+
+    The plane of its motion neglects ω₃² beside ω⊥². While q = 2δ|ω₃|/ω⊥² falls to 1 the phase
+    changes by about q.
+    """
+    omega = rotation.momentum / rotation.moments
+    across = omega[1] ** 2 + omega[2] ** 2
+    delta = 1 - rotation.moments[0] / rotation.moments[2]
+    q = 2 * delta * jnp.abs(omega[0]) / (weakness * across)
+    return weakness + q * omega[0] ** 2 / across
 
 
 @eqx.filter_jit
