@@ -164,14 +164,16 @@ def estimated_error(rotation: FreeRotation, motion: Motion, weakness: Real) -> R
     It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
     nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
 
-    The mean rate of a dipole off the principal axes is Σnᵢ²rᵢ, but there are oscillations in
-    proportion to nᵢnⱼ, too: at the start (Σ|nᵢ|√rᵢ)² stands for both.
+    The mean rate of a dipole off the principal axes is r = Σnᵢ²rᵢ. But there are oscillations in
+    proportion to nᵢnⱼ, too, and means of their products, which change r by a part that does not
+    fall with r. So (Σ|nᵢ|√rᵢ)⁴/r stands for r at the start.
     """
     high, z = rotation.place
     side = rotation.side(high)
     x, rest = from_logit(z)
     parts = side.weights * averages(side.moments, x, rest).r
-    first = jnp.sum(safe_sqrt(parts)) ** 2 * period(side.moments, x, rest)
+    rate = jnp.sum(safe_sqrt(parts)) ** 4 / safe_divisor(jnp.sum(parts))
+    first = rate * period(side.moments, x, rest)
     p12, p23, _ = rotation.gaps
     across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
     libration = jnp.sqrt(jnp.where(motion.crosses, p12 * p23, 1.0))
