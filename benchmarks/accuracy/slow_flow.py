@@ -148,23 +148,20 @@ def needle(delta: float, n: int) -> Row:
     known = random & (stops | np.isfinite(runs.ratio))
     # The smallest values are not known: their errors exceed them, or the run is out of steps.
     ratio = np.where(known & ~stops, runs.ratio, 0.0)
-    # Standardised deviations of the means: of the share of residual rotation, and of L∞/L₀.
     share = of.residual[random]
     spread = np.sqrt(np.sum(share * (1 - share)))
     off = np.sum((runs.outcome == Outcome.RESIDUAL)[random]) - share.sum()
-    scatter = (ratio - of.ratio)[random]
-    below = (ratio[:, None] < of.quantiles)[random]
+    relative = (ratio / of.ratio)[random]  # which has nearly the same distribution for all starts
     return {
         "delta": delta,
         "n": int(random.sum()),
         "known": int(known.sum()),
         "residual": float(share.mean()),
         "share": float(np.mean(runs.outcome[random] == Outcome.RESIDUAL)),
-        "share off": float(off / spread) if spread > 1e-9 else 0.0,
-        "ratio": float(of.ratio[random].mean()),
-        "mean": float(ratio[random].mean()),
-        "mean off": float(scatter.mean() / scatter.std() * np.sqrt(scatter.size)),
-        "below": below.mean(axis=0).tolist(),
+        "share off": float(off / spread) if spread > ROUNDING else 0.0,
+        "mean": float(relative.mean()),
+        "mean off": float((relative.mean() - 1) / relative.std() * np.sqrt(relative.size)),
+        "below": (ratio[:, None] < of.quantiles)[random].mean(axis=0).tolist(),
     }
 
 

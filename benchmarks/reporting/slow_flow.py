@@ -111,14 +111,15 @@ def _beyond(rows: list[Row]) -> str:
 
 
 def _needles(rows: list[Row]) -> str:
-    head = ["δ", "starts", "residual: predicted", "found", "off", "mean L∞/L₀: predicted"]
-    head += ["found", "off", "below the quantiles .05, .25, .5, .75, .95"]
+    head = ["δ", "starts", "known", "residual: predicted", "found", "off"]
+    head += ["mean of L∞/L₀ over its mean", "off", "below the quantiles .05, .25, .5, .75, .95"]
     lines = [head]
     for row in rows:
         shares = [f"{row['residual']:.3f}", f"{row['share']:.3f}", f"{row['share off']:+.1f}"]
-        means = [f"{row['ratio']:.4f}", f"{row['mean']:.4f}", f"{row['mean off']:+.1f}"]
+        means = [f"{row['mean']:.3f}", f"{row['mean off']:+.1f}"]
         below = ", ".join(f"{share:.2f}" for share in row["below"])
-        lines.append([f"{row['delta']:g}", str(row["n"]), *shares, *means, below])
+        counts = [str(row[name]) for name in ("n", "known")]
+        lines.append([f"{row['delta']:g}", *counts, *shares, *means, below])
     return "## Captures of needles, |ω| = 1e-3\n\n" + layout(lines)
 
 
