@@ -37,6 +37,17 @@ def test_turn_by_turn_integration_tends_to_the_prediction(body):
     assert np.all(errors[1] < 0.2 * errors[0])
 
 
+def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
+    """Next to the axis of J₃ the mean rate is small beside products of oscillations nᵢnⱼ."""
+    body = dt.Body(jnp.diag(jnp.array([0.356, 0.908, 1.0])), [0.2228, 0.3401, 0.9136])
+    start = 2e-3 * jnp.array([0.1, 0.1, 0.99])
+    predicted = dt.predict(body, start)
+    times = predicted.half_time * jnp.array([0.0, 0.25, 1.0])
+    run = dt.simulate(dt.SemiReduced(body), start, times)
+    off = np.abs(run.energy[1:] / predicted.history(times[1:]).energy - 1)
+    assert np.all(off < float(predicted.error))
+
+
 def test_the_end_does_not_depend_on_the_amplitude():
     ends = [dt.predict(ON_3, scale * STARTS[0]) for scale in (1e-6, 1e-25)]
     assert float(ends[0].ratio) == _approx(ends[1].ratio, rel=1e-13)
@@ -180,6 +191,16 @@ def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
     assert np.all(np.isnan(predicted.history([1.0, 1e9]).energy))
     later = dt.predict(dt.axisymmetric(0.5), [9e-20, 5e-20, 5e-20]).history([1.0, 1e39, 1e90])
     assert np.array_equal(np.isnan(later.energy), [False, False, True])
+
+
+def test_the_own_phase_of_a_needle_is_known_only_while_it_turns_little():
+    """The plane neglects ω₃² beside ω⊥², and the phase changes by q = 2δ|ω₃|/ω⊥²."""
+    needle, start = dt.axisymmetric(0.5), jnp.array([2e-3, 1e-3, 1e-4])
+    predicted, run = dt.predict(needle, start), dt.classify(dt.TransverseSemi(0.5), start)
+    off = abs(float(predicted.omega_inf / run.omega_inf) - 1)
+    assert 3 * float(jnp.sum(start**2)) < off < float(predicted.error) < 0.1
+    with pytest.raises(ValueError, match="radiate little within one turn"):
+        dt.predict(needle, [8e-3, 2e-3, 3e-3])  # q = 44, but ω₃²/ω⊥² = 0.13
 
 
 @pytest.mark.parametrize("delta", [-0.7, 0.5])

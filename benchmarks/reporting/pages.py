@@ -20,6 +20,7 @@ from benchmarks.reporting import (
     residual,
     savings,
     scaling,
+    slow_flow,
     speed,
     stress,
     summary,
@@ -35,6 +36,7 @@ PAGES: dict[str, tuple[ModuleType, ...]] = {
     "derivatives": (derivatives,),
     "directions": (directions,),
     "stress": (stress,),
+    "slow_flow": (slow_flow,),
 }
 """For each file of numbers the modules that make its pages."""
 BEGIN, END = "<!-- summary -->", "<!-- end of summary -->"

@@ -15,6 +15,7 @@ Line = tuple[str, str, str]
 def body(results: dict[str, Any]) -> str:
     """The table; a question whose numbers were not measured yet is left out."""
     parts = [("speed", _speed), ("labels", _labels), ("stress", _stress), ("residual", _residual)]
+    parts.append(("slow_flow", _slow_flow))
     lines = []
     for name, part in parts:
         if results[name]:
@@ -94,6 +95,20 @@ def _residual(results: dict[str, Any]) -> list[Line]:
     over = max(row["over"] for row in rows)
     answer = f"at most {over:.2f} times its estimate; {wrong} of {total} signs wrong"
     return [("Error of ω∞, against Taylor series in long double", answer, "residual")]
+
+
+def _slow_flow(results: dict[str, Any]) -> list[Line]:
+    random, rows = results["random"], results["bodies"]["rows"]
+    every = [*rows, random["rows"][-1]]
+    labels, wrong = (sum(row[name] for row in every) for name in ("labels", "wrong"))
+    within = f"{random['within'] / random['compared']:.1%} of {random['compared']}"
+    answer = f"{wrong} of {labels} labels wrong; {within} within the estimate"
+    slowest = [row for row in results["costs"] if "steps" in row][-1]
+    steps = f"{slowest['steps']:.0f} steps or one prediction ({1e3 * slowest['prediction']:.1f} ms)"
+    return [
+        ("Predictions by averaging, against integration turn by turn", answer, "slow_flow"),
+        (f"Fate of a start at |ω| = {slowest['amplitude']:.0e}", steps, "slow_flow"),
+    ]
 
 
 def _derivatives(first_and_second: dict[str, Any], along: list[dict[str, Any]]) -> list[Line]:

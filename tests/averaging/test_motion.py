@@ -116,3 +116,24 @@ def test_a_tumbling_attractor_is_a_stable_zero():
     r, _ = side.rates(point.x, point.rest)
     assert abs(float(jnp.log(point.x / point.rest)) - zero) < 1e-9
     assert abs(float(point.log) + 300 + float(jnp.log(r))) < 1e-9  # L² t → 1/(2κr*)
+
+
+def test_an_attractor_that_is_approached_slowly_is_no_stiff_problem():
+    """L² falls by far more than x changes: against an implicit method for x and 2κL²t over ln t."""
+    moments = (0.4965426, 0.5121136, 1.0)  # next to those whose attractor is the axis of J₃
+    side = Side(jnp.array(moments), jnp.eye(3)[1])
+    motion = jax.jit(motion_from)(side, LOW, jnp.asarray(-2.0))
+    assert not motion.failed
+    rates = eqx.filter_jit(side.rates)
+
+    def field(_, state):
+        x, u = state
+        r, growth = rates(jnp.asarray(x), jnp.asarray(1 - x))
+        return [u * x * float(growth), u - float(r) * u**2]
+
+    times, first = np.array([0.0, 4.0, 16.0]), motion.at(jnp.asarray(-6.0))
+    start = [float(first.x), float(jnp.exp(first.log - 6.0))]
+    run = solve_ivp(field, (-6, times[-1]), start, "Radau", times, rtol=1e-8, atol=1e-12)
+    points = jax.jit(jax.vmap(motion.at))(jnp.asarray(times))
+    np.testing.assert_allclose(points.x, run.y[0], rtol=1e-5)
+    np.testing.assert_allclose(jnp.exp(points.log + times), run.y[1], rtol=1e-5)

@@ -15,7 +15,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
-from .motion import HALVINGS, LEAST_LOG, Motion, Point, Stage
+from .motion import HALVINGS, Motion, Point, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
@@ -67,7 +67,7 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     spins = (stage.knots[stage.last] < 0) & ~limit.is_zero
     residual = spins & (r == 0)
     end = stage.end
-    log = jnp.where(residual & (end.log > LEAST_LOG), end.log, -jnp.inf)
+    log = jnp.where(residual, end.log, -jnp.inf)
     last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
     energy = _energies(motion.stage(0))[0]
     return SlowEnd(

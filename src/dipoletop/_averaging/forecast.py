@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import or_nan
 from .._base.forward_mode import forward_differentiable
-from .._base.guards import safe_divisor
+from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Outcome, Real, Regime
 from .ends import SlowEnd, needle_end, shape, slow_end, sphere_end, spin_end, turns_fast
-from .free_rotation import mean_square_speed, period
+from .free_rotation import averages, mean_square_speed, period
 from .motion import Motion, motion_from
 from .principal_axes import FreeRotation, free_rotation
 from .slow_flow import from_logit
@@ -130,7 +130,7 @@ def _values(
     omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
     log_crossing = motion.stage(0).end.log
     averaging = estimated_error(apart, motion.crosses, log_crossing, units.weakness)
-    error = jnp.where(end.known_phase, units.weakness, averaging)
+    error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
     energy_unit = units.momentum**2 / units.moment
     rest = (
@@ -175,6 +175,10 @@ def estimated_error(
     It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
     nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
 
+    The mean rate of a dipole off the principal axes is r = Σnᵢ²rᵢ. But there are oscillations in
+    proportion to nᵢnⱼ, too, and means of their products, which change r by a part that does not
+    fall with r. So (Σ|nᵢ|√rᵢ)⁴/r stands for r at the start.
+
     Args:
         rotation: where the motion begins.
         crosses: whether it crosses the separatrix.
@@ -184,14 +188,28 @@ def estimated_error(
     high, z = rotation.place
     side = rotation.side(high)
     x, rest = from_logit(z)
-    r, _ = side.rates(x, rest)
-    first = r * period(side.moments, x, rest)
+    parts = side.weights * averages(side.moments, x, rest).r
+    rate = jnp.sum(safe_sqrt(parts)) ** 4 / safe_divisor(jnp.sum(parts))
+    first = rate * period(side.moments, x, rest)
     p12, p23, _ = rotation.gaps
     across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
     libration = jnp.sqrt(jnp.where(crosses, p12 * p23, 1.0))
     momentum = jnp.exp(log_crossing / 2)
     crossing = jnp.where(crosses, momentum * across * 4 * 5 / libration, 0.0)
     return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
+
+
+def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
+    """The error of a needle that is captured from its own phase.
+
+    The plane of its motion neglects ω₃² beside ω⊥². While q = 2δ|ω₃|/ω⊥² falls to 1 the phase
+    changes by about q.
+    """
+    omega = rotation.momentum / rotation.moments
+    across = omega[1] ** 2 + omega[2] ** 2
+    delta = 1 - rotation.moments[0] / rotation.moments[2]
+    q = 2 * delta * jnp.abs(omega[0]) / (weakness * across)
+    return weakness + q * omega[0] ** 2 / across
 
 
 @eqx.filter_jit

@@ -18,6 +18,7 @@ from .capture import Capture, capture, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
 from .forecast import (
     decided_outcome,
+    error_of_phase,
     estimated_error,
     forecast,
     regime_of,
@@ -141,7 +142,7 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _End:
     omega_inf = speed_about_dipole(probability, ratio, rotation.moments[2], units)
     nothing = jnp.zeros((), bool)
     averaging = estimated_error(rotation, nothing, jnp.zeros(()), units.weakness)
-    error = jnp.where(end.random, averaging, units.weakness)
+    error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
     return _End(probability, omega_inf, ratio, regime_of(rotation), error)
 
 

@@ -24,15 +24,14 @@ from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
+from .slow_flow import FARTHEST, SMALLEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
 MAX_STEPS = 1200
 FIRST_STEP = 0.01  # of y
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
-LEAST_LOG = -800.0
-"""The ln L²/L₀² at which a motion counts as ended; no number holds a time so late."""
+LATEST = 750.0  # ln t behind every time that is a number
 
 
 class State(NamedTuple):
@@ -121,8 +120,10 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
 
     def field(y: Any, state: Array, args: Any) -> Array:
         pace, r = interval.pace(y)
-        going_on = state[1] > LEAST_LOG
-        return jnp.where(going_on, pace, 0.0) * jnp.stack([jnp.ones_like(r), -r, 1 - r * state[2]])
+        _, log, u = state
+        # Where x comes to its end far more slowly than L² falls, u = 1/r makes the system stiff.
+        counts = log > jnp.log(jnp.maximum(u, SMALLEST)) - LATEST
+        return pace * jnp.stack([jnp.ones_like(r), -r, jnp.where(counts, 1 - r * u, 0.0)])
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),

@@ -1,0 +1,248 @@
+"""Is `predict` right, and its estimated error? Against the same motions turn by turn.
+
+python -m benchmarks.accuracy.slow_flow --small     a look
+python -m benchmarks.accuracy.slow_flow             all: about four minutes of processor time
+python -m benchmarks.accuracy.slow_flow --write     the same, kept: results/slow_flow.md
+"""
+
+import argparse
+import statistics
+import time
+from typing import Any
+
+import jax
+import numpy as np
+
+import dipoletop as dt
+from benchmarks.accuracy import slow_balance
+from benchmarks.accuracy.turn_by_turn import (
+    Predicted,
+    Resolved,
+    differences,
+    momenta,
+    predicted,
+    resolved,
+)
+from benchmarks.problems import slow_rotations
+from benchmarks.problems.random_bodies import Starts
+from benchmarks.reporting import measure, pages
+from dipoletop import Outcome
+
+AMPLITUDES = (1e-2, 3e-3, 1e-3, 3e-4)
+BUDGET = 200_000  # steps of a run
+ROUNDING = 1e-9  # differences below it, which are those of the integration, have no order
+FEW = 12  # pairs of differences below which no order is given
+NEEDLES = (0.3, 0.6, 0.8, 0.95)  # δ
+NEEDLE_AMPLITUDE = 1e-3
+FULL = (1e-2, 3e-3)  # amplitudes at which the full equation is followed, too
+TYPICAL = ((0.6, 0.75, 1.0), (0.0, 0.0, 1.0))  # moments and dipole, whose cost is measured
+SPEEDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-15, 1e-25)
+RESOLVED_FROM = 1e-5  # |ω| of those
+MANY = 5_000_000  # steps that a run may take there
+Row = dict[str, Any]
+
+
+def summed(of: Predicted, runs: Resolved, chosen: np.ndarray) -> Row:
+    """Counts and differences of some motions."""
+    ratio, energy = differences(of, runs)
+    both = chosen & (of.outcome > 0) & (runs.outcome > 0)
+    signs = both & np.isfinite(of.omega_inf) & np.isfinite(runs.omega_inf)
+    row: Row = {
+        "n": int(chosen.sum()),
+        "refused": int(np.sum(chosen & of.refused)),
+        "failed": int(np.sum(chosen & (of.outcome == Outcome.FAILED))),
+        "labels": int(both.sum()),
+        "wrong": int(np.sum(both & (of.outcome != runs.outcome))),
+        "signs": int(signs.sum()),
+        "wrong signs": int(np.sum(signs & (np.sign(of.omega_inf) != np.sign(runs.omega_inf)))),
+    }
+    for name, values in (("ratio", ratio), ("energy", energy)):
+        known = chosen & np.isfinite(values)
+        if known.any():
+            over = (values / of.error)[known]
+            middle, most = (float(q) for q in np.quantile(values[known], [0.5, 1]))
+            row[name] = {"n": int(known.sum()), "median": middle, "largest": most}
+            row[name] |= {"over": float(over.max()), "beyond": int(np.sum(over > 1))}
+    return row
+
+
+def on_bodies(small: bool) -> Row:
+    """The chosen bodies from the same directions at every amplitude."""
+    bodies = slow_rotations.chosen(small)
+    ways = slow_rotations.directions(2 if small else 8, np.random.default_rng(1))
+    family = np.repeat(bodies.family, len(ways))
+    amplitudes = AMPLITUDES[1:3] if small else AMPLITUDES
+    rows, found, signs = [], [], []
+    for amplitude in amplitudes:
+        sample = bodies.started(amplitude * ways)
+        of = predicted(sample)
+        runs = resolved(sample, of.time, BUDGET)
+        found.append(differences(of, runs))
+        signs.append(_signs(of, runs))
+        for name in dict.fromkeys(bodies.family):
+            row = {"family": name, "amplitude": amplitude}
+            rows.append(row | summed(of, runs, family == name))
+    orders = []
+    for name in dict.fromkeys(bodies.family):
+        values = np.array(found)[:, :, family == name]  # (amplitudes, 2, starts)
+        steps = np.log(np.array(amplitudes[:-1]) / amplitudes[1:])[:, None, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes = np.log(values[:-1] / values[1:]) / steps
+        slopes = np.where(values[1:] > ROUNDING, slopes, np.nan).swapaxes(0, 1).reshape(2, -1)
+        known = [one[np.isfinite(one)] for one in slopes]
+        ratio, energy = (float(np.median(one)) if one.size >= FEW else None for one in known)
+        orders.append({"family": name, "ratio": ratio, "energy": energy})
+    return {"rows": rows, "orders": orders, "signs": np.sum(signs, axis=0).tolist()}
+
+
+def _signs(of: Predicted, runs: Resolved) -> np.ndarray:
+    """Residual rotations whose sense is a matter of chance: how many, how many along the dipole."""
+    by_chance = of.sign_by_chance & of.certain & np.isfinite(runs.omega_inf)
+    return np.array([by_chance.sum(), np.sum(by_chance & (runs.omega_inf > 0))])
+
+
+def on_random(n: int, seed: int) -> Row:
+    """Bodies, dipoles, starts and amplitudes at random, and those beyond the estimate."""
+    kinds, sample = slow_rotations.at_random(n, seed)
+    of = predicted(sample)
+    runs = resolved(sample, of.time, BUDGET)
+    ratio, energy = differences(of, runs)
+    over = np.fmax(ratio, energy) / of.error
+    beyond = [
+        {
+            "kind": kinds[k],
+            "moments": np.diag(sample.inertia[k]).tolist(),
+            "dipole": sample.dipole[k].tolist(),
+            "speed": float(np.linalg.norm(sample.omega[k])),
+            "error": float(of.error[k]),
+            "ratio": float(ratio[k] / of.error[k]),
+            "energy": float(energy[k] / of.error[k]),
+        }
+        for k in np.flatnonzero(over > 1)
+    ]
+    names = np.array(kinds)
+    rows = [{"kind": kind} | summed(of, runs, names == kind) for kind in dict.fromkeys(kinds)]
+    rows.append({"kind": "all"} | summed(of, runs, names == names))
+    compared = int(np.isfinite(over).sum())
+    return {
+        "rows": rows,
+        "compared": compared,
+        "within": compared - len(beyond),
+        "beyond": beyond,
+        "signs": _signs(of, runs).tolist(),
+    }
+
+
+def needle(delta: float, n: int) -> Row:
+    """The shares and values of captures of many starts, against their probabilities."""
+    ways = slow_rotations.directions(n, np.random.default_rng([2, round(100 * delta)]))
+    body = dt.axisymmetric(delta)
+    sample = Starts(
+        *(np.tile(np.asarray(part), (n, *[1] * part.ndim)) for part in (body.inertia, body.dipole)),
+        NEEDLE_AMPLITUDE * ways,
+    )
+    of = predicted(sample)
+    runs = resolved(sample, of.time, BUDGET)
+    random = ~of.certain & ~of.refused
+    stops = runs.outcome == Outcome.STOP
+    known = random & (stops | np.isfinite(runs.ratio))
+    # The smallest values are not known: their errors exceed them, or the run is out of steps.
+    ratio = np.where(known & ~stops, runs.ratio, 0.0)
+    share = of.residual[random]
+    spread = np.sqrt(np.sum(share * (1 - share)))
+    off = np.sum((runs.outcome == Outcome.RESIDUAL)[random]) - share.sum()
+    relative = (ratio / of.ratio)[random]  # which has nearly the same distribution for all starts
+    return {
+        "delta": delta,
+        "n": int(random.sum()),
+        "known": int(known.sum()),
+        "residual": float(share.mean()),
+        "share": float(np.mean(runs.outcome[random] == Outcome.RESIDUAL)),
+        "share off": float(off / spread) if spread > ROUNDING else 0.0,
+        "mean": float(relative.mean()),
+        "mean off": float((relative.mean() - 1) / relative.std() * np.sqrt(relative.size)),
+        "below": (ratio[:, None] < of.quantiles)[random].mean(axis=0).tolist(),
+    }
+
+
+def in_full() -> list[Row]:
+    """Residual values of an asymmetric body by the full and the semi-reduced equation."""
+    body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
+    ways = slow_rotations.directions(4, np.random.default_rng(0))[:3]  # the last one costs most
+    rows = []
+    for amplitude in FULL:
+        full, semi = (
+            dt.classify_many(kind(body), amplitude * ways, max_steps=BUDGET)
+            for kind in (dt.Full, dt.SemiReduced)
+        )
+        starts = Starts(
+            np.tile(np.asarray(body.inertia), (len(ways), 1, 1)),
+            np.tile(np.asarray(body.dipole), (len(ways), 1)),
+            amplitude * ways,
+        )
+        of = predicted(starts)
+        ratio = np.abs(full.omega_inf) / momenta(starts)
+        between = np.abs(full.omega_inf / semi.omega_inf - 1)
+        off = np.abs(ratio / of.ratio - 1)
+        row = {"amplitude": amplitude, "n": len(ways)}
+        row |= {"wrong": int(np.sum(full.outcome != of.outcome))}
+        row |= {"between": float(between.max()), "off": float(off.max())}
+        rows.append(row | {"over": float(np.max(off / of.error))})
+    return rows
+
+
+def costs(n: int, slowest: float) -> list[Row]:
+    """Steps and time of runs, and the time of a prediction, at every amplitude."""
+    body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
+    equation: Any = dt.SemiReduced(body)
+    ways = slow_rotations.directions(n, np.random.default_rng(0))
+    rows = []
+    for amplitude in SPEEDS:
+        row: Row = {"amplitude": amplitude}
+        if amplitude >= slowest:
+            dt.classify_many(equation, amplitude * ways, max_steps=1)  # compiled
+            begin = time.perf_counter()
+            runs = dt.classify_many(equation, amplitude * ways, max_steps=MANY)
+            row |= {"seconds": (time.perf_counter() - begin) / n, "steps": float(runs.steps.mean())}
+        if amplitude <= 1e-2:
+            laps = []
+            for way in ways:
+                begin = time.perf_counter()
+                dt.predict(body, amplitude * way).ratio.block_until_ready()
+                laps.append(time.perf_counter() - begin)
+            row["prediction"] = statistics.median(laps)
+        rows.append(row)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--n", type=int, default=1000, help="motions at random")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--small", action="store_true", help="small sizes: does everything work?")
+    parser.add_argument("--write", action="store_true", help="keep the results")
+    args = parser.parse_args()
+    if args.small and args.write:
+        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
+    results: Row = {
+        "command": measure.command(),
+        **measure.machine(),
+        "budget": BUDGET,
+        "bodies": on_bodies(args.small),
+        "random": on_random(8 if args.small else args.n, args.seed),
+        "costs": costs(4 if args.small else 32, 1e-3 if args.small else RESOLVED_FROM),
+        "needles": [],
+        "full": [],
+        "balance": [],
+    }
+    if not args.small:  # these compile for long
+        ways = slow_rotations.directions(2, np.random.default_rng(3))
+        results["balance"] = slow_balance.defects(slow_rotations.chosen(False), ways)
+        results["needles"] = [needle(delta, 256) for delta in NEEDLES]
+        results["full"] = in_full()
+    pages.show("slow_flow", results, keep=args.write)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    main()

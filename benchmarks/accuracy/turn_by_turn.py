@@ -1,0 +1,135 @@
+"""Predictions of `dipoletop.predict`, and the same motions integrated turn by turn."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dipoletop as dt
+from benchmarks import engines
+from benchmarks.problems.random_bodies import Starts, equations
+from dipoletop import Outcome
+
+RTOL = 1e-10  # of the integration: its error is far below that of the prediction
+LATEST = 30.0  # braking times up to which energies are compared
+REFUSAL = "radiate little within one turn"
+
+
+class Predicted(NamedTuple):
+    """Predictions of N motions; NaN where a rotation is too fast for one."""
+
+    outcome: np.ndarray  # UNDECIDED where it is refused, too
+    refused: np.ndarray
+    ends: np.ndarray  # (N, 8): probabilities
+    omega_inf: np.ndarray
+    ratio: np.ndarray
+    quantiles: np.ndarray  # (N, 5), of the ratio
+    half_time: np.ndarray
+    lost: np.ndarray  # E₀ − E∞
+    error: np.ndarray
+    time: np.ndarray  # at which energies are compared, see `_time`
+    energy: np.ndarray  # then
+
+    @property
+    def residual(self) -> np.ndarray:
+        """The probability of residual rotation."""
+        return self.ends[:, :2].sum(axis=1)
+
+    @property
+    def certain(self) -> np.ndarray:
+        """Whether L∞/L₀ is no matter of chance."""
+        return self.quantiles[:, 0] == self.quantiles[:, -1]
+
+    @property
+    def sign_by_chance(self) -> np.ndarray:
+        """Whether the rotation is residual for certain, but not its sense."""
+        return (self.residual == 1) & (self.ends[:, 0] == self.ends[:, 1])
+
+
+class Resolved(NamedTuple):
+    """The same motions turn by turn."""
+
+    outcome: np.ndarray
+    omega_inf: np.ndarray  # NaN where the run is out of steps
+    ratio: np.ndarray  # L∞/L₀ of residual rotation
+    steps: np.ndarray
+    energy: np.ndarray  # at the time that was asked for; NaN where that was not reached
+
+
+def momenta(sample: Starts) -> np.ndarray:
+    """|L₀|, shape (N,)."""
+    return np.linalg.norm(np.einsum("nij,nj->ni", sample.inertia, sample.omega), axis=1)
+
+
+def energies(sample: Starts, omega: np.ndarray) -> np.ndarray:
+    """½ ω·Iω, shape (N,)."""
+    return np.einsum("ni,nij,nj->n", omega, sample.inertia, omega) / 2
+
+
+def braking_times(sample: Starts) -> np.ndarray:
+    """J₃³/(2L₀²), shape (N,)."""
+    return np.linalg.eigvalsh(sample.inertia)[:, 2] ** 3 / (2 * momenta(sample) ** 2)
+
+
+def predicted(sample: Starts) -> Predicted:
+    """Each motion by itself, as `predict` is meant."""
+    unit = braking_times(sample)
+    rows = []
+    for k, parts in enumerate(zip(*sample, strict=True)):
+        inertia, dipole, omega = parts
+        try:
+            one = dt.predict(dt.Body(inertia, dipole), omega)
+        except ValueError as refusal:
+            if REFUSAL not in str(refusal):
+                raise
+            rows.append((0, True, np.full(8, np.nan), *[np.nan] * 2, np.full(5, np.nan)))
+            rows[-1] += tuple([np.nan] * 5)
+            continue
+        time = _time(float(one.half_time), unit[k])
+        energy = one.history(np.array([time])).energy[0]
+        rows.append((one.outcome, False, one.probability, one.omega_inf, one.ratio))
+        rows[-1] += (one.ratio_quantiles, one.half_time, one.radiated_energy, one.error)
+        rows[-1] += (time, energy)
+    return Predicted(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _time(half: float, unit: float) -> float:
+    """The half time, unless it is unknown or very late."""
+    if not np.isfinite(half):
+        return 0.3 * unit  # before the capture of a needle
+    return min(half, LATEST * unit) if half > 0 else unit
+
+
+def resolved(sample: Starts, times: np.ndarray, max_steps: int) -> Resolved:
+    """By the semi-reduced equation, which keeps all orders."""
+    every: Any = jax.vmap(lambda inertia, dipole: dt.SemiReduced(dt.Body(inertia, dipole)))(
+        jnp.asarray(sample.inertia), jnp.asarray(sample.dipole)
+    )
+    labels = dt.classify_many(every, sample.omega, max_steps=max_steps, value=False)
+    ends = dt.classify_many(every, sample.omega, rtol=RTOL, max_steps=max_steps)
+    turns = equations("semi", sample.inertia, sample.dipole)
+    known = np.isfinite(times)
+    last = jnp.asarray(np.where(known, times, 0.0))
+    bounds = engines.limits(RTOL, jnp.zeros(len(times)), max_steps, last)
+    states = engines.integrate_by_the_fastest(
+        turns, jnp.asarray(sample.omega.T), bounds, until="time"
+    )
+    reached = known & (np.asarray(states.status) == engines.FINISHED)
+    energy = np.where(reached, energies(sample, np.asarray(states.y).T), np.nan)
+    n = sample.dipole / np.linalg.norm(sample.dipole, axis=1)[:, None]
+    moment = np.einsum("ni,nij,nj->n", n, sample.inertia, n)
+    is_residual = ends.outcome == Outcome.RESIDUAL
+    value = np.where(is_residual, ends.omega_inf, np.nan)
+    ratio = np.abs(value) * moment / momenta(sample)
+    return Resolved(labels.outcome, value, ratio, ends.steps, energy)
+
+
+def differences(of: Predicted, runs: Resolved) -> tuple[np.ndarray, np.ndarray]:
+    """Relative differences of L∞/L₀ and of the energy; NaN where there is nothing to compare.
+
+    Where chance decides on L∞/L₀ its distribution is compared instead, elsewhere.
+    """
+    alike = (of.residual == 1) & of.certain
+    of_ratio = np.where(alike, np.abs(runs.ratio / np.where(alike, of.ratio, 1.0) - 1), np.nan)
+    return of_ratio, np.abs(runs.energy / of.energy - 1)
