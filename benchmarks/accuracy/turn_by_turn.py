@@ -47,6 +47,16 @@ class Predicted(NamedTuple):
         return (self.residual == 1) & (self.ends[:, 0] == self.ends[:, 1])
 
 
+UNKNOWN = Predicted(
+    *(np.array(np.nan) for _ in Predicted._fields),
+)._replace(
+    outcome=np.array(int(Outcome.UNDECIDED)),
+    refused=np.array(True),
+    ends=np.full(8, np.nan),
+    quantiles=np.full(5, np.nan),
+)
+
+
 class Resolved(NamedTuple):
     """The same motions turn by turn."""
 
@@ -74,23 +84,21 @@ def braking_times(sample: Starts) -> np.ndarray:
 
 def predicted(sample: Starts) -> Predicted:
     """Each motion by itself, as `predict` is meant."""
-    unit = braking_times(sample)
     rows = []
-    for k, parts in enumerate(zip(*sample, strict=True)):
+    for unit, *parts in zip(braking_times(sample), *sample, strict=True):
         inertia, dipole, omega = parts
         try:
             one = dt.predict(dt.Body(inertia, dipole), omega)
         except ValueError as refusal:
             if REFUSAL not in str(refusal):
                 raise
-            rows.append((0, True, np.full(8, np.nan), *[np.nan] * 2, np.full(5, np.nan)))
-            rows[-1] += tuple([np.nan] * 5)
+            rows.append(UNKNOWN)
             continue
-        time = _time(float(one.half_time), unit[k])
+        time = _time(float(one.half_time), unit)
         energy = one.history(np.array([time])).energy[0]
-        rows.append((one.outcome, False, one.probability, one.omega_inf, one.ratio))
-        rows[-1] += (one.ratio_quantiles, one.half_time, one.radiated_energy, one.error)
-        rows[-1] += (time, energy)
+        label = one.outcome, False, one.probability, one.omega_inf
+        sizes = one.ratio, one.ratio_quantiles, one.half_time, one.radiated_energy, one.error
+        rows.append(Predicted(*label, *sizes, time, energy))
     return Predicted(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

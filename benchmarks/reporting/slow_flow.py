@@ -20,13 +20,15 @@ Runs that are out of steps have a label but no L∞/L₀. Captures of needles ar
 their table compares distributions, with an L∞/L₀ too small to be known as 0. **off** is a deviation
 in units of its standard error.
 
-What the motions beyond the estimate have in common. All are energies, not one is a residual value.
-They are (1) of dipoles on J₂, or 1e-3 off an axis, that start next to the separatrix or cross it:
-what is lost there depends on the phase; (2) of dipoles off all axes of a thin body: the
-torque across L tilts the rotation by an angle of the order |ω|, so that the rates themselves change
-by such a part, whatever the phase: near the axis of J₃, over r, by −2n₁n₂n₃²Ω₃/(1 − n₃²) times
-1/(J₃ − J₂) − 1/(J₃ − J₁) with κ = 1; (3) of needles shortly before their capture, where a turn about the long axis is no longer
-fast and averages over it are wrong by up to 1/q = ω⊥²/(2δ|ω₃|), down to q = 24(1 + 3δ/(2(1−δ))).
+What the motions beyond the estimate have in common: all are energies, not one is a residual value.
+
+- Dipoles on J₂, or 1e-3 off an axis, that start next to the separatrix or cross it. What is lost
+  there depends on the phase.
+- Dipoles off all axes. The torque across L tilts the rotation by an angle of the order |ω|, so the
+  rates themselves change by such a part, whatever the phase. Near the axis of J₃ this part is
+  −2n₁n₂n₃²Ω₃/(1 − n₃²) times 1/(J₃ − J₂) − 1/(J₃ − J₁), with κ = 1: it is large for thin bodies.
+- Needles shortly before their capture. A turn about the long axis is then no longer fast, and
+  averages over it are wrong by up to about 1/q, q = 2δ|ω₃|/ω⊥².
 """
 
 from typing import Any

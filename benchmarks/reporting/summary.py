@@ -107,7 +107,7 @@ def _slow_flow(results: dict[str, Any]) -> list[Line]:
     steps = f"{slowest['steps']:.0f} steps or one prediction ({1e3 * slowest['prediction']:.1f} ms)"
     return [
         ("Predictions by averaging, against integration turn by turn", answer, "slow_flow"),
-        (f"Fate of a start at |ω| = {slowest['amplitude']:.0e}", steps, "slow_flow"),
+        (f"Fate of a start with ω₀ = {slowest['amplitude']:.0e}", steps, "slow_flow"),
     ]
 
 
