@@ -171,13 +171,12 @@ def test_an_oblate_top_with_its_dipole_across_the_axis_stops():
 
 
 def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
-    """ω₃ = 0: no fast rotation that chance could act on. After capture no history is shown."""
+    """ω₃ = 0: no fast rotation that chance could act on; one that there is ends the history."""
     start = jnp.array([9e-4, 5e-4, 0.0])
     predicted = dt.predict(dt.axisymmetric(0.5), start)
     run = dt.classify(dt.TransverseSemi(0.5), start)
     assert (predicted.outcome, predicted.regime) == (dt.Outcome.RESIDUAL, dt.Regime.UNFOLDED)
     assert float(predicted.omega_inf) == _approx(run.omega_inf, rel=float(predicted.error))
-    assert np.all(np.isnan(predicted.history([1.0, 1e9]).energy))
     later = dt.predict(dt.axisymmetric(0.5), [9e-20, 5e-20, 5e-20]).history([1.0, 1e39, 1e90])
     assert np.array_equal(np.isnan(later.energy), [False, False, True])
 

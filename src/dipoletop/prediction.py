@@ -18,7 +18,8 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, forecast, history_at
+from ._averaging.forecast import LARGEST_ERROR, best_forecast
+from ._averaging.histories import best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.summaries import with_error
@@ -97,7 +98,8 @@ class Prediction(eqx.Module):
         """
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
-        values = history_at(self.variables, (given, jnp.asarray(self.strength, given.dtype)))
+        strength = jnp.asarray(self.strength, given.dtype)
+        values = best_history(self.variables, (given, strength), self.regime)
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -159,7 +161,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     strength = RADIATION if isinstance(body, Particle) else 1.0
     coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    numbers = forecast(variables, coupling, _is_needle(body))
+    numbers = best_forecast(variables, coupling, _is_needle(body))
     prediction = Prediction(*numbers, variables=variables, strength=strength)
     if concrete(variables):
         _check_theory(prediction, body, omega)

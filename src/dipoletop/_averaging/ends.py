@@ -71,7 +71,7 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     end = stage.end
     h = shape(stage.interval.side, limit.x, limit.rest)
     last_energy = jnp.where(residual, h * jnp.exp(end.log) / 2, 0.0)
-    energy = _energies(motion.stage(0))[0]
+    energy = energies(motion.stage(0))[0]
     return SlowEnd(
         jnp.where(
             residual,
@@ -81,7 +81,7 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
         *_certain(jnp.where(residual, end.log / 2, -jnp.inf)),
         energy,
         last_energy,
-        _time_at(motion, (energy + last_energy) / 2),
+        time_at(motion, (energy + last_energy) / 2),
         rotation.moments[axis],
         r * jnp.exp(end.log + r * end.s),
         jnp.zeros((), bool),
@@ -144,12 +144,12 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
     end = end_of_top(1 - rotation.moments[0] / rotation.moments[2], weakness * (frame @ omega))
     # |ω∞|/|ω₀| is L∞/L₀ times L₀/(J₃|ω₀|), with J₃ = 1 and L₀ = 1.
     shift = jnp.log(jnp.linalg.norm(omega))
-    energy = _energies(motion.stage(0))[0]
+    energy = energies(motion.stage(0))[0]
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
-    half_time = _time_at(motion, (energy + last_energy) / 2)
+    half_time = time_at(motion, (energy + last_energy) / 2)
     averaged = turns_fast(rotation, motion.at(jnp.log(half_time)), weakness)
     half_time = jnp.where(end.random & averaged, half_time, jnp.nan)
     zero = jnp.zeros_like(residual)
@@ -197,18 +197,18 @@ def shape(side: Side, x: Real, rest: Real) -> Real:
     return rest / jc + x / jb
 
 
-def _energies(stage: Stage) -> Float[Array, "K"]:
+def energies(stage: Stage) -> Float[Array, "K"]:
     """The energies at the knots; 0 behind the last one."""
     h = jax.vmap(lambda y: shape(stage.interval.side, *stage.interval.position(y)))(stage.knots)
     known = jnp.arange(stage.knots.size) <= stage.last
     return jnp.where(known, h * jnp.exp(stage.states.log) / 2, 0.0)
 
 
-def _time_at(motion: Motion, energy: Real) -> Real:
+def time_at(motion: Motion, energy: Real) -> Real:
     """The time at which the energy has fallen to a value."""
-    second = motion.crosses & (_energies(motion.stage(0))[motion.stage(0).last] > energy)
+    second = motion.crosses & (energies(motion.stage(0))[motion.stage(0).last] > energy)
     stage = motion.stage(second.astype(int))
-    above = jnp.sum(_energies(stage) > energy)
+    above = jnp.sum(energies(stage) > energy)
     piece = stage.piece(above - 1)
 
     def lost(part: Real) -> Real:
