@@ -182,13 +182,12 @@ def test_an_oblate_top_with_its_dipole_across_the_axis_stops():
 
 
 def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
-    """ω₃ = 0: no fast rotation that chance could act on. After capture no history is shown."""
+    """ω₃ = 0: no fast rotation that chance could act on; one that there is ends the history."""
     start = jnp.array([9e-4, 5e-4, 0.0])
     predicted = dt.predict(dt.axisymmetric(0.5), start)
     run = dt.classify(dt.TransverseSemi(0.5), start)
     assert (predicted.outcome, predicted.regime) == (dt.Outcome.RESIDUAL, dt.Regime.UNFOLDED)
     assert float(predicted.omega_inf) == _approx(run.omega_inf, rel=float(predicted.error))
-    assert np.all(np.isnan(predicted.history([1.0, 1e9]).energy))
     later = dt.predict(dt.axisymmetric(0.5), [9e-20, 5e-20, 5e-20]).history([1.0, 1e39, 1e90])
     assert np.array_equal(np.isnan(later.energy), [False, False, True])
 
@@ -201,6 +200,56 @@ def test_the_own_phase_of_a_needle_is_known_only_while_it_turns_little():
     assert 3 * float(jnp.sum(start**2)) < off < float(predicted.error) < 0.1
     with pytest.raises(ValueError, match="radiate little within one turn"):
         dt.predict(needle, [8e-3, 2e-3, 3e-3])  # q = 44, but ω₃²/ω⊥² = 0.13
+
+
+def _nearly(delta, eta):
+    return dt.Body(jnp.diag(jnp.array([1.0, 1 - eta, 1 - delta])), [1.0, 0.0, 0.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("body", "start", "outcome"),
+    [
+        (dt.axisymmetric(0.5), [9e-4, 5e-4, 1e-7], dt.Outcome.RESIDUAL),
+        (dt.axisymmetric(-0.2), [9e-4, 5e-4, 1e-7], dt.Outcome.RESIDUAL),
+        (_nearly(0.4, -2e-6), [5e-4, 5e-4, 1e-6], dt.Outcome.STOP),
+    ],
+    ids=["needle", "disc", "dipole on the middle moment"],
+)
+def test_a_rotation_of_known_phase_has_the_history_of_an_integration(body, start, outcome):
+    """Discs, too, and bodies whose moments differ by less than the slow flow needs."""
+    predicted = dt.predict(body, start)
+    assert (predicted.outcome, predicted.regime) == (outcome, dt.Regime.UNFOLDED)
+    half = float(predicted.half_time)
+    times = np.array([0.1, 1.0, 3.0]) * half
+    run = dt.simulate(dt.SemiReduced(body), start, ts=np.append(0.0, times))
+    history = predicted.history(times)
+    np.testing.assert_allclose(history.energy, run.energy[1:], rtol=1e-5)
+    speed = np.linalg.norm(run.omega[1:], axis=1)
+    np.testing.assert_allclose(history.speed, speed, rtol=1e-5)
+    lost = float(run.energy[0] - run.energy[2])
+    assert lost == _approx(predicted.radiated_energy / 2, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
+    """On the middle moment by less than ω²: the slow flow tumbles, the body is captured."""
+    body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
+    traced = jax.jit(lambda omega: dt.predict(body, omega))(start)
+    assert traced.outcome == dt.Outcome.UNDECIDED
+    predicted = dt.predict(body, start)
+    assert predicted.regime == dt.Regime.UNFOLDED
+    assert predicted.probability[:2].sum() > 0.99
+    capture = dt.predict(_nearly(0.4, 0.0), start)
+    assert float(predicted.ratio) == _approx(capture.ratio, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
+    """u = u₀/(1 + 2u₀τ), without any neighbour that ends so."""
+    predicted = dt.predict(dt.axisymmetric(-0.2), [0.0, 1e-6, 0.0])
+    assert predicted.probability[3] == 1
+    assert float(predicted.half_time) == _approx(0.5e12, rel=1e-7)
 
 
 @pytest.mark.parametrize("delta", [-0.7, 0.5])

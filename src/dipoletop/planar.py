@@ -39,6 +39,14 @@ NEWTON_STEPS = 8  # for the cycle, whose z lies within 3 % of the first guess fo
 HALVINGS = 52  # for its largest swing
 
 
+def rates(delta: Real, c: Real | float, y: Point) -> Point:
+    """The rates −δz − ½ sin 2φ and z{1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ) of φ and z."""
+    phi, z = y
+    sine = jnp.sin(2 * phi)
+    growth = z * (1 - (2 + delta) / (1 - delta) * jnp.cos(phi) ** 2)
+    return jnp.stack([-delta * z - sine / 2, growth - c * sine / (1 - delta)])
+
+
 class Planar(eqx.Module):
     """Small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − (2+δ)/(1−δ) cos²φ} − ….
 
@@ -70,12 +78,7 @@ class Planar(eqx.Module):
 
     def __call__(self, t: Any, y: Point, args: Any = None) -> Point:
         """d(φ, z)/dσ, shape (2,) or (2, B)."""
-        d = self.delta
-        phi, z = y
-        sine = jnp.sin(2 * phi)
-        growth = z * (1 - (2 + d) / (1 - d) * jnp.cos(phi) ** 2)
-        kick = sine / (1 - d) if self.corrected else jnp.zeros_like(sine)
-        return jnp.stack([-d * z - sine / 2, growth - kick])
+        return rates(self.delta, 1.0 if self.corrected else 0.0, y)
 
     @property
     def level(self) -> str:

@@ -7,6 +7,14 @@ that does not depend on the amplitude.
 
 Errors: averaging neglects relative changes of E and L within one period, of the order of τ₀Ω over
 the relative difference of the moments. `Prediction.error` estimates it.
+
+Where two moments are so nearly equal that this is much, the dipole lies on the axis of one of the
+two, and the body rotates across its third axis, the limit of small amplitudes of a nearly
+axisymmetric body takes over (`_averaging.unfolding`): a needle is captured there, at a phase that
+is a matter of chance or its own. It takes the place of the slow flow where its error is smaller,
+and only for a body and a start that are known: it costs up to some seconds. With the dipole on the
+third axis the slow flow tells the end, however near the two moments are. An oblique dipole of such
+a body is covered by the slow flow only, as far as its error allows.
 """
 
 from typing import NamedTuple
@@ -18,7 +26,8 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, forecast, history_at
+from ._averaging.forecast import LARGEST_ERROR, best_forecast
+from ._averaging.histories import best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.summaries import with_error
@@ -58,13 +67,14 @@ class Prediction(eqx.Module):
             chance or the outcome is undecided.
         ratio: L∞/L₀, the mean over chance.
         ratio_quantiles: the `QUANTILES` of L∞/L₀, shape (5,).
-        half_time: the time after which E − E∞ has fallen to one half; NaN for an exactly
-            axisymmetric needle whose capture begins before that.
+        half_time: the time after which E − E∞ has fallen to one half; NaN for a needle whose
+            capture by chance begins before that, and where capture from a known phase is traced.
         radiated_energy: E₀ − E∞.
         lifetime: how long the last rotation lives: its late law is L² = L²ₚ/(1 + t/lifetime);
-            infinite for residual rotation, NaN where chance decides.
+            infinite for residual rotation, NaN where chance decides, or a stop is UNFOLDED.
         regime: a member of `Regime`, the law that decided.
-        error: estimated relative error of `ratio` and of the times.
+        error: estimated relative error of `ratio` and of the times; 0.5 where starts within the
+            error end otherwise: they share the probability.
     """
 
     outcome: Int[Array, "*batch"]
@@ -89,15 +99,17 @@ class Prediction(eqx.Module):
             times: positive, shape (T,), in units of the body's time, or seconds for a `Particle`.
 
         Returns:
-            A `History`, each field of shape (T,). NaN for an exactly axisymmetric needle from the
-            time on at which its capture begins, since that is a matter of chance.
+            A `History`, each field of shape (T,). NaN for a needle from the time on at which its
+            capture begins, if that is a matter of chance. From a known phase of an UNFOLDED
+            rotation the values are not averaged, and NaN long after a stop has become certain.
 
         Raises:
             ValueError: times that are not positive and finite.
         """
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
-        values = history_at(self.variables, (given, jnp.asarray(self.strength, given.dtype)))
+        strength = jnp.asarray(self.strength, given.dtype)
+        values = best_history(self.variables, (given, strength), self.regime)
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -159,7 +171,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     strength = RADIATION if isinstance(body, Particle) else 1.0
     coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    numbers = forecast(variables, coupling, _is_needle(body))
+    numbers = best_forecast(variables, coupling, _is_needle(body))
     prediction = Prediction(*numbers, variables=variables, strength=strength)
     if concrete(variables):
         _check_theory(prediction, body, omega)

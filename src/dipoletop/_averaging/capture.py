@@ -179,7 +179,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
     phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
     known = settle(d, phi, z)
     turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
-    log_w = _log_w(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
+    log_w = log_scale_of(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
     log_scale = or_nan(log_w - log_all, random)
     decided = _share(known.residual)
     residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, decided))
@@ -219,7 +219,7 @@ def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
         known = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
         return known | (at.outcome == Outcome.STOP)
 
-    y = _follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends)
+    y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends)
     at = _verdict(delta, y)
     residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
     last = jnp.where(residual, at.omega_inf, AMPLITUDE) / AMPLITUDE
@@ -233,7 +233,7 @@ def _verdict(delta: Scalar, y: Array) -> Any:
     return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
 
 
-def _follow(field: Any, y0: Array, ends: Any) -> Array:
+def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Array:
     """The state of an autonomous system at the first step after which `ends` holds."""
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
@@ -244,7 +244,7 @@ def _follow(field: Any, y0: Array, ends: Any) -> Array:
         y0,
         stepsize_controller=diffrax.PIDController(RTOL, RTOL),
         event=diffrax.Event(ends),
-        max_steps=MAX_STEPS,
+        max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,
     )
@@ -301,7 +301,7 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
 
     def arrival(side: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
         start = jnp.stack([NEAR - side * at.phi, NEAR * at.stable_slope - side * at.z])
-        phi, z = _follow(
+        phi, z = follow(
             lambda t, y, args: -plane(t, y),
             start,
             lambda t, y, args, **_: (y[1] > height) | (y[1] < -height),
@@ -337,7 +337,7 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
     return or_nan(turns[0] + gap, arrives[0]), 1 - gap
 
 
-def _log_w(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> Scalar:
+def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> Scalar:
     """The ln W of a start of the averaged top, by (4.16) with ξ = ω⊥²/ω₃²; S = sgn ω₃ sin 2φ.
 
     A start has oscillations about the averages. By (4.2)–(4.4) those of (ln u)′ and (ln v)′ are

@@ -69,13 +69,13 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     end = stage.end
     log = jnp.where(residual, end.log, -jnp.inf)
     last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
-    energy = _energies(motion.stage(0))[0]
+    energy = energies(motion.stage(0))[0]
     return SlowEnd(
         slow_probability(rotation, motion.crosses, motion.ends_high, spins),
         *_certain(log / 2),
         energy,
         last_energy,
-        _time_at(motion, (energy + last_energy) / 2),
+        time_at(motion, (energy + last_energy) / 2),
         rotation.moments[axis],
         r * jnp.exp(end.log + r * end.s),
         jnp.zeros((), bool),
@@ -155,11 +155,11 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
     delta, omega = needle_start(rotation, weakness)
     end = end_of_top(delta, omega, capture(delta))
     shift = _log_speed(rotation)
-    energy = _energies(motion.stage(0))[0]
+    energy = energies(motion.stage(0))[0]
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
-    half_time = _time_at(motion, (energy + last_energy) / 2)
+    half_time = time_at(motion, (energy + last_energy) / 2)
     averaged = turns_fast(rotation, motion.at(jnp.log(half_time)), weakness)
     half_time = jnp.where(end.random & averaged, half_time, jnp.nan)
     probability, log_ratio = needle_chances(rotation, end)
@@ -228,18 +228,18 @@ def shape(side: Side, x: Real, rest: Real) -> Real:
     return rest / jc + x / jb
 
 
-def _energies(stage: Stage) -> Float[Array, "K"]:
+def energies(stage: Stage) -> Float[Array, "K"]:
     """The energies at the knots; 0 behind the last one."""
     h = jax.vmap(lambda y: shape(stage.interval.side, *stage.interval.position(y)))(stage.knots)
     known = jnp.arange(stage.knots.size) <= stage.last
     return jnp.where(known, h * jnp.exp(stage.states.log) / 2, 0.0)
 
 
-def _time_at(motion: Motion, energy: Real) -> Real:
+def time_at(motion: Motion, energy: Real) -> Real:
     """The time at which the energy has fallen to a value."""
-    second = motion.crosses & (_energies(motion.stage(0))[motion.stage(0).last] > energy)
+    second = motion.crosses & (energies(motion.stage(0))[motion.stage(0).last] > energy)
     stage = motion.stage(second.astype(int))
-    above = jnp.sum(_energies(stage) > energy)
+    above = jnp.sum(energies(stage) > energy)
     piece = stage.piece(above - 1)
 
     def lost(part: Real) -> Real:

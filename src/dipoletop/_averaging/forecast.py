@@ -6,26 +6,26 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.checks import or_nan
+from .._base.checks import concrete, or_nan
 from .._base.forward_mode import forward_differentiable
-from .._base.guards import safe_divisor, safe_sqrt
+from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
-from .ends import SlowEnd, needle_end, shape, slow_end, sphere_end, spin_end, turns_fast
-from .free_rotation import averages, mean_square_speed, period
+from .capture import LARGEST, SMALLEST
+from .ends import SlowEnd, needle_end, slow_end, sphere_end, spin_end
+from .estimates import error_of_phase, estimated_error, largest_loss, start_error
 from .motion import Motion, motion_from
 from .principal_axes import FreeRotation, free_rotation
-from .slow_flow import from_logit
+from .unfolded_ends import captured_end, half_time_of, known_end, order_error
+from .unfolding import LARGEST as FARTHEST_RATIO
+from .unfolding import Plane, asymmetry_at_entry, top_of
 
 LARGEST_ERROR = 0.5
 """The estimated error beyond which the slow flow says nothing."""
 CERTAIN = 1 - 1e-6
 """The probability from which an outcome counts as decided."""
-ERROR = 1.0
-"""The estimated error in units of the part of L² that is radiated within one period; measured."""
-QUADRATURE = 1e-12
-"""The relative error of the quadratures."""
 
 
 class Forecast(NamedTuple):
@@ -53,6 +53,11 @@ def forecast(variables: Float[Array, "15"], strength: Real, is_needle: bool | No
         is_needle: whether chance may decide, see `needle_end`; None if that is not known.
     """
     values = forward_differentiable(functools.partial(_values, is_needle))(variables, strength)
+    return _fields(values)
+
+
+def _fields(values: Float[Array, "20"]) -> Forecast:
+    """A forecast from its numbers in one vector."""
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
     outcome = decided_outcome(probability, error)
@@ -99,7 +104,7 @@ def scaled_rotation(variables: Float[Array, "15"], strength: Real) -> tuple[Free
     return scaled, Units(momentum, moment, unit, weakness)
 
 
-def _slow_motion(rotation: FreeRotation) -> Motion:
+def slow_motion(rotation: FreeRotation) -> Motion:
     """The slow motion of a body with at least two different moments."""
     high, z = rotation.place
     return motion_from(rotation.side(high), high, z)
@@ -112,7 +117,7 @@ def _values(
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
-    motion = _slow_motion(apart)
+    motion = slow_motion(apart)
 
     def needle() -> SlowEnd:
         return needle_end(apart, motion, units.weakness)
@@ -126,12 +131,17 @@ def _values(
         end = needle() if is_needle else other()
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
-    ratio = jnp.exp(end.log_ratio)
-    omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
-    log_crossing = motion.stage(0).end.log
-    averaging = estimated_error(apart, motion.crosses, log_crossing, units.weakness)
+    averaging = estimated_error(apart, largest_loss(motion), units.weakness)
     error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
+    values = or_nan(_numbers(end, units, error), ~motion.failed | is_sphere | is_spin)
+    return values.at[-2].set(regime_of(rotation).astype(float))
+
+
+def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
+    """The floating-point fields of a `Prediction`, with 0 in place of its regime."""
+    ratio = jnp.exp(end.log_ratio)
+    omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
     energy_unit = units.momentum**2 / units.moment
     rest = (
         omega_inf,
@@ -142,12 +152,7 @@ def _values(
         jnp.zeros_like(error),
         error,
     )
-    values = jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
-    return (
-        or_nan(values, ~motion.failed | is_sphere | is_spin)
-        .at[-2]
-        .set(regime_of(rotation).astype(float))
-    )
+    return jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
 
 
 def speed_about_dipole(
@@ -167,90 +172,92 @@ def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
     return jnp.where(rotation.is_sphere, Regime.EXACT, regime).astype(int)
 
 
-def estimated_error(
-    rotation: FreeRotation, crosses: Bool[Array, ""], log_crossing: Real, weakness: Real
-) -> Real:
-    """The part of L² that is radiated within one period, which averaging neglects.
+def best_forecast(
+    variables: Float[Array, "15"], strength: Real, is_needle: bool | None
+) -> Forecast:
+    """The forecast of the slow flow or of the unfolded system, whichever has the smaller error.
 
-    It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
-    nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
-
-    The mean rate of a dipole off the principal axes is r = Σnᵢ²rᵢ. But there are oscillations in
-    proportion to nᵢnⱼ, too, and means of their products, which change r by a part that does not
-    fall with r. So (Σ|nᵢ|√rᵢ)⁴/r stands for r at the start.
-
-    Args:
-        rotation: where the motion begins.
-        crosses: whether it crosses the separatrix.
-        log_crossing: ln L²/L₀² there.
-        weakness: κL₀/J₃².
+    The latter is looked at for values that are known only, since it takes many steps.
     """
-    high, z = rotation.place
-    side = rotation.side(high)
-    x, rest = from_logit(z)
-    parts = side.weights * averages(side.moments, x, rest).r
-    rate = jnp.sum(safe_sqrt(parts)) ** 4 / safe_divisor(jnp.sum(parts))
-    first = rate * period(side.moments, x, rest)
-    p12, p23, _ = rotation.gaps
-    across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
-    libration = jnp.sqrt(jnp.where(crosses, p12 * p23, 1.0))
-    momentum = jnp.exp(log_crossing / 2)
-    crossing = jnp.where(crosses, momentum * across * 4 * 5 / libration, 0.0)
-    return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
+    slow = forecast(variables, strength, is_needle)
+    if not concrete(slow) or _least_gap(variables) > slow.error:
+        return slow
+    turns, errors = coverage(variables, strength)
+    place = int(jnp.argmin(errors))
+    axial, turning = 2 * place, bool(turns[place])
+    if is_needle:  # its own law is as exact, but does not know the time
+        half_time = slow.half_time if turning else half_time_from(variables, strength, slow.ratio)
+        return slow._replace(half_time=half_time)
+    if not errors[place] < slow.error:
+        return slow
+    unfolded = unfolded_forecast(variables, strength, axial, turning)
+    return unfolded if unfolded.error < slow.error else slow
 
 
-def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
-    """The error of a needle that is captured from its own phase.
-
-    The plane of its motion neglects ω₃² beside ω⊥². While q = 2δ|ω₃|/ω⊥² falls to 1 the phase
-    changes by about q.
-    """
-    omega = rotation.momentum / rotation.moments
-    across = omega[1] ** 2 + omega[2] ** 2
-    delta = 1 - rotation.moments[0] / rotation.moments[2]
-    q = 2 * delta * jnp.abs(omega[0]) / (weakness * across)
-    return weakness + q * omega[0] ** 2 / across
+def _least_gap(variables: Float[Array, "15"]) -> float:
+    """The smallest relative difference of moments; that of the unfolded system is larger."""
+    moments = np.linalg.eigvalsh(np.asarray(variables[:9]).reshape(3, 3))
+    return float(np.min(np.diff(moments)) / moments[2])
 
 
 @eqx.filter_jit
-def history_at(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real]
-) -> tuple[Float[Array, "T"], ...]:
-    """E, |L|, h and √⟨Ω²⟩ at given times."""
-    times, strength = constants
+def coverage(
+    variables: Float[Array, "15"], strength: Real
+) -> tuple[Bool[Array, "2"], Float[Array, "2"]]:
+    """Whether a body turns fast, and how well the unfolded system describes it.
+
+    Returns:
+        Both with axis 0 and with axis 2 as its symmetry axis. The error is infinite where the
+        system does not describe the body, and not known yet from fast rotation.
+    """
     rotation, units = scaled_rotation(variables, strength)
-    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
-    apart = rotation.replaced_where(is_sphere | is_spin)
-    motion = _slow_motion(apart)
+    each = [_coverage(rotation, axial, units.weakness) for axial in (0, 2)]
+    turns, errors = zip(*each, strict=True)
+    return jnp.stack(turns), jnp.stack(errors)
 
-    def slow(time: Real) -> Float[Array, "3"]:
-        point = motion.at(jnp.log(time))
-        side = apart.side(point.high)
-        h = shape(side, point.x, point.rest)
-        values = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
-        captured = apart.is_needle & ~turns_fast(apart, point, units.weakness)
-        return or_nan(values, ~captured & ~motion.failed)
 
-    def spinning(time: Real) -> Float[Array, "3"]:
-        moment = rotation.moments[axis]
-        log = -jnp.log1p(rotation.spin_decay(axis) * time)
-        return jnp.stack([log, 1 / moment, 1 / moment**2])
+def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[Array, ""], Real]:
+    n, top = rotation.dipole, top_of(rotation, axial, weakness)
+    is_spin, _ = rotation.spin_axis
+    across = (n[axial] == 0) & ((n[1] == 0) | (n[2 - axial] == 0) | (top.eta == 0))
+    d = top.delta
+    shaped = (jnp.abs(d) >= SMALLEST) & (jnp.abs(d) <= LARGEST) & (jnp.abs(top.eta) < jnp.abs(d))
+    moves = ~is_spin & jnp.any(top.omega[:2] != 0)
+    turns = Plane(d, top.ratio).turns(top.start)
+    error = order_error(top, jnp.where(turns, -jnp.inf, top.log_u))
+    covered = across & shaped & moves & ~(turns & (d < 0))
+    asymmetry = jnp.where(turns, asymmetry_at_entry(top), top.ratio)
+    covered = covered & (jnp.abs(asymmetry) < FARTHEST_RATIO)
+    return turns, jnp.where(covered, error, jnp.inf)
 
-    def of_sphere(time: Real) -> Float[Array, "3"]:
-        square = (rotation.dipole @ rotation.momentum) ** 2
-        lost = jnp.where(
-            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
-        )
-        across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
-        one = jnp.ones(())
-        return jnp.stack([jnp.log(square + across), one, one])
 
-    scaled = times / units.time
-    log, h, squared = jnp.where(
-        is_sphere,
-        jax.vmap(of_sphere)(scaled),
-        jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
-    ).T
-    momentum = units.momentum * jnp.exp(log / 2)
-    energy = h * momentum * (momentum / units.moment) / 2
-    return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
+@eqx.filter_jit
+def half_time_from(variables: Float[Array, "15"], strength: Real, ratio: Real) -> Real:
+    """The half time of a needle with a phase of its own, whose L∞/L₀ is known."""
+    rotation, units = scaled_rotation(variables, strength)
+    top = top_of(rotation, 0, units.weakness)
+    energy = rotation.momentum**2 @ (0.5 / rotation.moments)
+    return half_time_of(top, ratio**2 / (2 * top.moment) / energy) * units.time
+
+
+@eqx.filter_jit
+def unfolded_forecast(
+    variables: Float[Array, "15"], strength: Real, axial: int, turns: bool
+) -> Forecast:
+    """How a nearly axisymmetric body ends, by its unfolded system.
+
+    Args:
+        variables: inertia, dipole and ω₀ in one vector.
+        strength: the k of κ = k d².
+        axial: the principal axis, 0 or 2, that counts as the symmetry axis.
+        turns: whether the start turns fast about it.
+    """
+    rotation, units = scaled_rotation(variables, strength)
+    top = top_of(rotation, axial, units.weakness)
+    if turns:
+        motion = slow_motion(rotation)
+        end, error = captured_end(rotation, motion, top)
+        error += start_error(rotation, units.weakness)
+    else:
+        end, error = known_end(rotation, top)
+    return _fields(_numbers(end, units, error).at[-2].set(float(Regime.UNFOLDED)))

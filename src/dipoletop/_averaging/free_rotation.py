@@ -35,6 +35,7 @@ makes F zero, also for nearly spherical and nearly axisymmetric bodies, on the a
 separatrix.
 """
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -136,10 +137,13 @@ def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -
     return (rest / jc + x / jb) ** 2 + x * to_b * (q * (1 - sn2) + rest * to_b * sn2)
 
 
-def period(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
-    """The period of L in the body, times L; arguments as for `averages`."""
+def period(
+    moments: Float[Array, "3 *#lanes"], x: Real, rest: Real, longest: float = math.inf
+) -> Real:
+    """The period of L in the body, times L; arguments as for `averages`, and the largest K."""
     _, to_b, _, q, _, m1 = path(moments, x, rest)
-    return 4 * quarter_period(m1) / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
+    quarter = jnp.minimum(quarter_period(m1), longest)
+    return 4 * quarter / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
 
 
 def quarter_period(m1: Real) -> Real:

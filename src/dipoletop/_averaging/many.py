@@ -16,15 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.types import Outcome, Real
 from .capture import Capture, capture, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
-from .forecast import (
-    decided_outcome,
-    error_of_phase,
-    estimated_error,
-    forecast,
-    regime_of,
-    scaled_rotation,
-    speed_about_dipole,
-)
+from .estimates import error_of_phase, estimated_error, start_error
+from .forecast import decided_outcome, forecast, regime_of, scaled_rotation, speed_about_dipole
 from .outline import outline
 
 CHUNKS = 64, 1024  # starts that are computed at once; few sizes, since each is compiled
@@ -120,7 +113,7 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[_End, Real, Bool[A
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
     probability, log_ratio, last_moment = end
     ratio = jnp.exp(log_ratio)
-    error = estimated_error(apart, leads.crosses, leads.log_crossing, units.weakness)
+    error = estimated_error(apart, leads.loss, units.weakness)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
     omega_inf = speed_about_dipole(probability, ratio, last_moment, units)
     delta, _ = needle_start(apart, units.weakness)
@@ -140,8 +133,7 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _End:
     probability, log_ratio = needle_chances(rotation, end)
     ratio = jnp.exp(log_ratio)
     omega_inf = speed_about_dipole(probability, ratio, rotation.moments[2], units)
-    nothing = jnp.zeros((), bool)
-    averaging = estimated_error(rotation, nothing, jnp.zeros(()), units.weakness)
+    averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
     return _End(probability, omega_inf, ratio, regime_of(rotation), error)
 

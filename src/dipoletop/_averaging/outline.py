@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from .._base.bisection import root
 from .._base.chebyshev import collocation_rule
 from .._base.types import Real
+from .estimates import loss
 from .principal_axes import FreeRotation
 from .slow_flow import FARTHEST, HALVINGS, SPACING, Interval, Side, bound
 
@@ -32,8 +33,8 @@ class Outline(NamedTuple):
     """Whether it ends on an axis, rather than at a zero of F."""
     log: Real
     """ln L²/L₀² at the end if that is residual rotation, else −∞."""
-    log_crossing: Real
-    """ln L²/L₀² at the separatrix, 0 if it does not cross."""
+    loss: Real
+    """The largest `estimates.loss` on its path."""
     error: Real
     """Estimated error of `log`."""
 
@@ -46,7 +47,9 @@ def outline(rotation: FreeRotation) -> Outline:
     points, positive = side.sample()
     ahead = jnp.where(rises, points - z, z - points)
     reverses = positive != rises
-    turns = jnp.any(reverses & (ahead > 0))
+    nearest = jnp.min(jnp.where(reverses & (ahead > 0), ahead, jnp.inf))
+    behind = jnp.max(jnp.where(reverses & (ahead < 0), ahead, -jnp.inf))
+    turns = jnp.isfinite(nearest)
     has_other_side = side.moments[1] != side.moments[0]
     crosses = rises & ~turns & has_other_side
     _, beyond = side.other.sample()
@@ -54,34 +57,41 @@ def outline(rotation: FreeRotation) -> Outline:
     ends_high = high ^ crosses
     axis = jnp.where(ends_high, 0, 2)
     residual = spins & (rotation.spin_decay(axis) == 0)
-    behind = jnp.max(jnp.where(reverses & (ahead < 0), ahead, -jnp.inf))
-    first = _log_lost(_open_interval(side, z, rises, behind), z, rises)
-    second = _log_lost(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
-    logs, errors = jnp.stack([first, second]).T
-    used = jnp.stack([jnp.ones_like(crosses), crosses])
-    log = jnp.where(residual, jnp.sum(jnp.where(used, logs, 0.0)), -jnp.inf)
-    error = jnp.where(residual, jnp.sum(jnp.where(used, errors, 0.0)), 0.0)
-    return Outline(crosses, ends_high, spins, log, jnp.where(crosses, logs[0], 0.0), error)
+    first = _way(_interval(side, z, rises, (behind, nearest)), z, rises)
+    second = _way(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
+    # On a way to a zero of F beyond the separatrix the loss is the largest at the separatrix.
+    log = jnp.where(residual, first.log + jnp.where(crosses, second.log, 0.0), -jnp.inf)
+    error = jnp.where(residual, first.error + jnp.where(crosses, second.error, 0.0), 0.0)
+    later = jnp.where(crosses & spins, second.loss * jnp.exp(first.log / 2), 0.0)
+    return Outline(crosses, ends_high, spins, log, jnp.maximum(first.loss, later), error)
 
 
-def _open_interval(side: Side, z: Real, rises: Bool[Array, ""], behind: Real) -> Interval:
-    """The interval in which a motion goes from z to the axis or to the separatrix.
+def _interval(
+    side: Side, z: Real, rises: Bool[Array, ""], reversals: tuple[Real, Real]
+) -> Interval:
+    """The interval between neighbouring zeros of F that contains z = logit x.
 
     Args:
         side: the side of the separatrix.
         z: logit x.
         rises: whether x grows.
-        behind: minus the distance of the nearest point behind z at which F has the other sign;
-            there is a zero next to it, from which the motion comes. Infinite if there is none.
+        reversals: distances from z, in the direction of motion, of the nearest points behind and
+            ahead at which F has the other sign; a zero is next to them. Infinite if there is none.
     """
     sign = jnp.where(rises, 1.0, -1.0)
-    far = jnp.where(jnp.isfinite(behind), behind, 0.0)
-    near = jnp.minimum(far + SPACING, 0.0)
-    zero = z + sign * root(lambda at: sign * side.growth(z + sign * at), far, near, HALVINGS)
-    zero = jnp.where(jnp.isfinite(behind), zero, -sign * jnp.inf)
-    low = bound(side, jnp.where(rises, zero, -jnp.inf))
-    high = bound(side, jnp.where(rises, jnp.inf, zero))
-    return Interval(side, low, high)
+    behind, ahead = (jnp.where(jnp.isfinite(x), x, 0.0) for x in reversals)
+
+    def zero(turned: float, low: Real, high: Real) -> Real:
+        return z + sign * root(
+            lambda at: turned * sign * side.growth(z + sign * at), low, high, HALVINGS
+        )
+
+    before = zero(1.0, behind, jnp.minimum(behind + SPACING, 0.0))
+    after = zero(-1.0, jnp.maximum(ahead - SPACING, 0.0), ahead)
+    before = jnp.where(jnp.isfinite(reversals[0]), before, -sign * jnp.inf)
+    after = jnp.where(jnp.isfinite(reversals[1]), after, sign * jnp.inf)
+    low, high = jnp.minimum(before, after), jnp.maximum(before, after)
+    return Interval(side, bound(side, low), bound(side, high))
 
 
 def _whole(side: Side) -> Interval:
@@ -90,18 +100,38 @@ def _whole(side: Side) -> Interval:
     return Interval(side, bound(side, -infinite), bound(side, infinite))
 
 
-def _log_lost(interval: Interval, z: Real, rises: Bool[Array, ""]) -> Float[Array, "2"]:
-    """The change of ln L² from z to the end of the interval, and its estimated error."""
+class _Way(NamedTuple):
+    """A way to an end of an interval."""
+
+    log: Real
+    """The change of ln L²."""
+    error: Real
+    """Its estimated error."""
+    loss: Real
+    """The largest `estimates.loss`, for ln L²/L₀² = 0 at its start."""
+
+
+def _way(interval: Interval, z: Real, rises: Bool[Array, ""]) -> _Way:
+    """The way from z to the end of the interval."""
     start = interval.parameter(z)
     end = jnp.where(rises, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
     rule = collocation_rule(NODES)
     length = (end - start) / PANELS
 
-    def add(total: Array, index: Array) -> tuple[Array, None]:
-        pace, r = jax.vmap(interval.pace)(start + length * (index + rule.nodes))
+    def add(so_far: _Way, index: Array) -> tuple[_Way, None]:
+        y = start + length * (index + rule.nodes)
+        pace, r = jax.vmap(interval.pace)(y)
         change = -length * r * pace
+        logs = so_far.log + rule.integrals @ change
+        x, rest = interval.position(y)
+        losses = jax.vmap(lambda *at: loss(interval.side, *at))(x, rest, logs)
         tail = jnp.asarray(rule.coefficients[-2:]) @ change
-        return total + jnp.stack([rule.integrals[-1] @ change, jnp.sum(jnp.abs(tail))]), None
+        return _Way(
+            logs[-1],
+            so_far.error + jnp.sum(jnp.abs(tail)),
+            jnp.maximum(so_far.loss, jnp.max(losses)),
+        ), None
 
-    total, _ = jax.lax.scan(add, jnp.zeros(2), jnp.arange(PANELS, dtype=start.dtype))
-    return total
+    zero = jnp.zeros_like(start)
+    way, _ = jax.lax.scan(add, _Way(zero, zero, zero), jnp.arange(PANELS, dtype=start.dtype))
+    return way

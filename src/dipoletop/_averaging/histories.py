@@ -1,0 +1,122 @@
+"""The motion of a body at given times, by the law that tells its end."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._base.bisection import root
+from .._base.checks import concrete, or_nan
+from .._base.types import Real, Regime
+from .ends import shape, turns_fast
+from .forecast import coverage, scaled_rotation, slow_motion
+from .free_rotation import mean_square_speed
+from .motion import HALVINGS
+from .unfolded_ends import orbit_of
+from .unfolding import entry_of, top_of
+
+Values = tuple[Float[Array, "T"], ...]
+"""E, |L|, h and √⟨Ω²⟩ at given times."""
+
+
+def best_history(
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], regime: Array
+) -> Values:
+    """The history by the law that decided: of the slow flow, or of the unfolded system."""
+    if not concrete(variables, regime) or regime != Regime.UNFOLDED:
+        return history_at(variables, constants)
+    turns, errors = coverage(variables, constants[1])
+    place = int(jnp.argmin(errors))
+    if not turns[place]:
+        return orbit_history(variables, constants, 2 * place)
+    captured = capture_follows(variables, constants, 2 * place)
+    return tuple(jnp.where(captured, jnp.nan, x) for x in history_at(variables, constants))
+
+
+@eqx.filter_jit
+def history_at(
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real]
+) -> tuple[Float[Array, "T"], ...]:
+    """E, |L|, h and √⟨Ω²⟩ at given times."""
+    times, strength = constants
+    rotation, units = scaled_rotation(variables, strength)
+    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
+    apart = rotation.replaced_where(is_sphere | is_spin)
+    motion = slow_motion(apart)
+
+    def slow(time: Real) -> Float[Array, "3"]:
+        point = motion.at(jnp.log(time))
+        side = apart.side(point.high)
+        h = shape(side, point.x, point.rest)
+        values = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
+        captured = apart.is_needle & ~turns_fast(apart, point, units.weakness)
+        return or_nan(values, ~captured & ~motion.failed)
+
+    def spinning(time: Real) -> Float[Array, "3"]:
+        moment = rotation.moments[axis]
+        log = -jnp.log1p(rotation.spin_decay(axis) * time)
+        return jnp.stack([log, 1 / moment, 1 / moment**2])
+
+    def of_sphere(time: Real) -> Float[Array, "3"]:
+        square = (rotation.dipole @ rotation.momentum) ** 2
+        lost = jnp.where(
+            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
+        )
+        across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
+        one = jnp.ones(())
+        return jnp.stack([jnp.log(square + across), one, one])
+
+    scaled = times / units.time
+    log, h, squared = jnp.where(
+        is_sphere,
+        jax.vmap(of_sphere)(scaled),
+        jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
+    ).T
+    momentum = units.momentum * jnp.exp(log / 2)
+    energy = h * momentum * (momentum / units.moment) / 2
+    return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
+
+
+@eqx.filter_jit
+def capture_follows(
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], axial: int
+) -> Bool[Array, "T"]:
+    """Whether a needle of nearly equal moments has left the slow flow at given times."""
+    times, strength = constants
+    rotation, units = scaled_rotation(variables, strength)
+    entry = entry_of(rotation, slow_motion(rotation), top_of(rotation, axial, units.weakness))
+    return jnp.log(times / units.time) > entry.log_time
+
+
+@eqx.filter_jit
+def orbit_history(
+    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], axial: int
+) -> Values:
+    """The history of a start that has a phase of its own, not averaged; NaN past its last state."""
+    times, strength = constants
+    rotation, units = scaled_rotation(variables, strength)
+    orbit = orbit_of(top_of(rotation, axial, units.weakness))
+
+    def at(time: Real) -> tuple[Real, ...]:
+        def early(sigma: Real) -> Real:
+            state, u_time = orbit.at(sigma)
+            return jnp.log(u_time) - state[2] - jnp.log(time / orbit.unit)
+
+        sigma = root(early, jnp.full_like(time, 1e-300), orbit.last, HALVINGS)
+        state, _ = orbit.at(sigma)
+        omega = orbit.top.omega_at(state, orbit.top.log_u)
+        momentum = jnp.linalg.norm(orbit.moments * omega)
+        known = orbit.settled | (early(orbit.last) >= 0)
+        values = momentum, jnp.linalg.norm(omega), orbit.energy(state)
+        return tuple(or_nan(x, known) for x in values)
+
+    momentum, speed, energy = jax.vmap(at)(times / units.time)
+    flat = jnp.hypot(orbit.top.omega[0], orbit.top.omega[1])  # √u₀
+    momentum, energy = momentum * flat * orbit.top.moment, energy * flat**2 * orbit.top.moment / 2
+    unit = units.momentum / units.moment
+    return (
+        energy * units.momentum * unit,
+        momentum * units.momentum,
+        2 * energy / momentum**2 / units.moment,
+        speed * flat * unit,
+    )

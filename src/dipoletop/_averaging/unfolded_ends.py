@@ -1,0 +1,251 @@
+"""How a nearly axisymmetric body ends, by its unfolded system; and its history.
+
+A needle that turns fast about its symmetry axis is captured at a random phase: many phases are
+followed. Other starts have a phase of their own. They are followed together with neighbours as far
+away as the error of the unfolded system, which shows how certain their end is.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.bisection import root
+from .._base.guards import safe_divisor
+from .._base.types import Real
+from .capture import LEVELS
+from .ends import SlowEnd, slow_end, time_at
+from .motion import HALVINGS, Motion, motion_from
+from .principal_axes import FreeRotation
+from .unfolding import LARGEST, PHASES, RTOL, Plane, Settled, Top, entry_of, phases, settle
+
+TURNING = 2.0  # q above which no phase is captured
+SHIFT = 3.0  # of neighbours, in units of the error
+UNCERTAIN = 0.5  # the error where neighbours end otherwise
+ORBIT_STEPS = 16_384
+TIGHT = 1e-12  # the loss ln u that an orbit leaves out
+
+
+class UnfoldedEnd(NamedTuple):
+    """How a nearly axisymmetric body ends."""
+
+    end: SlowEnd
+    error: Real
+    """Estimated relative error of the ratio."""
+
+
+def order_error(top: Top, log_u: Real) -> Real:
+    """The relative size of what the unfolded system leaves out from a given u on."""
+    z = top.start[1] * jnp.exp(top.log_u - log_u)
+    far = 1 / jnp.abs(top.delta) + jnp.minimum(jnp.abs(z), 1 / jnp.abs(top.delta))
+    return (jnp.exp(log_u) * far + jnp.abs(top.eta)) * far / (1 - top.delta)
+
+
+def captured_end(rotation: FreeRotation, motion: Motion, top: Top) -> UnfoldedEnd:
+    """The end of a needle that is captured at a random phase."""
+    entry = entry_of(rotation, motion, top)
+    plane = Plane(top.delta, top.eta * jnp.exp(-entry.log_u))
+    lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, entry.q))
+    logs = lanes.log_ratio + _log_momentum(top, entry.log_u)
+    known = jnp.all(lanes.residual | lanes.stops)
+    share = jnp.mean(jnp.where(lanes.residual, 1.0, 0.0))
+    # On the largest moment every phase is residual in the end; on the middle one none, if the line
+    # repels while all still turn. Else a share below the resolution may be missed.
+    turning = jnp.all(2 * jnp.abs(top.delta * lanes.state[:, 1]) > TURNING)
+    certain = (top.eta > 0) | ((share == 0) & turning)
+    residual = jnp.where(certain, share, jnp.clip(share, 0.5 / PHASES, 1 - 0.5 / PHASES))
+    ends = residual / 2 * (_one(0) + _one(1)) + (1 - residual) * _one(5)
+    end = _end_of(rotation, top, ends, logs)
+    half = time_at(motion, (end.energy + end.last_energy) / 2)
+    half_time = jnp.where(jnp.log(half) < entry.log_time, half, jnp.nan)
+    error = order_error(top, entry.log_u) + _sampling_error(logs)
+    error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
+    return UnfoldedEnd(end._replace(half_time=half_time), error)
+
+
+def _sampling_error(logs: Float[Array, "n"]) -> Real:
+    """Half the relative difference of the means over every second phase and over the others."""
+    largest = jnp.max(jnp.where(jnp.isfinite(logs), logs, -jnp.inf))
+    parts = jnp.exp(logs - jnp.where(jnp.isfinite(largest), largest, 0.0))
+    odd, even = jnp.sum(parts[::2]), jnp.sum(parts[1::2])
+    return jnp.abs(odd - even) / safe_divisor(odd + even)
+
+
+def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
+    """The end of a start that has a phase of its own."""
+    log_u = top.log_u
+    error = order_error(top, log_u)
+    start, ratio = top.start, top.ratio
+    size = jnp.stack([jnp.ones_like(error), jnp.abs(start[1]) + 1, jnp.zeros_like(error)])
+    plane = Plane(top.delta, ratio)
+    size = jnp.where(plane.stays(start), 0.0, SHIFT * error * size)
+    shifts = jnp.array([[0, 0, 0], [1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0.0]])
+    lanes = jax.vmap(lambda shift: settle(plane, start + shift * size))(shifts)
+    stop, log_stop = _stops(rotation, top, plane, jax.tree.map(lambda leaf: leaf[0], lanes))
+    residual = jnp.where(lanes.along[:, None], _one(0), _one(1))
+    each = jnp.where(lanes.residual[:, None], residual, stop)
+    logs = jnp.where(lanes.residual, lanes.log_ratio + _log_momentum(top, log_u), log_stop)
+    alike = jnp.all(lanes.residual == lanes.residual[0])
+    alike = alike & jnp.all(jnp.where(lanes.residual, lanes.along == lanes.along[0], True))
+    spread = jnp.where(jnp.isfinite(logs), jnp.abs(logs - logs[0]), 0.0)
+    error = jnp.where(alike, error + jnp.max(spread), UNCERTAIN)
+    error = jnp.where(jnp.all(lanes.residual | lanes.stops), error, jnp.inf)
+    probability = jnp.where(alike, each[0], jnp.mean(each, axis=0))
+    end = _end_of(rotation, top, probability, jnp.where(alike, logs[:1], logs))
+    half_time = half_time_of(top, end.last_energy / end.energy)
+    return UnfoldedEnd(end._replace(half_time=half_time), error)
+
+
+def half_time_of(top: Top, last_part: Real) -> Real:
+    """The time after which E − E∞ has fallen to one half, of a start with a phase of its own.
+
+    Args:
+        top: the body.
+        last_part: E∞/E₀.
+    """
+    orbit = orbit_of(top)
+    target = (1 + last_part) / 2
+
+    def lost(sigma: Real) -> Real:
+        state, _ = orbit.at(sigma)
+        return target - orbit.energy(state) / orbit.energy(top.start)
+
+    zero = jnp.zeros_like(target)
+    sigma = root(lost, zero, orbit.last, HALVINGS)
+    state, u_time = orbit.at(sigma)
+    return jnp.where(lost(orbit.last) >= 0, u_time * jnp.exp(-state[2]) * orbit.unit, jnp.nan)
+
+
+class Orbit(eqx.Module):
+    """An orbit of the unfolded system in time."""
+
+    top: Top
+    plane: Plane
+    path: diffrax.DenseInterpolation
+    last: Real
+    """The last σ."""
+    settled: Bool[Array, ""]
+    """Whether it has come to the residual line there."""
+
+    @property
+    def unit(self) -> Real:
+        """The unit 1/u₀ of τ, in that of `Motion`."""
+        return 2 * self.top.moment / (self.top.omega[0] ** 2 + self.top.omega[1] ** 2)
+
+    def at(self, sigma: Real) -> tuple[Float[Array, "3"], Real]:
+        """The state, and uτ."""
+        y = self.path.evaluate(sigma)
+        return y[:3], y[3]
+
+    def energy(self, state: Float[Array, "3"]) -> Real:
+        """The energy over J₁u₀/2."""
+        return self.moments @ self.top.omega_at(state, self.top.log_u) ** 2
+
+    @property
+    def moments(self) -> Float[Array, "3"]:
+        """The moments in the frame of the body, over J₁."""
+        top = self.top
+        return jnp.stack([jnp.ones_like(top.eta), 1 - top.eta, 1 - top.delta])
+
+
+def orbit_of(top: Top) -> Orbit:
+    """The orbit of a start that has a phase of its own."""
+    plane = Plane(top.delta, top.ratio)
+
+    def field(sigma: Any, y: Array, args: Any) -> Array:
+        rate = plane(sigma, y)
+        return jnp.append(rate, 1 + rate[2] * y[3])  # u dτ = dσ
+
+    def ends(sigma: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
+        return plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        diffrax.Dopri8(),
+        0.0,
+        jnp.inf,
+        0.01,
+        jnp.append(top.start, 0.0),
+        saveat=diffrax.SaveAt(t1=True, dense=True),
+        stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+        event=diffrax.Event(ends),
+        max_steps=ORBIT_STEPS,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+    ts: Any = solution.ts
+    ys: Any = solution.ys
+    path: Any = solution.interpolation
+    return Orbit(top, plane, path, ts[-1], plane.settles(ys[-1], TIGHT))
+
+
+def _log_momentum(top: Top, log_u: Real) -> Real:
+    """The logarithm of J₁√u over L₀."""
+    return log_u / 2 - top.log_unit + jnp.log(top.moment)
+
+
+def _one(end: int) -> Float[Array, "8"]:
+    return jnp.zeros(8).at[end].set(1.0)
+
+
+def _end_of(
+    rotation: FreeRotation, top: Top, probability: Float[Array, "8"], logs: Float[Array, "n"]
+) -> SlowEnd:
+    """The end of equally probable L∞/L₀, by their logarithms; the half time is not known."""
+    unknown = jnp.full_like(top.delta, jnp.nan)
+    residual = jnp.sum(probability[:2])
+    log_mean = jax.nn.logsumexp(logs) - np.log(logs.size)
+    return SlowEnd(
+        probability,
+        log_mean,
+        _quantiles(logs),
+        rotation.momentum**2 @ (0.5 / rotation.moments),
+        jnp.mean(jnp.exp(2 * logs)) / (2 * top.moment),
+        unknown,
+        top.moment,
+        jnp.where(residual == 1, 0.0, jnp.nan),
+        jnp.zeros((), bool),
+    )
+
+
+def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
+    """The `LEVELS` of equally probable values, some of them −∞."""
+    ordered = jnp.sort(logs)
+    stops = jnp.sum(jnp.where(jnp.isfinite(logs), 0.0, 1.0))
+    last = logs.size - 1
+    place = jnp.asarray(LEVELS) * logs.size - 0.5
+    lower = jnp.clip(jnp.floor(place), jnp.minimum(stops, last), last)
+    finite = jnp.where(jnp.isfinite(ordered), ordered, 0.0)
+    first = finite[lower.astype(int)]
+    second = finite[jnp.minimum(lower + 1, last).astype(int)]
+    between = first + jnp.clip(place - lower, 0.0, 1.0) * (second - first)
+    return jnp.where(place < stops - 0.5, -jnp.inf, between)
+
+
+def _stops(
+    rotation: FreeRotation, top: Top, plane: Plane, at: Settled
+) -> tuple[Float[Array, "8"], Real]:
+    """Where a start leads that is not captured, and the logarithm of L∞/L₀.
+
+    Past the reach of the residual line it tumbles, since the dipole is on the middle axis. A disc
+    that turns fast obeys the slow flow.
+    """
+    nothing = jnp.full_like(top.delta, -jnp.inf)
+    turning = plane.turns(at.state) & (top.delta < 0)
+    y = plane.section(jnp.where(turning, at.state, jnp.array([0.3, 5.0, 0.0])), jnp.zeros(()))
+    omega = top.omega_at(y, top.log_u)
+    scale = jnp.stack([jnp.ones_like(top.eta), 1 - top.eta, 1 - top.delta])
+    momentum = top.frame.T @ (scale * omega)
+    size = jnp.linalg.norm(momentum)
+    handed = FreeRotation(rotation.moments, rotation.dipole, momentum / size)
+    high, z = handed.place
+    end = slow_end(handed, motion_from(handed.side(high), high, z))
+    log_ratio = jnp.log(size) + _log_momentum(top, top.log_u) + end.log_ratio
+    stays = _one(3)  # across dipole and symmetry axis
+    ends = jnp.where(plane.repels(at.state), _one(5), stays)
+    return jnp.where(turning, end.probability, ends), jnp.where(turning, log_ratio, nothing)

@@ -1,0 +1,297 @@
+"""The unfolding: a nearly axisymmetric body at small amplitude, its dipole across the axis.
+
+Let the dipole lie on axis 1, and let the moments be J₁ = 1, J₂ = 1 − η and J₃ = 1 − δ. Where |η| is
+not large against u = ω⊥², neither averages over free rotation hold nor those over the rotation of
+an axisymmetric top. With φ = atan2(ω₂, ω₁), z = ω₃/u and dσ = u dτ, every consistent level of the
+equation of motion tends, as u → 0 at constant η/u, to
+
+    φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ),
+    (ln u)_σ = −2 sin²φ,   c = 1 − η/(2u),
+
+so an asymmetry only adds the torque of a pendulum. It grows as u falls. The time is τ = ∫dσ/u.
+
+Residual line, φ = 0 (mod π), z = 0: the linear law has the trace −(2+δ)/(1−δ) and the determinant
+(1 + δη/u)/(1−δ). The rest of the loss is −Δ ln u = 2∫φ²dσ, a quadratic form of φ and z. If δη < 0
+(the dipole lies on the middle axis) and u < −δη, the line repels, and does so for ever, since u
+falls: the rotation stops.
+
+A needle, δ > 0, comes from fast rotation about its symmetry axis, as in `capture`: where q = 2δ|z|
+is large against √|η/u| its phase is random, and uniform in the number of turns. The slow flow leads
+there. A disc, δ < 0, that rotates that fast goes on so, and the slow flow takes over.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.bisection import root
+from .._base.guards import safe_divisor, safe_sqrt
+from .._base.types import Real
+from ..planar import rates
+from .capture import ENTRY, Expansion, follow, log_scale_of
+from .motion import HALVINGS, Motion
+from .principal_axes import FreeRotation
+
+PHASES = 256  # of a random start
+NEAR = 1e-5  # the loss ln u at the residual line that is left to the linear law
+MAX_STEPS = 60_000
+RTOL = 1e-10
+FAST = 4.0  # q/√|η/u| from which a rotation turns round, whatever the asymmetry
+HALF = 2.0  # ln u₀/u after which the energy is below one half, if it falls to zero
+ON_AXIS = 1e-13
+FADED = 60.0  # ln u₀/u after which a needle of two equal moments is taken to stop
+LARGEST = 2e4
+"""The |η/u| beyond which the pendulum swings too often to be followed."""
+
+
+class Top(NamedTuple):
+    """A nearly axisymmetric body in the axes of its dipole and of its symmetry."""
+
+    delta: Real
+    """δ = 1 − J₃/J₁."""
+    eta: Real
+    """η = 1 − J₂/J₁."""
+    moment: Real
+    """J₁, in units of the largest moment."""
+    frame: Float[Array, "3 3"]
+    """Its axes 1, 2, 3 as rows, in the principal axes of the body, moments ascending."""
+    omega: Float[Array, "3"]
+    """Ω along them, in units of L₀ over the largest moment."""
+    log_unit: Real
+    """The logarithm of that unit times κ/J₁."""
+
+    @property
+    def log_u(self) -> Real:
+        """The logarithm of u."""
+        return 2 * (jnp.log(jnp.hypot(self.omega[0], self.omega[1])) + self.log_unit)
+
+    @property
+    def ratio(self) -> Real:
+        """The asymmetry η/u."""
+        return jnp.where(self.eta == 0, 0.0, self.eta * jnp.exp(-self.log_u))
+
+    @property
+    def start(self) -> Float[Array, "3"]:
+        """The state (φ, z, ln u/u₀)."""
+        w1, w2, w3 = self.omega
+        z = w3 / (w1**2 + w2**2) * jnp.exp(-self.log_unit)
+        return jnp.stack([jnp.arctan2(w2, w1), z, jnp.zeros_like(z)])
+
+    def omega_at(self, y: Float[Array, "3"], log_u0: Real) -> Float[Array, "3"]:
+        """The Ω of a state, in units of √u₀."""
+        phi, z, fall = y
+        flat = jnp.exp(fall / 2)
+        third = z * jnp.exp(fall + log_u0 / 2)
+        return jnp.stack([flat * jnp.cos(phi), flat * jnp.sin(phi), third])
+
+
+def top_of(rotation: FreeRotation, axial: int, weakness: Real) -> Top:
+    """The body in the frame of its dipole.
+
+    Args:
+        rotation: in units of the largest moment and of L₀; its dipole is across the symmetry axis
+            and on a principal axis, unless the two moments across are equal.
+        axial: the principal axis, 0 or 2, that counts as the symmetry axis.
+        weakness: κL₀/J² of the largest moment.
+    """
+    axis = jnp.eye(3)[axial]
+    n = rotation.dipole
+    across = jnp.cross(axis, n)
+    moments = rotation.moments
+    first, second = moments @ n**2, moments @ across**2
+    eta = jnp.where(moments[1] == moments[2 - axial], 0.0, (first - second) / first)
+    frame = jnp.stack([n, across, axis])
+    delta = (first - moments[axial]) / first
+    omega = frame @ (rotation.momentum / moments)
+    return Top(delta, eta, first, frame, omega, jnp.log(weakness / first))
+
+
+class Plane(NamedTuple):
+    """The unfolded system of a given δ and η/u₀; states are (φ, z, ln u/u₀)."""
+
+    delta: Real
+    ratio: Real
+    """η/u₀, where u₀ is the unit of u."""
+
+    def asymmetry(self, y: Float[Array, "n"]) -> Real:
+        """The asymmetry η/u."""
+        return self.ratio * jnp.exp(-y[2])
+
+    def __call__(self, t: Any, y: Float[Array, "n"], args: Any = None) -> Float[Array, "3"]:
+        """d(φ, z, ln u)/dσ."""
+        plane = rates(self.delta, 1 - self.asymmetry(y) / 2, y[:2])
+        return jnp.append(plane, -2 * jnp.sin(y[0]) ** 2)
+
+    def line(self, y: Float[Array, "n"]) -> tuple[Real, Real]:
+        """The determinant of the linear law at the residual line, and the loss ln u to come."""
+        d, z = self.delta, y[1]
+        phi = y[0] - jnp.pi * jnp.round(y[0] / jnp.pi)
+        det = (1 + d * self.asymmetry(y)) / (1 - d)
+        square = det * phi**2 + ((1 + 2 * d) / (1 - d) * phi - d * z) ** 2
+        return det, square * (1 - d) / (2 + d) / jnp.where(det > 0, det, 1.0)
+
+    def settles(self, y: Float[Array, "n"], loss: float = NEAR) -> Bool[Array, ""]:
+        """Whether the residual line attracts the state, with little loss to come."""
+        det, left = self.line(y)
+        return (det > 0) & (left <= loss * det / (1 + det))
+
+    def repels(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Whether the residual line repels all that comes later."""
+        return 1 + self.delta * self.asymmetry(y) < 0
+
+    def turns(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Whether the rotation about the symmetry axis is fast, see `entry_q`."""
+        return 2 * jnp.abs(self.delta * y[1]) > entry_q(self.delta, self.asymmetry(y))
+
+    def ended(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Whether the end is known, and, if the energy falls to zero, one half is behind."""
+        stops = self.repels(y) | self.stays(y) | (self.delta < 0) & self.turns(y)
+        faded = (y[2] < -FADED) & (self.delta > 0)  # as by wobbling for ever
+        return self.settles(y) | stops & (y[2] < -HALF) | faded & (self.ratio == 0)
+
+    def stays(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
+        return (jnp.abs(y[1]) < ON_AXIS) & (jnp.abs(jnp.cos(y[0])) < ON_AXIS) & (self.ratio == 0)
+
+    def section(self, y: Float[Array, "3"], turn: Real) -> Float[Array, "3"]:
+        """The state at the next multiple of π that φ passes, and some half turns later."""
+        heading = -jnp.sign(self.delta * y[1])
+        target = heading * jnp.pi * (jnp.ceil(heading * y[0] / jnp.pi) + turn)
+
+        def slope(phi: Any, rest: Array, args: Any) -> Array:
+            phi_rate, *others = self(phi, jnp.stack([phi, *rest]))
+            return jnp.stack(others) / phi_rate
+
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(slope),
+            diffrax.Dopri8(),
+            y[0],
+            target,
+            None,
+            y[1:],
+            stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+            max_steps=MAX_STEPS,
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        ys: Any = solution.ys
+        return jnp.append(target, ys[-1])
+
+
+class Settled(NamedTuple):
+    """The end of an orbit of the unfolded system."""
+
+    residual: Bool[Array, "*any"]
+    stops: Bool[Array, "*any"]
+    along: Bool[Array, "*any"]
+    """Whether ω∞ > 0."""
+    log_ratio: Real
+    """The logarithm of |ω∞|/√u₀, if residual."""
+    state: Float[Array, "*any 3"]
+    """The last one."""
+
+
+def settle(plane: Plane, y: Float[Array, "3"]) -> Settled:
+    """The end of the orbit from a state."""
+    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), MAX_STEPS)
+    residual = plane.settles(y)
+    _, left = plane.line(y)
+    along = jnp.cos(y[0]) > 0
+    log_ratio = jnp.where(residual, (y[2] - left) / 2, -jnp.inf)
+    return Settled(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
+
+
+def entry_q(delta: Real, asymmetry: Real) -> Real:
+    """The q from which rotation about the symmetry axis is fast, at an asymmetry η/u.
+
+    The averages over it are then those of the slow flow, with corrections of the order 1/q² as for
+    η = 0, of the relative error |η|/(uq²).
+    """
+    size = jnp.abs(asymmetry)
+    expansion = ENTRY * (1 + 1.5 * jnp.abs(delta / (1 - delta))) * jnp.sqrt(jnp.sqrt(1 + size))
+    return jnp.maximum(expansion, FAST * safe_sqrt(size))
+
+
+def asymmetry_at_entry(top: Top) -> Real:
+    """About the η/u at which a needle that turns fast comes to `entry_q`, by the W of η = 0."""
+    d = top.delta
+    w1, w2, w3 = top.omega
+    log_perp = jnp.log(jnp.hypot(w1, w2)) + top.log_unit
+    log_w3 = jnp.log(jnp.abs(jnp.where(w3 == 0, 1.0, w3))) + top.log_unit
+    log_w = log_scale_of(d, log_perp, log_w3, jnp.zeros_like(d))
+    expansion = Expansion(-1.5 * d / (1 - d))
+
+    def asymmetry(log_q: Real) -> Real:
+        return top.eta * jnp.exp(2 * expansion.log_w(jnp.exp(log_q)) - 2 * log_w)
+
+    def above(log_q: Real) -> Real:
+        return log_q - jnp.log(entry_q(d, asymmetry(log_q)))
+
+    low = jnp.log(entry_q(d, jnp.zeros_like(d)))
+    return asymmetry(root(above, low, low + 80.0, HALVINGS))
+
+
+class Entry(NamedTuple):
+    """Where the slow flow of a needle leads into the unfolded system."""
+
+    log_time: Real
+    """The logarithm of the time, in the unit of `Motion`."""
+    q: Real
+    log_u: Real
+    """That of u where φ = 0."""
+
+
+def entry_of(rotation: FreeRotation, motion: Motion, top: Top) -> Entry:
+    """Where q has fallen to `entry_q`; also q above, where the motion starts there.
+
+    Between there and capture q²u/δ² is small, and W of `capture` is constant. It is taken from the
+    slow flow, which knows corrections of that order, and from its W follows the u of the plane.
+    """
+    stage = motion.stage(0)
+    ja, jb, jc = stage.interval.side.moments
+    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+    on_middle = rotation.dipole[1] ** 2 > 0.5
+
+    def place(y: Real, log: Real) -> tuple[Real, Real, Real]:
+        """The logarithms of ω₁ and ω₃ where φ = 0, and of q over `entry_q`."""
+        x, rest = stage.interval.position(y)
+        first = jnp.where(on_middle, x, x * to_b / to_a)
+        third = jnp.where(on_middle, rest, (a_to_b + rest * to_b) / to_a)
+        log_w1 = (log + jnp.log(first)) / 2 - jnp.log(top.moment) + top.log_unit
+        log_w3 = (log + jnp.log(third)) / 2 - jnp.log(jc) + top.log_unit
+        log_q = jnp.log(2 * jnp.abs(top.delta)) + log_w3 - 2 * log_w1
+        size = top.eta * jnp.exp(-2 * log_w1)
+        return log_w1, log_w3, log_q - jnp.log(entry_q(top.delta, size))
+
+    _, _, excess = jax.vmap(place)(stage.knots, stage.states.log)
+    inside = jnp.arange(stage.knots.size) <= stage.last
+    piece = stage.piece(jnp.sum(inside & (excess > 0)) - 1)
+
+    def lacks(part: Real) -> Real:
+        y, state = piece.at(part)
+        return -place(y, state.log)[2]
+
+    zero = jnp.zeros_like(top.delta)
+    part = root(lacks, zero, zero + 1, HALVINGS)
+    y, state = piece.at(part)
+    log_w1, log_w3, _ = place(y, state.log)
+    log_q = jnp.log(2 * jnp.abs(top.delta)) + log_w3 - 2 * log_w1
+    log_w = log_scale_of(top.delta, log_w1, log_w3, zero)
+    expansion = Expansion(-1.5 * top.delta / (1 - top.delta))
+    q = jnp.exp(log_q)
+    return Entry(state.log_time, q, 2 * (log_w - expansion.log_w(q)))
+
+
+def phases(plane: Plane, q: Real, number: int = PHASES) -> Float[Array, "n 3"]:
+    """States φ = 0 uniform in the number of turns, from one passage at q to the next."""
+    z = q / (2 * plane.delta)
+    zero = jnp.zeros_like(z)
+    _, after, fall = plane.section(jnp.stack([zero, z, zero]), zero + 1)
+    part = jnp.asarray((np.arange(number) + 0.5) / number)
+    z_at = z + part * (after - z)
+    falls = fall * jnp.log(z_at / z) / safe_divisor(jnp.log(after / z))
+    return jnp.stack([jnp.zeros(number), z_at, falls], axis=1)

@@ -1,0 +1,152 @@
+"""The unfolding against the equation of motion, resolved runs, capture, and the slow flow."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from dipoletop._averaging.capture import Expansion, capture
+from dipoletop._averaging.forecast import best_forecast, forecast, outline, unfolded_forecast
+from dipoletop._averaging.unfolding import Plane, entry_q, phases, settle
+
+ONE = jnp.asarray(1.0)
+DIRECTION = np.array([0.5, 0.3, 0.8])
+
+
+def _body(delta, eta):
+    return dt.Body(jnp.diag(jnp.array([1.0, 1 - eta, 1 - delta])), [1.0, 0.0, 0.0])
+
+
+def _variables(delta, eta, omega):
+    body = _body(delta, eta)
+    return jnp.concatenate([body.inertia.ravel(), body.dipole, jnp.asarray(omega)])
+
+
+def _start(size, phi, z):
+    """The ω of ω⊥ = `size`."""
+    return size * np.array([np.cos(phi), np.sin(phi), z * size])
+
+
+@pytest.mark.parametrize("delta", [-0.2, 0.4])
+def test_semi_reduced_level_tends_to_the_unfolded_system(delta):
+    """For |η| ~ u, of both signs; the difference is of the order u."""
+    for size, largest in ((1e-2, 1e-2), (1e-3, 1e-4)):
+        u = size**2
+        for asymmetry in (-1.5, 3.0):
+            equation = dt.SemiReduced(_body(delta, asymmetry * u))
+            for phi, z in ((0.3, 3.0), (1.2, -2.0)):
+                w1, w2, w3 = _start(size, phi, z)
+                r1, r2, r3 = equation(0.0, jnp.array([w1, w2, w3]))
+                fall = 2 * (w1 * r1 + w2 * r2)
+                rates = [w1 * r2 - w2 * r1, r3 - w3 * fall / u, fall]
+                plane = Plane(jnp.asarray(delta), jnp.asarray(asymmetry))
+                expected = plane(0.0, jnp.array([phi, z, 0.0]))
+                np.testing.assert_allclose(np.array(rates) / u**2, expected, atol=largest)
+
+
+@pytest.mark.parametrize(("delta", "asymmetry"), [(0.4, 2.0), (0.4, -0.7), (-0.2, -5.0)])
+def test_loss_at_the_residual_line_is_that_of_an_integration(delta, asymmetry):
+    plane = Plane(jnp.asarray(delta), jnp.asarray(asymmetry))
+    y = np.array([np.pi + 1e-4, 3e-4 / delta, 0.0])
+    rate = jax.jit(lambda y: plane(0.0, y))
+    last = solve_ivp(lambda t, y: np.asarray(rate(y)), (0, 60), y, rtol=1e-10, atol=1e-14).y
+    det, loss = plane.line(jnp.asarray(y))
+    assert float(loss) == pytest.approx(-last[2, -1], rel=1e-5)
+    slopes = jax.jacfwd(lambda x: plane(0.0, jnp.append(x, 0.0))[:2])(jnp.array([np.pi, 0.0]))
+    assert float(det) == pytest.approx(np.linalg.det(slopes), rel=1e-12)
+
+
+def test_a_vanishing_asymmetry_leaves_the_capture_of_the_axisymmetric_top():
+    """Sampled phases of η = 0 have the mean and quantiles of the closed distribution."""
+    delta = jnp.asarray(0.4)
+
+    @jax.jit
+    def sampled(ratio):
+        plane = Plane(delta, ratio)
+        q = entry_q(delta, ratio)
+        lanes = jax.vmap(lambda y: settle(plane, y))(phases(plane, q))
+        return lanes, Expansion(-1.5 * delta / (1 - delta)).log_w(q)
+
+    exact = jax.jit(capture)(delta)
+    for ratio, rel in ((0.0, 1e-3), (1e-6, 2e-3)):
+        lanes, log_w = sampled(jnp.asarray(ratio))
+        x = np.exp(lanes.log_ratio - log_w)
+        assert np.all(lanes.residual)
+        assert np.mean(x) == pytest.approx(float(jnp.exp(exact.log_mean)), rel=rel)
+        quantiles = np.quantile(x, [0.25, 0.5, 0.75])
+        found = np.exp(exact.log_quantiles([0.25, 0.5, 0.75]))
+        np.testing.assert_allclose(quantiles, found, rtol=1e-2)
+
+
+KNOWN = [(0.4, r) for r in (-3, -0.3, 0.3, 30)] + [(-0.2, r) for r in (-3, 0, 0.3, 30)]
+
+
+@pytest.mark.slow
+def test_starts_of_known_phase_end_as_resolved_runs_do():
+    """Labels agree, and ω∞ within the estimated error, for discs and needles of any η/u."""
+    rng = np.random.default_rng(3)
+    compared = 0
+    for size, delta, asymmetry in [(1e-3, *x) for x in KNOWN] + [(1e-4, 0.4, 0.3), (1e-4, -0.2, 0)]:
+        eta = asymmetry * size**2
+        angles, z = rng.uniform(0, 2 * np.pi, 4), rng.uniform(-4, 4, 4) / abs(delta)
+        starts = np.array([_start(size, *each) for each in zip(angles, z, strict=True)])
+        runs = dt.classify_many(dt.SemiReduced(_body(delta, eta)), starts, value="unchecked")
+        for k, start in enumerate(starts):
+            axial = 0 if delta > 0 else 2
+            end = unfolded_forecast(_variables(delta, eta, start), ONE, axial, False)
+            if end.outcome == dt.Outcome.UNDECIDED:  # neighbours end otherwise
+                assert end.error == 0.5
+                continue
+            assert end.outcome == runs.outcome[k]
+            if runs.outcome[k] == dt.Outcome.RESIDUAL and jnp.isfinite(end.omega_inf):
+                assert abs(float(end.omega_inf / runs.omega_inf[k] - 1)) < end.error
+                compared += 1
+    assert compared > 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("delta", "asymmetry"), [(0.8, -0.1), (0.9, -0.025), (0.8, 1e-3)])
+def test_random_phases_end_as_often_residual_as_resolved_runs(delta, asymmetry):
+    rng = np.random.default_rng(11)
+    starts = np.empty((200, 3))
+    flat, angles = np.hypot(*DIRECTION[:2]), rng.uniform(0, 2 * np.pi, 200)
+    starts[:, 0], starts[:, 1] = flat * np.cos(angles), flat * np.sin(angles)
+    starts[:, 2] = DIRECTION[2] * rng.uniform(0.96, 1.04, 200)  # some turns more or less
+    body = _body(delta, asymmetry * 1e-6)
+    runs = dt.classify_many(dt.SemiReduced(body), 1e-3 * starts, value="unchecked")
+    momentum = 1e-3 * np.linalg.norm(starts * [1, 1, 1 - delta], axis=1)
+    residual = np.asarray(runs.outcome == dt.Outcome.RESIDUAL)
+    ratio = np.where(residual, np.abs(runs.omega_inf), 0.0) / momentum
+    predicted = dt.predict(body, 1e-3 * DIRECTION)
+    assert predicted.regime == dt.Regime.UNFOLDED
+    share = float(predicted.probability[:2].sum())
+    spread = np.sqrt(share * (1 - share) / 200) + 1 / 256
+    assert abs(np.mean(residual) - share) < 3 * spread
+    assert abs(np.mean(ratio) - predicted.ratio) < 3 * np.std(ratio) / np.sqrt(200)
+    for level, quantile in zip((0.25, 0.5, 0.75), predicted.ratio_quantiles[1:4], strict=True):
+        assert np.mean(ratio < float(quantile) * 0.99) < level + 0.1
+        assert np.mean(ratio <= float(quantile) * 1.01) > level - 0.1
+
+
+@pytest.mark.slow
+def test_slow_flow_and_unfolding_agree_within_their_errors():
+    """And the smaller error is taken; a slow flow of small error is not compared."""
+    regimes = []
+    for delta in (0.4, 0.8):
+        for asymmetry in (1e-2, 1.0, 1e2, 1e6):
+            variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
+            slow = forecast(variables, ONE, False)
+            turns, errors = outline(variables, ONE)
+            best = best_forecast(variables, ONE, False)
+            regimes.append(int(best.regime))
+            if not jnp.isfinite(errors[0]):
+                assert best.regime == dt.Regime.SLOW_FLOW
+                continue
+            assert turns[0]
+            end = unfolded_forecast(variables, ONE, 0, True)
+            assert abs(float(end.ratio / slow.ratio - 1)) < slow.error + end.error
+            np.testing.assert_allclose(end.ratio_quantiles[1:], slow.ratio, rtol=float(slow.error))
+            assert best.error == jnp.minimum(slow.error, end.error)
+    assert set(regimes) == {dt.Regime.SLOW_FLOW, dt.Regime.UNFOLDED}
