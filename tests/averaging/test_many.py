@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
 from dipoletop._averaging.many import ends_of_many
@@ -63,3 +64,12 @@ def test_both_outcomes_occur_where_two_zeros_of_the_flow_meet():
             ends = ends_of_many(*_bodies((j1, j2 + shift, 1.0), 0, starts))
             assert np.any(ends.outcome == Outcome.STOP) == both
             assert np.any(ends.outcome == Outcome.RESIDUAL)
+
+
+def test_a_dipole_along_an_axis_is_along_it_in_any_frame():
+    """Rounding of a turned body is no component across the axis, which would end in a stop."""
+    turns = Rotation.random(200, random_state=1).as_matrix()
+    inertia = np.einsum("nij,j,nkj->nik", turns, [1.0, 1.3, 1.8], turns)
+    omega = turns @ np.array([3e-4, 2e-4, 1e-3])
+    ends = ends_of_many((inertia + inertia.transpose(0, 2, 1)) / 2, 1.5 * turns[:, :, 2], omega)
+    assert np.all(ends.outcome == Outcome.RESIDUAL)

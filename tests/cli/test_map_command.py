@@ -219,3 +219,27 @@ def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, arguments, line):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     assert "file" in refusal("map", "--output", f"{tmp_path}/file/m")
+
+
+# Slow runs
+
+
+def test_slow_runs_are_predicted_and_counted(tmp_path):
+    """A needle of which chance decides, at the amplitude of a particle; and no prediction."""
+    needle = ["--level", "semi", "--delta", 0.85, "--w-perp", 1e-20, "--range", "w3", 1e-20, 3e-20]
+    command = ["map", *needle, "--size", 8, "--max-steps", 100, "--output", tmp_path / "m"]
+    result = invoke(*command)
+    assert result.exit_code == 0, result.output
+    assert row(result.output, "undecided")[0] == "100.00%"
+    assert row(result.output, "predicted by the law of capture") == ["64 starts"]
+    (chance,) = row(result.output, "a matter of chance")
+    assert chance.startswith("64 undecided starts, residual with probability 0.7")
+    basin = dt.Basin.load(tmp_path / "m-semi.zarr")
+    assert abs(basin.probability.mean() - 0.778) < 0.01
+    assert basin.steps.max() == 0
+    assert "holds another sweep" in refusal(*command, "--slow-flow", "off")
+    followed = invoke(*command[:-1], tmp_path / "off", "--slow-flow", "off")
+    assert row(followed.output, "undecided")[0] == "100.00%"
+    assert "predicted by" not in followed.output
+    line = refusal(*command[:-1], tmp_path / "off")
+    assert "it has no columns regime and probability (--slow-flow off resumes it)" in line

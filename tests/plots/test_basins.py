@@ -1,5 +1,7 @@
 """Maps say what the data say: colours, legends, axes, comparison, refusals."""
 
+import dataclasses
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from matplotlib.colors import to_rgba
 
 import dipoletop as dt
 from dipoletop import Stop, plots
-from dipoletop.plots.plane import CLASSES, SIGNED
+from dipoletop.plots.plane import CHANCE, CLASSES, SIGNED, UNKNOWN
 
 
 def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():
@@ -68,6 +70,28 @@ def test_residual_rotation_is_shaded_by_its_sign_and_size():
     assert bar.get_ylim() == (-0.2, 0.2)
     assert r"\omega_\infty" in bar.get_ylabel()
     assert "dimensionless" in bar.get_ylabel()
+
+
+def test_what_is_not_known_has_a_colour_of_its_own():
+    """ω∞ whose sense is a matter of chance leaves the colours of the others as they are."""
+    ax = plots.basin(made([[R, R, S], [R, R, S]], np.array([[1e-40, np.nan, 0.0], [-5e-41, 0, 0]])))
+    name, colour = UNKNOWN
+    image = pixels(ax)
+    np.testing.assert_array_equal(image[0, 1], byte(colour))
+    np.testing.assert_array_equal(image[0, 0], SIGNED(1.0, bytes=True))
+    np.testing.assert_allclose(image[1, 0], SIGNED(0.25, bytes=True), atol=2)
+    assert legend(ax)[2:] == [name, "stop"]
+    late = plots.basin(made([[R, R], [R, R]], time=np.array([[1.0, np.nan], [5, 9]])), shade="time")
+    np.testing.assert_array_equal(pixels(late)[0, 1], byte(CLASSES[R, Stop.NONE][1]))
+    assert legend(late) == ["residual rotation"]
+
+
+@pytest.mark.parametrize(("least", "name"), [(0.2, CHANCE), (np.nan, "undecided")])
+def test_undecided_starts_are_a_matter_of_chance_if_all_are(least, name):
+    found = made([[R, U], [U, S]])
+    probability = np.array([1.0, least, 0.7, 0.0])
+    known = dataclasses.replace(found, columns=found.columns | {"probability": probability})
+    assert legend(plots.basin(known, shade=None)) == ["residual rotation", "stop", name]
 
 
 def test_no_residual_rotation_no_colourbar():

@@ -125,6 +125,15 @@ def changed(**fields):
             "STOP WOBBLING, time=899.867, steps=23, certified",
         ),
         (changed(outcome=0, certified=False), "UNDECIDED, time=899.867, steps=23"),
+        (
+            changed(regime=1, probability=1.0, time=jnp.nan, steps=0, certified=False),
+            "RESIDUAL, omega_inf=0.0988747045 ± 3e-09, time=nan, steps=0, not certified, "
+            "predicted: SLOW_FLOW",
+        ),
+        (
+            changed(outcome=0, regime=3, probability=0.8, time=jnp.nan, steps=0, certified=False),
+            "UNDECIDED, time=nan, steps=0, predicted: UNFOLDED, residual with probability 0.8",
+        ),
         (changed(outcome=-1, certified=False), "FAILED, time=899.867, steps=23"),
         (
             changed(slopes=[0.5, 2.0]),
@@ -142,6 +151,8 @@ def test_many_runs_print_their_counts():
     runs = dataclasses.replace(runs, outcome=np.array([1, 1, 1, 2, 2, 2, 2, 0]))
     shown = "8 runs, 3 RESIDUAL (37.50%), 4 STOP (50.00%), 1 UNDECIDED (12.50%), 8 certified, "
     assert repr(runs) == f"Classification({shown}184 steps)"
+    predicted = dataclasses.replace(runs, regime=np.array([0, 1, 2, 3, 4, 0, 0, 0]))
+    assert repr(predicted) == f"Classification({shown}4 predicted, 184 steps)"
 
 
 def test_what_is_no_number_prints_its_shape():

@@ -90,7 +90,10 @@ def free_rotation(
     moments = equal_where_rounded(moments)
     n = axes.T @ (dipole / jnp.linalg.norm(dipole))
     small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
-    return FreeRotation(moments, jnp.where(small, 0.0, n), moments * (axes.T @ omega))
+    n = jnp.where(small, 0.0, n)
+    # Along an axis exactly 1, so that no rounding is taken for a component across it.
+    n = jnp.where(jnp.sum(n != 0) == 1, jnp.sign(n), n)
+    return FreeRotation(moments, n, moments * (axes.T @ omega))
 
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:

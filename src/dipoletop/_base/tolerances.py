@@ -23,7 +23,7 @@ TANGENT_SLACK_ALONE = 3.0
 """The same for a single initial condition, where steps cost less than compilation."""
 TANGENT_FLOOR = 1e-2
 """A part of |ω|: smaller variations, for a change by 1, need not be exact."""
-SETTINGS = ("rtol", "atol", "max_steps", "devices", "engine")  # arguments passed on to `sweep`
+SETTINGS = "rtol", "atol", "max_steps", "devices", "engine", "slow_flow"  # passed on to `sweep`
 
 
 class Tolerances(NamedTuple):

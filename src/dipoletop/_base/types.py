@@ -2,9 +2,11 @@
 
 import enum
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 Real = Float[Array, "*#lanes"]
@@ -64,6 +66,15 @@ class Regime(enum.IntEnum):
     symmetry axis."""
     EXACT = 4
     """A solution in closed form."""
+
+
+def implied_probability(outcome: Any, xp: ModuleType = np) -> Any:
+    """That a rotation is residual, by its outcome alone: 1, 0 for STOP, NaN where it is not known.
+
+    `xp` is NumPy or its counterpart in JAX.
+    """
+    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    return xp.where(decided, xp.where(outcome == Outcome.RESIDUAL, 1.0, 0.0), xp.nan)
 
 
 class Verdict(NamedTuple):

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._base.checks import described, refuse
 from .._base.statistics import Share, share_of
-from .._base.types import Outcome
+from .._base.types import Outcome, Regime, implied_probability
 from .columns import AXES, DERIVATIVE_PREFIX, BasinParts, column_spec
 from .grids import counted, described_axis
 from .store import contents
@@ -29,10 +29,12 @@ class Basin:
     | `outcome` | `outcome` | member of `Outcome`: FAILED −1, UNDECIDED 0, RESIDUAL 1, STOP 2 |
     | `omega_inf` | `omega_inf` | ω∞ along the dipole, signed, in 1/τ₀ |
     | `omega_inf_error` | `omega_inf_error` | its estimated absolute error, in 1/τ₀ |
-    | `time` | `time` | τ at which the outcome was certain |
+    | `time` | `time` | τ at which the outcome was certain; NaN where it was predicted |
     | `steps` | `steps` | integration steps tried |
     | `certified` | `certified` | whether the region that ended the run is proven to decide |
     | `stop` | `stop` | member of `Stop`: in which way a top stops |
+    | `regime` | `regime` | member of `Regime`: the law that decided, RESOLVED by integration |
+    | `probability` | `probability` | that the rotation is residual: between 0 and 1 for chance |
     | `changed` | `changed` | with `confirm`: whether the second tolerance gives another outcome |
     | `derivative(axis)` | `d_omega_inf_d_…` | with `derivatives`: ∂ω∞/∂axis |
     | `column("computed")` | `computed` | of `adaptive.refine`: integrated, not filled in |
@@ -86,7 +88,7 @@ class Basin:
 
     @property
     def time(self) -> Float[np.ndarray, "*shape"]:
-        """τ at which the outcome was certain."""
+        """τ at which the outcome was certain; NaN where it was predicted."""
         return self.column("time")
 
     @property
@@ -103,6 +105,24 @@ class Basin:
     def stop(self) -> Int[np.ndarray, "*shape"]:
         """Members of `Stop`."""
         return self.column("stop")
+
+    @property
+    def regime(self) -> Int[np.ndarray, "*shape"]:
+        """Members of `Regime`; RESOLVED everywhere in a basin without this column."""
+        if "regime" in self.columns:
+            return self.column("regime")
+        return np.full_like(self.outcome, Regime.RESOLVED)
+
+    @property
+    def probability(self) -> Float[np.ndarray, "*shape"]:
+        """The probability that the rotation is residual: 1 for RESIDUAL, 0 for STOP.
+
+        Between 0 and 1 chance decides, and the outcome is UNDECIDED; NaN where nothing is known. In
+        a basin without this column it is what the outcome implies.
+        """
+        if "probability" in self.columns:
+            return self.column("probability")
+        return implied_probability(self.outcome)
 
     @property
     def changed(self) -> Bool[np.ndarray, "*shape"]:

@@ -30,6 +30,14 @@ COLUMNS: dict[str, ColumnSpec] = {
 }
 """Columns of every basin."""
 
+SLOW_COLUMNS: dict[str, ColumnSpec] = {
+    "regime": ColumnSpec(
+        "int8", "1", "law that decided: RESOLVED 0, SLOW_FLOW 1, AVERAGED 2, UNFOLDED 3, EXACT 4"
+    ),
+    "probability": ColumnSpec("float64", "1", "probability that the rotation is residual"),
+}
+"""Columns of basins whose slow runs may be predicted; see `columns_of_runs`."""
+
 OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
     "changed": ColumnSpec("bool", "1", "whether the outcome differs at the second tolerance"),
     "computed": ColumnSpec("bool", "1", "whether the start was integrated, not filled in"),
@@ -60,10 +68,15 @@ class BasinParts(NamedTuple):
     attrs: dict[str, Any]
 
 
+def columns_of_runs(slow_flow: bool | str) -> dict[str, ColumnSpec]:
+    """The columns of runs that are predicted where they are slow, or are not."""
+    return COLUMNS if slow_flow is False else COLUMNS | SLOW_COLUMNS
+
+
 def column_spec(column: str) -> ColumnSpec:
     """Type, unit and meaning of a column."""
     if column.startswith(DERIVATIVE_PREFIX):
         axis = column.removeprefix(DERIVATIVE_PREFIX)
         unit, meaning = f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
         return ColumnSpec("float64", unit, meaning)
-    return (COLUMNS | OPTIONAL_COLUMNS)[column]
+    return (COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS)[column]

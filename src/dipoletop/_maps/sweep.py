@@ -14,10 +14,11 @@ from .._base.parallel import in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
 from .._runs.classification import Value, classification_of, stopping_rule
+from .._runs.slow_runs import SlowFlow, check_slow_flow
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import BlockBuilder, Problem
-from .sweep_plan import Plan, derivative_names
+from .sweep_plan import Plan, Rules, derivative_names
 from .sweep_stores import MemoryStore, ZarrStore
 
 
@@ -36,6 +37,7 @@ def sweep(
     progress: bool | str | None = None,
     devices: Sequence[Any] | None = None,
     engine: str = "auto",
+    slow_flow: SlowFlow = "auto",
 ) -> Basin:
     """Outcomes of a problem on every point of a grid, a list or a sample.
 
@@ -46,7 +48,7 @@ def sweep(
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
             rtol·|ω₀| for each start with `value=False`.
-        max_steps: budget of each run; one that exhausts it is UNDECIDED.
+        max_steps: budget of each run; one that would exceed it is predicted, or UNDECIDED.
         value: whether ω∞ is wanted, not only the outcome; see the table below.
         derivatives: arguments of the problem, each a number; `basin.derivative(name)` is then
             ∂ω∞/∂name. The equation's first variations are integrated with tolerance 10·rtol;
@@ -60,6 +62,11 @@ def sweep(
         devices: which devices to use; None means all.
         engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
             "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
+        slow_flow: whether runs that would take more than `max_steps` are predicted by the average
+            over free rotation: "auto", True (all that the first state does not decide) or False;
+            see `classify`. `basin.regime` tells which law decided. With False the columns `regime`
+            and `probability` are left out, as by versions without them: their stores are resumed
+            with it.
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -100,11 +107,13 @@ def sweep(
     # check
     equation, _ = blocks(np.zeros(1, int))
     check_verdict(equation)
+    check_slow_flow(slow_flow, equation)
     engines = select_engines(
         engine, equation, devices, stopping_rule(equation, value), classification_of
     )
     # compute
-    plan = Plan(blocks, equation, rtols, atol, max_steps, value, devices, engines)
+    rules = Rules(rtols, atol, max_steps, value, slow_flow)
+    plan = Plan(blocks, equation, rules, devices, engines)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
     _compute(plan, columns, progress)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)

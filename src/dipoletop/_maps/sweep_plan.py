@@ -4,7 +4,7 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +16,9 @@ from .._base.tolerances import absolute
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits
 from .._runs.classify_many import TILE, Value, classify_block, power_of_two
+from .._runs.slow_runs import SlowFlow
 from ..equations.levels import level_of
-from .columns import COLUMNS, DERIVATIVE_PREFIX
+from .columns import DERIVATIVE_PREFIX, columns_of_runs
 from .problems import Block, BlockBuilder
 from .tiling import Tiling
 
@@ -34,6 +35,21 @@ def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[st
     return names
 
 
+class Rules(NamedTuple):
+    """How exactly the runs of a sweep are made, and when they end."""
+
+    rtols: list[Float[Array, ""]]
+    """The tolerance of the columns; then, if outcomes are to be confirmed, a second one."""
+    atol: Any
+    """The absolute tolerance as the user gave it; see `sweep` for None."""
+    max_steps: int
+    """Budget of every run."""
+    value: Value
+    """Whether ω∞ is wanted, and with an estimate of its error."""
+    slow_flow: SlowFlow
+    """Whether slow runs are predicted."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """All that a sweep computes.
@@ -41,20 +57,14 @@ class Plan:
     Attributes:
         blocks: builds the equations and starts of a tile.
         equation: the equation of the first point.
-        rtols: the tolerance of the columns; then, if outcomes are to be confirmed, a second one.
-        atol: the absolute tolerance as the user gave it; see `sweep` for None.
-        max_steps: budget of every run.
-        value: whether ω∞ is wanted, and with an estimate of its error.
+        rules: tolerances and budgets.
         devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
     """
 
     blocks: BlockBuilder
     equation: Equation
-    rtols: list[Float[Array, ""]]
-    atol: Any
-    max_steps: int
-    value: Value
+    rules: Rules
     devices: list[Device]
     engines: dict[Device, Engine]
 
@@ -68,19 +78,22 @@ class Plan:
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
         derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
-        return [*COLUMNS, *derivatives, *(["changed"] if len(self.rtols) > 1 else [])]
+        confirmed = ["changed"] if len(self.rules.rtols) > 1 else []
+        return [*columns_of_runs(self.rules.slow_flow), *derivatives, *confirmed]
 
     @property
     def attrs(self) -> dict[str, Any]:
         """The attributes of the basin: level, settings, versions."""
-        atol, rtols, derivatives = self.atol, self.rtols, list(self.blocks.derivatives)
+        rtols, atol, max_steps, value, slow_flow = self.rules
+        derivatives = list(self.blocks.derivatives)
         return {
             "level": level_of(self.equation),
             "rtol": float(rtols[0]),
-            "atol": float(atol or 0) if self.value or atol is not None else "rtol*|omega_0|",
-            "max_steps": self.max_steps,
-            "value": self.value,
+            "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
+            "max_steps": max_steps,
+            "value": value,
             "engine": self.engines[self.devices[0]].name,
+            **({} if slow_flow is False else {"slow_flow": slow_flow}),
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
             **_versions(),
@@ -110,7 +123,9 @@ class Plan:
     def compute(self, tile: int, device: Device) -> tuple[Columns, Block]:
         """The columns of a tile, and the equations and starts that they belong to."""
         block, is_real = self.block(tile), self.tiling.is_real(tile)
-        columns, *confirming = [self._columns(block, is_real, rtol, device) for rtol in self.rtols]
+        columns, *confirming = [
+            self._columns(block, is_real, rtol, device) for rtol in self.rules.rtols
+        ]
         for other in confirming:
             columns["changed"] = columns["outcome"] != other["outcome"]
         return {name: values[is_real] for name, values in columns.items()}, block
@@ -118,12 +133,14 @@ class Plan:
     def _columns(
         self, block: Block, is_real: np.ndarray, rtol: Float[Array, ""], device: Device
     ) -> Columns:
-        equation, omegas = block
+        (equation, omegas), (_, atol, max_steps, value, slow_flow) = block, self.rules
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
-        atol = absolute(self.atol, rtol, omegas, label_only=not self.value)
-        limits = Limits(rtol, atol, end, jnp.asarray(self.max_steps))
-        ends = classify_block(equation, omegas, limits, self.value, self.engines[device], device)
-        columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
+        atol = absolute(atol, rtol, omegas, label_only=not value)
+        limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
+        engine = self.engines[device]
+        ends = classify_block(equation, omegas, limits, value, engine, device, slow_flow)
+        kept = columns_of_runs(slow_flow).items()
+        columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in kept}
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns

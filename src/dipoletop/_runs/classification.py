@@ -13,7 +13,7 @@ from .._base.checks import concrete, refuse
 from .._base.stopping import BROKEN, Until, settled, slopes_settled
 from .._base.summaries import with_error
 from .._base.tolerances import Tolerances
-from .._base.types import DecidingEquation, Equation, Outcome, Real, Stop, Verdict
+from .._base.types import DecidingEquation, Equation, Outcome, Real, Regime, Stop, Verdict
 from .._engines.interface import EndStates
 from ..equations.tangent import Tangent
 
@@ -30,13 +30,15 @@ class Classification(eqx.Module):
     to it than that can carry either label, certified or not.
 
     Attributes:
-        outcome: a member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps) or FAILED.
+        outcome: a member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps, or a matter of
+            chance) or FAILED.
         omega_inf: residual angular velocity along the dipole, signed, in units of 1/τ₀; 0 for
             STOP. NaN if undecided or failed, if the run ended before ω∞ was known (out of steps,
             or with `value=False`), and if `omega_inf_error` exceeds it.
         omega_inf_error: estimated absolute error of `omega_inf`: 0 for STOP, and where ω₁ is
             constant; infinite where there is no estimate.
-        time: τ at which the run ended, in units of τ₀.
+        time: τ at which the run ended, in units of τ₀; NaN where the outcome was predicted, since
+            the slow flow has no such time.
         steps: integration steps tried, the rejected ones included.
         certified: whether the state that ended the run lies in a region that is proven to decide,
             for this level of the equation only.
@@ -47,6 +49,11 @@ class Classification(eqx.Module):
             a change that turns the dipole of a general body off its principal axis, or violates
             the condition under which ω₁ is conserved (δ = 0 or ω₃ = 0). NaN where ω∞ is not known
             or not differentiable.
+        regime: a member of `Regime`, the law that gave outcome and ω∞: RESOLVED where the equation
+            was integrated or its first state decided, else that of `predict`. A label that the
+            first state decided is certified as ever, also where ω∞ was predicted.
+        probability: that the rotation is residual: 1 for RESIDUAL and 0 for STOP; between them
+            where chance decides, so that the outcome is UNDECIDED; NaN where nothing is known.
     """
 
     outcome: Int[Array, "*n"] | Int[np.ndarray, "*n"]
@@ -57,6 +64,8 @@ class Classification(eqx.Module):
     certified: Bool[Array, "*n"] | Bool[np.ndarray, "*n"]
     stop: Int[Array, "*n"] | Int[np.ndarray, "*n"]
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
+    regime: Int[Array, "*n"] | Int[np.ndarray, "*n"] | None = None
+    probability: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
 
     def __repr__(self) -> str:
         """The numbers of a single run, counts of many; shapes of what is traced."""
@@ -80,6 +89,11 @@ def _of_one(run: Classification) -> str:
         shown.append("certified" if run.certified else "not certified")
     if run.slopes is not None:
         shown.append(f"slopes={np.asarray(run.slopes).tolist()}")
+    if run.regime is not None and run.regime != Regime.RESOLVED:
+        shown.append(f"predicted: {Regime(int(run.regime)).name}")
+        if outcome == Outcome.UNDECIDED:
+            probability = float(np.asarray(run.probability))
+            shown.append(f"residual with probability {probability:.4g}")
     return ", ".join(shown)
 
 
@@ -90,6 +104,8 @@ def _of_many(runs: Classification) -> str:
         if count := np.count_nonzero(outcomes == outcome):
             shown.append(f"{count} {outcome.name} ({count / outcomes.size:.2%})")
     shown.append(f"{np.count_nonzero(runs.certified)} certified")
+    if runs.regime is not None and (count := np.count_nonzero(runs.regime)):
+        shown.append(f"{count} predicted")
     shown.append(f"{np.sum(runs.steps)} steps")
     return ", ".join(shown)
 

@@ -1,7 +1,7 @@
 """The outcome of one run, through diffrax or along the physical branch of a full equation."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -15,12 +15,13 @@ from .._base.checks import (
     NumberLike,
     check_single,
     check_verdict,
+    concrete,
     initial_state,
     is_whole_state,
     real,
 )
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
-from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances, tolerance
 from .._base.types import DecidingEquation, Equation, Real, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
@@ -28,6 +29,13 @@ from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from .classification import Classification, Value, classification_of, stopping_rule
 from .conditioning import run_with_error_estimate, without_error_estimates
+from .slow_runs import (
+    SlowFlow,
+    check_slow_flow,
+    slow_motions,
+    with_predictions,
+    with_probability,
+)
 
 
 def classify(
@@ -38,6 +46,7 @@ def classify(
     atol: NumberLike | None = None,
     max_steps: int | np.integer = MAX_STEPS,
     value: Value = True,
+    slow_flow: SlowFlow = "auto",
 ) -> Classification:
     """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
 
@@ -52,14 +61,30 @@ def classify(
     | "unchecked" | outcome and ω∞ are known | infinite if ω∞ was integrated | about 1/3 |
     | False | the outcome is known | as "unchecked"; ω∞ is NaN where it was integrated | less |
 
+    A run takes the more steps, the slower the top radiates. Where their estimated number exceeds
+    the budget, what the first state does not decide is predicted by the average over free rotation,
+    as by `predict`, at once and at any amplitude. A prediction is never certified; where chance
+    decides, as of needles, it is a `probability` and the outcome is UNDECIDED.
+
+    | `slow_flow` | what is predicted |
+    |---|---|
+    | "auto" | runs whose estimated number of steps exceeds `max_steps`, and those that exhaust it |
+    | True | all that the first state does not decide |
+    | False | nothing |
+
+    Only the rigid bodies of this library are predicted, in float64; at order 1 none that is
+    captured by chance, since that order lacks a leading term there. Under `jit`, `vmap` or `grad`
+    "auto" predicts nothing.
+
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance of every step; None means 0, since errors are measured by the
             present |ω|, or rtol·|ω₀| with `value=False`.
-        max_steps: largest number of steps; a run that needs more is UNDECIDED.
+        max_steps: largest number of steps; a run that needs more is predicted, or UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error; see the table.
+        slow_flow: whether runs are predicted; see the table.
 
     Returns:
         A `Classification` with scalar fields.
@@ -72,13 +97,47 @@ def classify(
         >>> verdict = dt.classify(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, 0.1047))
         >>> dt.Outcome(int(verdict.outcome)).name, bool(verdict.certified)
         ('RESIDUAL', True)
+        >>> body = dt.Body([[1.0, 0, 0], [0, 1.3, 0], [0, 0, 1.8]], [0, 0, 1])
+        >>> slow = dt.classify(dt.SemiReduced(body), [1e-20, 2e-20, 3e-20])
+        >>> dt.Outcome(int(slow.outcome)).name, dt.Regime(int(slow.regime)).name
+        ('RESIDUAL', 'SLOW_FLOW')
     """
     arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
     constant = eqx.combine(jax.lax.stop_gradient(arrays), rest)
-    tolerances = {"rtol": rtol, "atol": atol}
-    run = classify_with_tangents(*constant, **tolerances, max_steps=max_steps, value=value)
+    settings = {"rtol": rtol, "atol": atol, "max_steps": max_steps, "value": value}
+    why_not = "" if concrete(equation, omega0, rtol, atol) else "the start is traced"
+    why_not = why_not or ("the start is a whole state" if is_whole_state(omega0) else "")
+    check_slow_flow(slow_flow, equation, why_not)
+    if slow_flow is False or why_not:
+        run = with_probability(classify_with_tangents(*constant, **settings), jnp)
+    else:
+        run = _classify_or_predict(constant, slow_flow, settings)
     zero = _zero_without_derivative(jax.tree.leaves(arrays))
     return jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, run)
+
+
+def _classify_or_predict(
+    begin: tuple[Any, Any], slow_flow: SlowFlow, settings: dict[str, Any]
+) -> Classification:
+    """The classification of one start that may be predicted, whether it has to be or not."""
+    equation, omega0 = begin
+    check_verdict(equation)
+    check_single(equation)
+    start = real("omega0", omega0, (3,), batch=False)
+    lanes, starts = jax.tree.map(lambda x: np.asarray(x)[..., None], (equation, start))
+    motions = slow_motions(lanes, starts, slow_flow)
+    if motions is None:
+        return with_probability(classify_with_tangents(equation, omega0, **settings), jnp)
+
+    def run(followed: Bool[np.ndarray, "1"]) -> Classification:
+        one = classify_with_tangents(equation, omega0, **settings, followed=bool(followed[0]))
+        return jax.tree.map(lambda x: np.asarray(x)[..., None], one)
+
+    rtol, steps = tolerance("rtol", settings["rtol"]), budget("max_steps", settings["max_steps"])
+    limits = Limits(rtol, np.zeros(1), np.full(1, np.inf), jnp.asarray(steps))
+    label_only = settings["value"] is False
+    runs = with_predictions(run, motions, limits, label_only, slow_flow is True)
+    return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), runs)
 
 
 @jax.custom_jvp
@@ -100,8 +159,12 @@ def classify_with_tangents(
     atol: NumberLike | None,
     max_steps: int | np.integer,
     value: Value = True,
+    followed: bool = True,
 ) -> Classification:
-    """The same as `classify`, with the derivatives of the state that ended the run."""
+    """The same as `classify`, with the derivatives of the state that ended the run.
+
+    Nothing is predicted. A run that is not to be `followed` takes no step.
+    """
     check_verdict(equation)
     check_single(equation)
     from_omega = not is_whole_state(omega0)
@@ -115,22 +178,34 @@ def classify_with_tangents(
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:
         until = "time"  # off the branch no region decides, and the top runs away
-    return _classify(equation, start, tolerances, from_omega, steps, until, value)
+    begin = _Start(start, from_omega, jnp.asarray(followed))
+    return _classify(equation, begin, tolerances, steps, until, value)
+
+
+class _Start(NamedTuple):
+    """Where a run begins."""
+
+    values: Array
+    """ω₀, or a whole state."""
+    is_omega: bool
+    followed: Bool[Array, ""]
+    """Whether the run is made, rather than only its first state looked at."""
 
 
 @eqx.filter_jit
 def _classify(
     equation: DecidingEquation,
-    start: Array,
+    begin: _Start,
     tolerances: Tolerances,
-    from_omega: bool,  # else the start is a whole state
     max_steps: int,
     until: Until,
     value: Value,
 ) -> Classification:
+    start, from_omega, followed = begin
+
     def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
         y0 = equation.lift(start) if from_omega else start
-        t1 = jnp.where(wanted, jnp.inf, 0.0)
+        t1 = jnp.where(wanted & followed, jnp.inf, 0.0)
         limits = Limits(*tolerances, t1, jnp.asarray(max_steps))
         if from_omega and is_full(equation):
             ends = end_on_branch(equation, y0, limits, until)

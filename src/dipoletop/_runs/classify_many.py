@@ -1,12 +1,13 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import (
     ArrayLike,
@@ -26,6 +27,13 @@ from .._engines.select import select_engines
 from ..equations._common import omega_scale_of, physical
 from .classification import Classification, Value, classification_of, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
+from .slow_runs import (
+    SlowFlow,
+    check_slow_flow,
+    slow_motions,
+    with_predictions,
+    with_probability,
+)
 
 TILE = 16384  # starts handed to an engine at once, at most
 
@@ -39,6 +47,7 @@ def classify_many(
     max_steps: int | np.integer = MAX_STEPS,
     value: Value = True,
     engine: str = "auto",
+    slow_flow: SlowFlow = "auto",
 ) -> Classification:
     """How dω/dτ = equation(ω) ends from each of N starts, on all cores or devices.
 
@@ -54,10 +63,13 @@ def classify_many(
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance of every step, a number or shape (N,); None means 0, since errors
             are measured by the present |ω|, or rtol·|ω₀| for each start with `value=False`.
-        max_steps: largest number of steps of a run; a run that needs more is UNDECIDED.
+        max_steps: largest number of steps of a run; a run that needs more is predicted, or
+            UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
         engine: "jax"; "native" (machine code, for float64 on processors; it needs numba); or
             "auto", the fastest one that can run here.
+        slow_flow: whether runs that would take more than `max_steps` are predicted, as by
+            `predict`; see `classify`.
 
     Returns:
         A `Classification` whose fields are NumPy arrays of shape (N,).
@@ -84,17 +96,20 @@ def classify_many(
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
+    check_slow_flow(slow_flow, equations)
     runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, classification_of)
     first = devices[0]
     if engines[first].has_own_threads:  # they share one queue
-        return classify_block(*every_run, value, engines[first], first, threads=len(devices))
+        threads = len(devices)
+        return classify_block(*every_run, value, engines[first], first, slow_flow, threads)
     length = min(TILE, power_of_two(-(-size // len(devices))))
 
     def work(job: int, device: Device) -> Classification:
-        return classify_block(*runs.tile(job * length, length), value, engines[device], device)
+        tile = runs.tile(job * length, length)
+        return classify_block(*tile, value, engines[device], device, slow_flow)
 
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]
@@ -108,6 +123,7 @@ def classify_block(
     value: Value,
     engine: Engine,
     device: Device,
+    slow_flow: SlowFlow = False,
     threads: int = 1,
 ) -> Classification:
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes."""
@@ -121,10 +137,20 @@ def classify_block(
         runs = engine.classify(classification_of, queue, device, threads)
         return jax.tree.map(np.asarray, runs)
 
-    runs = run(omegas, limits)
-    if value is True:
-        return with_error_estimates(runs, run, omegas, limits, omega_scale_of(deciding))
-    return without_error_estimates(runs, value, np)
+    def classified(limits: Limits) -> Classification:
+        runs = run(omegas, limits)
+        if value is True:
+            return with_error_estimates(runs, run, omegas, limits, omega_scale_of(deciding))
+        return without_error_estimates(runs, value, np)
+
+    def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
+        t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
+        return classified(replace(limits, t1=t1))
+
+    motions = slow_motions(equation, omegas, slow_flow)
+    if motions is None:
+        return with_probability(classified(limits), np)
+    return with_predictions(classified_where, motions, limits, value is False, slow_flow is True)
 
 
 def power_of_two(least: int) -> int:

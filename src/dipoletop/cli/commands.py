@@ -15,6 +15,7 @@ from .. import stability, validation
 from .._maps.basin import Basin
 from .._runs.classify import classify
 from .._runs.simulate import simulate
+from .._runs.slow_runs import SlowFlow
 from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
@@ -26,6 +27,7 @@ NUMBER = Number()
 AXIS = click.Choice(list(quantities.OPTIONS))
 LEVEL = click.Choice([level.value for level in Level])
 MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.FULL])
+SLOW_FLOW: dict[str, SlowFlow] = {"auto": "auto", "on": True, "off": False}
 COLUMNS = "tau,omega_1,omega_2,omega_3,energy,power"
 FORMATS = click.Choice(["png", "pdf", "svg"])
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
@@ -51,9 +53,9 @@ Levels of the equation of motion:
 
 \b
 Outcomes: residual (ω → ω∞ ≠ 0, along the dipole), stop (ω → 0), undecided (the budget
-of steps ran out), failed (not a number). Certified: the run entered a region that is
-proven to decide for this level of the equation; the difference between this level and
-the full equation is not taken into account."""
+of steps ran out, or chance decides), failed (not a number). Certified: the run entered a
+region that is proven to decide for this level of the equation; the difference between
+this level and the full equation is not taken into account."""
 
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -111,6 +113,13 @@ def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Pat
 @click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")
 @click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Budget of each run.")
 @click.option(
+    "--slow-flow",
+    type=click.Choice(list(SLOW_FLOW)),
+    default="auto",
+    help="Predict runs by the average over free rotation: those beyond the budget (auto), all that "
+    "the first state does not decide (on), none (off).",
+)
+@click.option(
     "--confirm", type=NUMBER, metavar="RTOL", help="Run all again at this tolerance and compare."
 )
 @click.option(
@@ -150,6 +159,7 @@ def map_command(**options: Any) -> None:
     settings = {
         name: options[name] for name in ("rtol", "max_steps", "confirm", "engine", "repair")
     }
+    settings["slow_flow"] = SLOW_FLOW[options["slow_flow"]]
     settings["devices"] = _devices(options["device"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")

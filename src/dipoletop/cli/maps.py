@@ -52,7 +52,8 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
         with measure_compile_time() as seconds:
             basin = sweep(problem, grid, store=store, **settings)
     except StoreMismatch as error:
-        raise Refusal(f"{error.reason}; choose another --output, or remove it.") from None
+        reason = error.reason.replace("`slow_flow=False`", "--slow-flow off")
+        raise Refusal(f"{reason}; choose another --output, or remove it.") from None
     return Run(basin, store, stored, seconds())
 
 
@@ -72,6 +73,7 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
         must = "be the store of a `dipoletop map`"
         refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
     settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
+    settings["slow_flow"] = attrs.get("slow_flow", False)
     settings |= {"repair": True, "progress": level.value if progress else False}
     grid = Grid(**{name: tiles.values(name) for name in axes})
     run = run_level(level, grid, tiles.folder, **settings)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Complex, Float
 
 from .._base.statistics import Share
 from .._base.summaries import with_error
-from .._base.types import Outcome, Stop
+from .._base.types import Outcome, Regime, Stop
 from .._maps.symmetry import unfold
 from .._runs.classification import Classification
 from ..equations.levels import Level
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from ..paper import Entry
 
 ENGINES = {"native": "native (machine code)", "jax": "JAX"}
+PREDICTED = {
+    Regime.SLOW_FLOW: "predicted by the slow flow",
+    Regime.AVERAGED: "predicted by the averaged top",
+    Regime.UNFOLDED: "predicted by the law of capture",
+    Regime.EXACT: "predicted in closed form",
+}
 OUTCOMES = {Outcome.RESIDUAL: "residual rotation", Outcome.STOP: "stop"}
 
 
@@ -85,7 +91,15 @@ def ending(result: Classification) -> str:
     if outcome == Outcome.FAILED:
         return "Outcome: failed, the state is not a number."
     if outcome == Outcome.UNDECIDED:
+        if result.regime:
+            chance = f"residual with probability {float(np.asarray(result.probability)):.4g}"
+            return f"Outcome: undecided, a matter of chance: {chance}."
         return f"Outcome: undecided after {int(result.steps)} steps, τ = {float(result.time):.6g}."
+    if np.isnan(result.time):
+        return (
+            f"Outcome: {_outcome(result)}; predicted by the average over free rotation.\n"
+            f"Residual angular velocity ω∞ = {_omega_inf(result)}"
+        )
     if result.certified:
         proof = "certified: in a region proven to decide for this level of the equation"
     else:
@@ -113,6 +127,8 @@ def _omega_inf(result: Classification) -> str:
     """ω∞, to the digits that its estimated error leaves."""
     value, error = float(result.omega_inf), float(result.omega_inf_error)
     if not math.isfinite(value):
+        if result.regime:
+            return "not known: its sign is a matter of chance"
         return "not known: its estimated error exceeds it (a smaller --rtol may tell)"
     if value == 0:
         return "0"
@@ -143,7 +159,19 @@ def _column(run: Run) -> dict[str, str]:
     column["certified for its level"] = f"{np.mean(basin.certified):.2%} of the starts"
     unknown = (outcome == Outcome.RESIDUAL) & np.isnan(basin.omega_inf)
     if unknown.any():
-        column["ω∞ not known"] = f"{np.sum(unknown)} residual starts: its error may exceed it"
+        resolved = np.sum(unknown & (basin.regime == Regime.RESOLVED))
+        by_chance = np.sum(unknown) - resolved
+        reasons = {"its error may exceed it": resolved, "its sign is a matter of chance": by_chance}
+        shown = (f"{count} residual starts: {why}" for why, count in reasons.items() if count)
+        column["ω∞ not known"] = "; ".join(shown)
+    regimes = basin.regime
+    for regime in Regime:
+        if regime != Regime.RESOLVED and (count := np.sum(regimes == regime)):
+            column[PREDICTED[regime]] = f"{count} starts"
+    chance = basin.probability[outcome == Outcome.UNDECIDED]
+    if (chance := chance[np.isfinite(chance)]).size:
+        mean = f"residual with probability {np.mean(chance):.3f} on average"
+        column["a matter of chance"] = f"{chance.size} undecided starts, {mean}"
     if "changed" in basin.columns:
         column["changed at second tolerance"] = f"{np.sum(basin.changed)} starts"
     computed, seconds = size - run.stored, basin.seconds - run.compiling
@@ -154,9 +182,10 @@ def _column(run: Run) -> dict[str, str]:
         column["starts per second"] = f"{computed / seconds:,.0f}"
         column["compilation, apart"] = f"{run.compiling:.1f} s"
         column["engine"] = ENGINES[basin.attrs["engine"]]
-    column["decided at τ = 0"] = f"{np.sum(decided & (steps == 0))} starts, without a step"
+    at_once = decided & (basin.time == 0)
+    column["decided at τ = 0"] = f"{np.sum(at_once)} starts, without a step"
     column["steps"] = f"{np.mean(steps):.1f} on average, at most {np.max(steps)}"
-    times = basin.time[decided]
+    times = basin.time[decided & ~np.isnan(basin.time)]
     if times.size:
         column["τ when certain"] = f"{np.median(times):.3g} (median), at most {np.max(times):.3g}"
     return column

@@ -125,7 +125,7 @@ def _draw(
 ) -> None:
     """The coloured cells, the hatching where outcomes differ, the axes, title and legend."""
     classes = classes_of(plane)
-    colours = legend_colours(classes, shades)
+    colours = legend_colours(plane, classes, shades)
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
     show_cells(ax, xs, plane.ys, image)

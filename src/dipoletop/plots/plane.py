@@ -4,7 +4,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, to_rgb
 
 from .._base.checks import refuse
@@ -28,6 +28,11 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
 }
 """Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
 differ plainly, from each other and from the shades of `SIGNED`."""
+UNKNOWN = r"residual, $\omega_\infty$ not known", "#5500aa"
+"""Name and colour of residual rotation whose ω∞ is to be shown but is not known: its sense may be a
+matter of chance. It differs from the others, too."""
+CHANCE = "undecided, a matter of chance"
+"""Name of undecided starts, if the probabilities of all are known."""
 
 SIGNED = LinearSegmentedColormap.from_list(
     "signed", ["#8e2f00", "#e8853c", "#f7f3ee", "#5fa2d4", "#08488e"]
@@ -56,7 +61,7 @@ class Plane(NamedTuple):
     xs: Float[np.ndarray, "X"]
     ys: Float[np.ndarray, "Y"]
     columns: dict[str, np.ndarray]
-    """`outcome`, `stop` and, if the outcomes are shaded, the column that shades them."""
+    """`outcome`, `stop`, `probability` if the basin has it, and the column that shades outcomes."""
     title: str
 
 
@@ -81,7 +86,8 @@ def plane_of(
             f"has {axis_lengths(basin)}; sweep a grid with a single value on every other axis",
         )
     x, y = _choose(long, *axes)
-    shown = ["outcome", "stop"] + ([shading] if shading else [])
+    shown = [name for name in ("outcome", "stop", "probability") if name in basin.columns]
+    shown += [shading] if shading else []
     cell = dataclasses.replace(basin, columns={name: basin.columns[name] for name in shown})
     whole = unfold(cell) if extend else cell
     x_order, y_order = np.argsort(whole.coords[x]), np.argsort(whole.coords[y])
@@ -154,7 +160,8 @@ def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
 def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
     """The values of a column, of all starts with an outcome."""
     columns = [plane.columns for plane in planes]
-    return np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
+    values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
+    return values[np.isfinite(values)]
 
 
 def _omega_inf_shade(residual: Float[np.ndarray, "n"]) -> Shade:
@@ -184,13 +191,23 @@ def coloured(
     flat = np.array([(*to_rgb(colour), 1.0) for _, colour in CLASSES.values()])
     image = np.round(255 * flat).astype(np.uint8)[classes]
     for shade in shades:
-        members = plane.columns["outcome"] == shade.outcome
-        values = np.asarray(plane.columns[shade.column][members], np.float32)
+        unknown = _unknown(plane, shade)
+        if shade.column == "omega_inf":
+            image[unknown] = np.append(np.round(255 * np.array(to_rgb(UNKNOWN[1]))), 255)
+        members = (plane.columns["outcome"] == shade.outcome) & ~unknown
+        values = np.asarray(plane.columns[shade.column][members])
         image[members] = shade.colours(shade.norm(values), bytes=True)
     return image
 
 
-def legend_colours(classes: Int[np.ndarray, "Y X"], shades: list[Shade]) -> dict[str, Colour]:
+def _unknown(plane: Plane, shade: Shade) -> Bool[np.ndarray, "Y X"]:
+    """Which starts of an outcome have no value in the column that shades it."""
+    return (plane.columns["outcome"] == shade.outcome) & np.isnan(plane.columns[shade.column])
+
+
+def legend_colours(
+    plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
+) -> dict[str, Colour]:
     """Name and colour of every class that occurs, in the order of `CLASSES`."""
     counts = np.bincount(classes.ravel(), minlength=len(CLASSES)).tolist()
     shaded = {shade.outcome: shade for shade in shades}
@@ -198,11 +215,23 @@ def legend_colours(classes: Int[np.ndarray, "Y X"], shades: list[Shade]) -> dict
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):
         if count == 0:
             continue
+        if outcome == Outcome.UNDECIDED and _is_chance(plane):
+            label = CHANCE
         if outcome in shaded:
             shade = shaded[outcome]
             colours |= {name: shade.colours(place) for name, place in shade.legend.items()}
+            if shade.column == "omega_inf" and np.any(_unknown(plane, shade)):
+                colours |= dict([UNKNOWN])
         elif count < classes.size / 1000:  # too few to be seen in the picture
             colours[f"{label} ({count} start{'s' if count > 1 else ''})"] = colour
         else:
             colours[label] = colour
     return colours
+
+
+def _is_chance(plane: Plane) -> bool:
+    """Whether the probabilities of all undecided starts are known."""
+    undecided = plane.columns["outcome"] == Outcome.UNDECIDED
+    return "probability" in plane.columns and bool(
+        np.all(np.isfinite(plane.columns["probability"][undecided]))
+    )

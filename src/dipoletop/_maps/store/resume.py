@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..columns import SLOW_COLUMNS
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
@@ -53,9 +54,22 @@ def begin_or_resume(
             raise
         return _with_new_metadata(folder, header, values)
     if different:
+        different = _or_without_regimes(tiles.header, header, different)
         reason = f"{folder} holds another sweep: {different}"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
     return tiles
+
+
+def _or_without_regimes(old: Header, new: Header, different: str) -> str:
+    """The differences, in other words if all that the old sweep lacks are regimes."""
+    added = [name for name in new["columns"] if name in SLOW_COLUMNS and name not in old["columns"]]
+    if not added or "slow_flow" in old["attrs"]:
+        return different
+    attrs = {name: value for name, value in new["attrs"].items() if name != "slow_flow"}
+    columns = [name for name in new["columns"] if name not in added]
+    if differences(old, {**new, "attrs": attrs, "columns": columns}, str):
+        return different
+    return f"it has no columns {' and '.join(added)} (`slow_flow=False` resumes it)"
 
 
 def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:

@@ -1,0 +1,96 @@
+"""Sweeps of slow runs: their columns, stores of versions without these, and resumed sweeps."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import zarr
+
+import dipoletop as dt
+from dipoletop import Outcome, Regime
+from dipoletop._maps.columns import COLUMNS, SLOW_COLUMNS
+
+GRID = dt.Grid(amplitude=np.geomspace(1e-25, 1e-1, 25), theta=np.linspace(0.1, 1.4, 40))
+SMALL = dt.Grid(amplitude=np.geomspace(1e-3, 1e-1, 3), theta=np.linspace(0.1, 1.4, 4))
+
+
+def needle(amplitude, theta):
+    way = jnp.stack([jnp.sin(theta) * 0.8, jnp.sin(theta) * 0.6, jnp.cos(theta)])
+    return dt.TransverseSemi(0.85), amplitude * way
+
+
+@pytest.fixture(scope="module")
+def slow():
+    return dt.sweep(needle, GRID, max_steps=300)
+
+
+def test_columns_of_predicted_starts(slow):
+    assert list(slow.columns) == [*COLUMNS, *SLOW_COLUMNS]
+    assert slow.attrs["slow_flow"] == "auto"
+    assert slow.regime.dtype == np.int8
+    assert set(np.unique(slow.regime)) == {Regime.RESOLVED, Regime.UNFOLDED}
+    predicted = slow.regime != Regime.RESOLVED
+    assert np.all(predicted[0])
+    chance = predicted & (slow.outcome == Outcome.UNDECIDED)
+    assert np.count_nonzero(chance) > 400
+    assert np.all((slow.probability[chance] > 0.7) & (slow.probability[chance] < 0.85))  # 0.778
+    assert np.all(np.isnan(slow.time[chance]))
+    assert not np.any(slow.certified[predicted & (slow.outcome == Outcome.UNDECIDED)])
+    assert np.all(slow.probability[slow.outcome == Outcome.RESIDUAL] == 1)
+    assert np.all(slow.probability[slow.outcome == Outcome.STOP] == 0)
+    assert np.max(slow.steps) <= 300
+    assert slow.to_xarray()["regime"].attrs["long_name"].endswith("EXACT 4")
+
+
+def test_without_predictions_a_sweep_is_that_of_versions_without_them(slow):
+    """Its columns and settings are the old ones, and its numbers those of the integrated runs."""
+    old = dt.sweep(needle, GRID, max_steps=300, slow_flow=False)
+    assert list(old.columns) == list(COLUMNS)
+    assert "slow_flow" not in old.attrs
+    assert np.all(old.regime == Regime.RESOLVED)
+    expected = np.where(old.outcome == Outcome.RESIDUAL, 1.0, 0.0)
+    expected[old.outcome == Outcome.UNDECIDED] = np.nan
+    np.testing.assert_array_equal(old.probability, expected)
+    followed = slow.regime == Regime.RESOLVED
+    assert np.count_nonzero(followed) > 50
+    for name in COLUMNS:
+        np.testing.assert_array_equal(old.column(name)[followed], slow.column(name)[followed])
+    assert np.min(old.steps[~followed]) > 100
+    assert np.mean(old.outcome[~followed] == Outcome.UNDECIDED) > 0.9
+
+
+def test_stores_without_regimes_are_resumed_without_predictions(tmp_path):
+    store = tmp_path / "old.zarr"
+    old = dt.sweep(needle, SMALL, store=store, slow_flow=False)
+    message = (
+        "holds another sweep: it has no columns regime and probability "
+        r"\(`slow_flow=False` resumes it\)"
+    )
+    with pytest.raises(dt.StoreMismatch, match=message):
+        dt.sweep(needle, SMALL, store=store)
+    with pytest.raises(dt.StoreMismatch, match="rtol is 1e-08 there and 1e-06 here"):
+        dt.sweep(needle, SMALL, store=store, rtol=1e-6)
+    again = dt.sweep(needle, SMALL, store=store, slow_flow=False)
+    np.testing.assert_array_equal(again.omega_inf, old.omega_inf)
+    assert np.all(dt.Basin.load(store).regime == Regime.RESOLVED)
+
+
+def test_an_interrupted_sweep_with_predictions_is_resumed_to_the_same_bytes(slow, tmp_path):
+    store = tmp_path / "new.zarr"
+    dt.sweep(needle, GRID, max_steps=300, store=store)
+    group = zarr.open_group(store)
+    assert group["done"].shape[0] > 2
+    tile = group.attrs["tile"]
+    for name in slow.columns:
+        group[name][tile : 2 * tile] = np.zeros(tile, group[name].dtype)
+    group["done"][1] = 0
+    again = dt.sweep(needle, GRID, max_steps=300, store=store)
+    for name in slow.columns:
+        np.testing.assert_array_equal(again.column(name), slow.column(name))
+
+
+def test_a_refined_map_keeps_regimes_and_probabilities(slow):
+    grid = dt.Grid(amplitude=np.geomspace(1e-12, 1e-11, 9), theta=np.linspace(0.1, 1.4, 9))
+    refined = dt.adaptive.refine(needle, grid, max_steps=300)
+    whole = dt.sweep(needle, grid, max_steps=300)
+    np.testing.assert_array_equal(refined.regime, whole.regime)
+    np.testing.assert_allclose(refined.probability, whole.probability, atol=1e-6)
