@@ -8,7 +8,8 @@ colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
 from .._maps.symmetry import unfold
 from .basins import basin, compare
 from .continuations import continuation, diagram
+from .histories import history
 from .style import save
 from .trajectories import trajectory
 
-__all__ = ["basin", "compare", "continuation", "diagram", "save", "trajectory", "unfold"]
+__all__ = ["basin", "compare", "continuation", "diagram", "history", "save", "trajectory", "unfold"]
