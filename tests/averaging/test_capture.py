@@ -19,7 +19,11 @@ SAMPLED = {
     0.95: (0.717, 0.839, 0.343, 0.716, 0.925, 1.026, 1.056),
 }
 captures = jax.jit(jax.vmap(capture))
-ends_of_tops = jax.jit(jax.vmap(end_of_top, in_axes=(None, 0)))
+ends_of_tops = jax.jit(
+    lambda delta, starts: jax.vmap(end_of_top, in_axes=(None, 0, None))(
+        delta, starts, capture(delta)
+    )
+)
 N = 256  # starts at once
 
 

@@ -151,7 +151,7 @@ def capture(delta: Scalar) -> Capture:
     return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
 
 
-def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
+def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
     """How a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
 
     W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
@@ -161,6 +161,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
     Args:
         delta: δ in [0.005, 0.995]; NaN outside.
         omega0: ω₀, not 0, of any small size: it enters by logarithms.
+        chance: the `capture` of this δ.
     """
     w1, w2, w3 = omega0
     symmetry_axis = (w1 == 0) & (w2 == 0)
@@ -177,7 +178,6 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
     z = jnp.where(random | (w3 == 0), 0.0, jnp.sign(w3) * jnp.exp(jnp.minimum(log_z, log_entry)))
     phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
     known = settle(d, phi, z)
-    chance = capture(delta)
     turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
     log_w = _log_w(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
     log_scale = or_nan(log_w - log_all, random)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.bisection import root
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import ENTRY, end_of_top
+from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
 from .motion import HALVINGS, Motion, Point, Stage
 from .principal_axes import FreeRotation
@@ -66,18 +66,12 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     axis = jnp.where(motion.ends_high, 0, 2)
     spins = (stage.knots[stage.last] < 0) & ~limit.is_zero
     residual = spins & (r == 0)
-    # The sign of L about the last axis is the first one, or chance after the separatrix.
-    sign = jnp.sign(rotation.momentum[axis] * rotation.dipole[axis])
     end = stage.end
     h = shape(stage.interval.side, limit.x, limit.rest)
     last_energy = jnp.where(residual, h * jnp.exp(end.log) / 2, 0.0)
     energy = _energies(motion.stage(0))[0]
     return SlowEnd(
-        jnp.where(
-            residual,
-            _residual_ends(jnp.where(motion.crosses, 0.0, sign)),
-            jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(motion.ends_high, 6, 5)), 8),
-        ),
+        slow_probability(rotation, motion.crosses, motion.ends_high, spins),
         *_certain(jnp.where(residual, end.log / 2, -jnp.inf)),
         energy,
         last_energy,
@@ -85,6 +79,27 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
         rotation.moments[axis],
         r * jnp.exp(end.log + r * end.s),
         jnp.zeros((), bool),
+    )
+
+
+def slow_probability(
+    rotation: FreeRotation, crosses: Bool[Array, ""], ends_high: Bool[Array, ""], spins: Array
+) -> Float[Array, "8"]:
+    """The probabilities of the `ENDS` of a slow motion.
+
+    Args:
+        rotation: where it begins.
+        crosses: whether it crosses the separatrix.
+        ends_high: whether it ends on the side of the axis of J₁.
+        spins: whether it ends on an axis.
+    """
+    axis = jnp.where(ends_high, 0, 2)
+    # The sign of L about the last axis is the first one, or chance after the separatrix.
+    sign = jnp.sign(rotation.momentum[axis] * rotation.dipole[axis])
+    return jnp.where(
+        spins & (rotation.spin_decay(axis) == 0),
+        _residual_ends(jnp.where(crosses, 0.0, sign)),
+        jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(ends_high, 6, 5)), 8),
     )
 
 
@@ -137,26 +152,20 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
         motion: its slow motion.
         weakness: κL₀/J₃².
     """
-    omega = rotation.momentum / rotation.moments
-    n = rotation.dipole
-    long = jnp.array([1.0, 0.0, 0.0])
-    frame = jnp.stack([n, jnp.cross(long, n), long])
-    end = end_of_top(1 - rotation.moments[0] / rotation.moments[2], weakness * (frame @ omega))
-    # |ω∞|/|ω₀| is L∞/L₀ times L₀/(J₃|ω₀|), with J₃ = 1 and L₀ = 1.
-    shift = jnp.log(jnp.linalg.norm(omega))
+    delta, omega = needle_start(rotation, weakness)
+    end = end_of_top(delta, omega, capture(delta))
+    shift = _log_speed(rotation)
     energy = _energies(motion.stage(0))[0]
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
-    log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
     half_time = _time_at(motion, (energy + last_energy) / 2)
     averaged = turns_fast(rotation, motion.at(jnp.log(half_time)), weakness)
     half_time = jnp.where(end.random & averaged, half_time, jnp.nan)
-    zero = jnp.zeros_like(residual)
-    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
+    probability, log_ratio = needle_chances(rotation, end)
     return SlowEnd(
-        jnp.stack(ends),
-        jnp.where(residual > 0, log_mean, -jnp.inf),
+        probability,
+        log_ratio,
         end.capture.log_quantiles_of_all(jnp.array(QUANTILES)) + shift,
         energy,
         last_energy,
@@ -165,6 +174,28 @@ def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEn
         jnp.where(residual == 1, 0.0, jnp.nan),
         ~end.random,
     )
+
+
+def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Array, "3"]]:
+    """The δ of a needle, and its ω₀ in units of 1/τ₀, dipole first and long axis last."""
+    long = jnp.array([1.0, 0.0, 0.0])
+    frame = jnp.stack([rotation.dipole, jnp.cross(long, rotation.dipole), long])
+    omega = frame @ (rotation.momentum / rotation.moments)
+    return 1 - rotation.moments[0] / rotation.moments[2], weakness * omega
+
+
+def needle_chances(rotation: FreeRotation, end: TopEnd) -> tuple[Float[Array, "8"], Real]:
+    """The probabilities of the `ENDS` of a needle, and the logarithm of the mean L∞/L₀."""
+    residual = end.along + end.against
+    log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + _log_speed(rotation)
+    zero = jnp.zeros_like(residual)
+    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
+    return jnp.stack(ends), jnp.where(residual > 0, log_mean, -jnp.inf)
+
+
+def _log_speed(rotation: FreeRotation) -> Real:
+    """The logarithm of |ω₀|J₃/L₀ in units of J₃ and L₀; L∞/L₀ is |ω∞|/|ω₀| times that number."""
+    return jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
 
 
 def turns_fast(rotation: FreeRotation, point: Point, weakness: Real) -> Bool[Array, "*times"]:

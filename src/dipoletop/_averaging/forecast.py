@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import or_nan
 from .._base.forward_mode import forward_differentiable
@@ -126,21 +126,11 @@ def _values(
         end = needle() if is_needle else other()
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
-    residual = jnp.sum(end.probability[:2])
-    sign = end.probability[0] - end.probability[1]
     ratio = jnp.exp(end.log_ratio)
-    speed = units.momentum * ratio / (units.moment * end.last_moment)
-    omega_inf = jnp.where(jnp.abs(sign) == 1, sign * speed, jnp.nan)
-    omega_inf = jnp.where(residual == 0, 0.0, omega_inf)
-    symmetric = (rotation.moments[0] == rotation.moments[1]) | (
-        rotation.moments[1] == rotation.moments[2]
-    )
-    regime = jnp.where(symmetric, Regime.AVERAGED, Regime.SLOW_FLOW)
-    regime = jnp.where(apart.is_needle, Regime.UNFOLDED, regime)
-    regime = jnp.where(is_sphere, Regime.EXACT, regime)
-    error = jnp.where(
-        end.known_phase, units.weakness, estimated_error(apart, motion, units.weakness)
-    )
+    omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
+    log_crossing = motion.stage(0).end.log
+    averaging = estimated_error(apart, motion.crosses, log_crossing, units.weakness)
+    error = jnp.where(end.known_phase, units.weakness, averaging)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
     energy_unit = units.momentum**2 / units.moment
     rest = (
@@ -153,14 +143,43 @@ def _values(
         error,
     )
     values = jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
-    return or_nan(values, ~motion.failed | is_sphere | is_spin).at[-2].set(regime.astype(float))
+    return (
+        or_nan(values, ~motion.failed | is_sphere | is_spin)
+        .at[-2]
+        .set(regime_of(rotation).astype(float))
+    )
 
 
-def estimated_error(rotation: FreeRotation, motion: Motion, weakness: Real) -> Real:
+def speed_about_dipole(
+    probability: Float[Array, "8"], ratio: Real, last_moment: Real, units: Units
+) -> Real:
+    """ω∞: signed, 0 for a stop, NaN where its sign is a matter of chance."""
+    residual, sign = probability[0] + probability[1], probability[0] - probability[1]
+    speed = units.momentum * ratio / (units.moment * last_moment)
+    return jnp.where(residual == 0, 0.0, or_nan(sign * speed, jnp.abs(sign) == 1))
+
+
+def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
+    """The law for a body; a spin about a principal axis has that of its neighbours."""
+    j1, j2, j3 = rotation.moments
+    regime = jnp.where((j1 == j2) | (j2 == j3), Regime.AVERAGED, Regime.SLOW_FLOW)
+    regime = jnp.where(rotation.is_needle, Regime.UNFOLDED, regime)
+    return jnp.where(rotation.is_sphere, Regime.EXACT, regime).astype(int)
+
+
+def estimated_error(
+    rotation: FreeRotation, crosses: Bool[Array, ""], log_crossing: Real, weakness: Real
+) -> Real:
     """The part of L² that is radiated within one period, which averaging neglects.
 
     It is the largest at the start, or at the separatrix, whose libration is slow if two moments are
     nearly equal: its rate is L√(Db Dab), and ln(16/(1 − m)) is taken as 10 there.
+
+    Args:
+        rotation: where the motion begins.
+        crosses: whether it crosses the separatrix.
+        log_crossing: ln L²/L₀² there.
+        weakness: κL₀/J₃².
     """
     high, z = rotation.place
     side = rotation.side(high)
@@ -169,9 +188,9 @@ def estimated_error(rotation: FreeRotation, motion: Motion, weakness: Real) -> R
     first = r * period(side.moments, x, rest)
     p12, p23, _ = rotation.gaps
     across = (1 - rotation.dipole[1] ** 2) / rotation.moments[1] ** 3
-    libration = jnp.sqrt(jnp.where(motion.crosses, p12 * p23, 1.0))
-    momentum = jnp.exp(motion.stage(0).end.log / 2)
-    crossing = jnp.where(motion.crosses, momentum * across * 4 * 5 / libration, 0.0)
+    libration = jnp.sqrt(jnp.where(crosses, p12 * p23, 1.0))
+    momentum = jnp.exp(log_crossing / 2)
+    crossing = jnp.where(crosses, momentum * across * 4 * 5 / libration, 0.0)
     return ERROR * weakness * jnp.maximum(first, crossing) / jnp.pi + QUADRATURE
 
 

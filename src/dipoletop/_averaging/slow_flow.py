@@ -134,12 +134,13 @@ def interval_of(side: Side, z: Real) -> Interval:
     zeros = side.zeros()
     low = jnp.max(jnp.where(zeros < z, zeros, -jnp.inf))
     high = jnp.min(jnp.where(zeros > z, zeros, jnp.inf))
-    both = jax.vmap(lambda z: _bound(side, z))(jnp.stack([low, high]))
+    both = jax.vmap(lambda z: bound(side, z))(jnp.stack([low, high]))
     first, second = (Bound(*leaves) for leaves in zip(*both, strict=True))
     return Interval(side, first, second)
 
 
-def _bound(side: Side, z: Real) -> Bound:
+def bound(side: Side, z: Real) -> Bound:
+    """The end of an interval at z = logit x: a zero of F, or the axis or the separatrix (∓∞)."""
     x, rest = from_logit(z)
     rest = jnp.maximum(rest, SMALLEST)
     is_zero = jnp.isfinite(z)

@@ -1,0 +1,148 @@
+"""How the slow motions of many bodies and starts end: the numbers of predictions without times.
+
+What a case costs does not depend on it (see `outline`), except in two kinds. The capture of needles
+is found once for each δ, and a start whose quadrature is in doubt is predicted by itself.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._base.types import Outcome, Real
+from .capture import Capture, capture, end_of_top
+from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
+from .forecast import (
+    decided_outcome,
+    estimated_error,
+    forecast,
+    regime_of,
+    scaled_rotation,
+    speed_about_dipole,
+)
+from .outline import outline
+
+CHUNKS = 64, 1024  # starts that are computed at once; few sizes, since each is compiled
+DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted by itself
+
+Variables = Float[Array, "15"]
+"""Inertia, dipole and ω₀ in one vector."""
+
+
+class ManyEnds(NamedTuple):
+    """How N motions end; see `Prediction` for the meaning."""
+
+    outcome: Int[np.ndarray, "N"]
+    probability: Float[np.ndarray, "N 8"]
+    omega_inf: Float[np.ndarray, "N"]
+    ratio: Float[np.ndarray, "N"]
+    regime: Int[np.ndarray, "N"]
+    error: Float[np.ndarray, "N"]
+
+
+class _End(NamedTuple):
+    """How one motion ends."""
+
+    probability: Float[Array, "8"]
+    omega_inf: Real
+    ratio: Real
+    regime: Int[Array, ""]
+    error: Real
+
+
+def ends_of_many(
+    inertia: Float[np.ndarray, "N 3 3"],
+    dipole: Float[np.ndarray, "N 3"],
+    omega0: Float[np.ndarray, "N 3"],
+    strength: float = 1.0,
+) -> ManyEnds:
+    """How N free rotations end.
+
+    Args:
+        inertia: inertia tensors.
+        dipole: dipoles.
+        omega0: initial angular velocities, not zero.
+        strength: the k of κ = k d².
+    """
+    size = len(omega0)
+    variables = np.concatenate([np.reshape(inertia, (size, 9)), dipole, omega0], axis=1)
+    coupling = jnp.asarray(strength)
+    ends, delta, doubtful = _in_chunks(_slow_ends, variables, coupling)
+    for value in np.unique(delta[delta != 0]):
+        (lanes,) = np.nonzero(delta == value)
+        captured = _in_chunks(_needle_ends, variables[lanes], (coupling, _capture(value)))
+        _put(ends, lanes, captured)
+    for lane in np.nonzero(doubtful & (delta == 0))[0]:
+        alone = forecast(jnp.asarray(variables[lane]), coupling, False)
+        _put(ends, lane, _End(*(getattr(alone, name) for name in _End._fields)))
+    outcome = np.asarray(decided_outcome(jnp.asarray(ends.probability), jnp.asarray(ends.error)))
+    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    omega_inf = np.where(decided, ends.omega_inf, np.nan)
+    return ManyEnds(outcome, ends.probability, omega_inf, ends.ratio, ends.regime, ends.error)
+
+
+def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: Any) -> Any:
+    """A function of every start, vectorised over chunks; the last one is filled up."""
+    length = CHUNKS[len(variables) > CHUNKS[0]]
+    count = max(1, -(-len(variables) // length))
+    padded = np.resize(variables, (count * length, 15))
+    parts = [function(part, constants) for part in np.split(padded, count)]
+    return jax.tree.map(lambda *x: np.concatenate(x)[: len(variables)], *parts)
+
+
+def _put(ends: _End, lanes: Any, values: _End) -> None:
+    """Replace the ends of some starts."""
+    for array, value in zip(ends, values, strict=True):
+        array[lanes] = value
+
+
+@eqx.filter_jit
+@functools.partial(jax.vmap, in_axes=(0, None))
+def _slow_ends(variables: Variables, strength: Real) -> tuple[_End, Real, Bool[Array, ""]]:
+    """The end by the slow flow; δ of a needle, or 0; whether the quadrature is in doubt."""
+    rotation, units = scaled_rotation(variables, strength)
+    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
+    apart = rotation.replaced_where(is_sphere | is_spin)
+    leads = outline(apart)
+    last = apart.moments[jnp.where(leads.ends_high, 0, 2)]
+    end = (
+        slow_probability(apart, leads.crosses, leads.ends_high, leads.spins),
+        leads.log / 2,
+        last,
+    )
+    for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
+        exact = known.probability, known.log_ratio, known.last_moment
+        end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
+    probability, log_ratio, last_moment = end
+    ratio = jnp.exp(log_ratio)
+    error = estimated_error(apart, leads.crosses, leads.log_crossing, units.weakness)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
+    omega_inf = speed_about_dipole(probability, ratio, last_moment, units)
+    delta, _ = needle_start(apart, units.weakness)
+    doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
+    end = _End(probability, omega_inf, ratio, regime_of(rotation), error)
+    return end, jnp.where(apart.is_needle, delta, 0.0), doubtful
+
+
+@eqx.filter_jit
+@functools.partial(jax.vmap, in_axes=(0, None))
+def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _End:
+    """The end of a needle, given the distribution of its capture."""
+    strength, chance = constants
+    rotation, units = scaled_rotation(variables, strength)
+    delta, omega = needle_start(rotation, units.weakness)
+    end = end_of_top(delta, omega, chance)
+    probability, log_ratio = needle_chances(rotation, end)
+    ratio = jnp.exp(log_ratio)
+    omega_inf = speed_about_dipole(probability, ratio, rotation.moments[2], units)
+    nothing = jnp.zeros((), bool)
+    averaging = estimated_error(rotation, nothing, jnp.zeros(()), units.weakness)
+    error = jnp.where(end.random, averaging, units.weakness)
+    return _End(probability, omega_inf, ratio, regime_of(rotation), error)
+
+
+_capture = eqx.filter_jit(capture)
