@@ -17,6 +17,7 @@ from .._runs.simulate import simulate
 from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
+from .atlas_command import atlas_command
 from .files import FORMATS, output_paths
 from .parameters import Number, Size
 from .predict_command import predict_command
@@ -66,6 +67,7 @@ def main() -> None:
 
 main.add_command(store)
 main.add_command(predict_command)
+main.add_command(atlas_command)
 
 
 @main.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
