@@ -138,7 +138,7 @@ def atlas(
     Example:
         >>> import dipoletop as dt
         >>> dt.atlas(3, n=2)
-        Atlas(4 bodies with the dipole on axis 3; RESIDUAL 1; ratio=0.443943 to 0.506003)
+        Atlas(4 bodies with the dipole on axis 3; RESIDUAL 1; ratio=0.465994 to 0.531225)
     """
     if (dipole is None) == (body is None):
         refuse("dipole", "be given or else `body`", "neither is" if dipole is None else "both are")

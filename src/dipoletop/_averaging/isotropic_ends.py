@@ -12,8 +12,9 @@ from .many import ManyEnds, ends_of_many
 
 STARTS = 16
 """Values of h on each side of the separatrix."""
-HALVINGS = 12
-"""Of the interval between two neighbouring ones that have different ends."""
+SECTIONS, ROUNDS = 66, 2
+"""Into which an interval between two neighbouring ones with different ends is cut, and how often.
+As many as fill a chunk of `ends_of_many`, whose other size would be compiled, too."""
 CHUNK = 4096
 """Motions between two reports of progress."""
 SMALL = 1e-20
@@ -89,14 +90,20 @@ def _shares(
 ) -> Float[np.ndarray, "S 8"]:
     """The share of directions with each end, on every side.
 
-    Ends change at single values of x, which are found by bisection.
+    Ends change at single values of x, which are found by cutting intervals into sections.
     """
     rows, before = np.nonzero(_differ(kinds[:, 1:], kinds[:, :-1]))
     low, high = nodes[before], nodes[before + 1]
-    for _ in range(HALVINGS if len(rows) else 0):
-        middle = (low + high) / 2
-        changed = _differ(_merged(sides.ends(rows, middle).probability), kinds[rows, before])
-        low, high = np.where(changed, low, middle), np.where(changed, middle, high)
+    parts = np.arange(1, SECTIONS) / SECTIONS
+    for _ in range(ROUNDS if len(rows) else 0):
+        points = low[:, None] + (high - low)[:, None] * parts
+        found = sides.ends(np.repeat(rows, len(parts)), points.ravel()).probability
+        after = _merged(found).reshape(*points.shape, 8)
+        changed = _differ(after, kinds[rows, before][:, None])
+        passed = np.where(np.any(changed, axis=1), np.argmax(changed, axis=1), len(parts))
+        edges = np.concatenate([low[:, None], points, high[:, None]], axis=1)
+        each = np.arange(len(rows))
+        low, high = edges[each, passed], edges[each, passed + 1]
     steps = kinds[rows, before] - kinds[rows, before + 1]
     shares = share_of_side(sides.moments)[:, None] * kinds[:, -1]
     np.add.at(shares, rows, share_below(sides.moments[rows], (low + high) / 2)[:, None] * steps)
@@ -104,8 +111,8 @@ def _shares(
 
 
 def _differ(
-    first: Float[np.ndarray, "*any 8"], second: Float[np.ndarray, "*any 8"]
-) -> Bool[np.ndarray, "*any"]:
+    first: Float[np.ndarray, "*#any 8"], second: Float[np.ndarray, "*#any 8"]
+) -> Bool[np.ndarray, "..."]:
     return np.any(np.abs(first - second) > 1e-9, axis=-1)
 
 

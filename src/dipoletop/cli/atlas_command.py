@@ -9,7 +9,7 @@ import numpy as np
 from ..atlas import Atlas, Ending, atlas
 from ..bodies import Body
 from .files import FORMATS, output_paths
-from .parameters import Direction
+from .parameters import Numbers
 from .refusals import Refusal, computing
 
 WORDS = {
@@ -35,7 +35,7 @@ CODES = ", ".join(f"{int(ending)} {words}" for ending, words in WORDS.items())
 )
 @click.option(
     "--body",
-    type=Direction(),
+    type=Numbers(),
     metavar="J1,J2,J3",
     help="Moments of inertia: map over all dipoles of this body instead.",
 )

@@ -87,6 +87,30 @@ class Lengths(click.ParamType):
         return lengths
 
 
+class Numbers(click.ParamType):
+    """Three numbers such as 3,4,5."""
+
+    name = "numbers"
+
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> tuple[float, ...]:
+        """The three numbers."""
+        if isinstance(value, tuple):
+            return value
+        numbers = three_numbers(value)
+        if not numbers:
+            self.fail(f"{value!r} is not three numbers such as 3,4,5.", param, ctx)
+        return numbers
+
+
+def three_numbers(text: Any) -> tuple[float, ...]:
+    """Three finite numbers from a text, with commas between them; none if it is not that."""
+    try:
+        numbers = tuple(float(part) for part in str(text).split(","))
+    except ValueError:
+        return ()
+    return numbers if len(numbers) == 3 and all(map(math.isfinite, numbers)) else ()
+
+
 class Direction(click.ParamType):
     """A direction in body axes: x, y, z, or three numbers such as 1,0,0.01."""
 
@@ -103,11 +127,8 @@ class Direction(click.ParamType):
             return value
         if value in self.AXES:
             return self.AXES[value]
-        try:
-            vector = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            vector = ()
-        if len(vector) != 3 or not all(map(math.isfinite, vector)) or not any(vector):
+        vector = three_numbers(value)
+        if not any(vector):
             message = f"{value!r} is not a direction such as x, y, z or 1,0,0.01."
             self.fail(message, param, ctx)
         return vector

@@ -138,12 +138,14 @@ def quantiles_of(
 ) -> list[float]:
     """The `SHOWN` quantiles of values with weights; NaN where values that are not known matter."""
     order = np.argsort(values, axis=None)  # NaN last
-    ranked, share = np.ravel(values)[order], np.cumsum(np.ravel(weights)[order])
+    ranked, weights = np.ravel(values)[order], np.ravel(weights)[order] / np.sum(weights)
     if np.isnan(ranked[0]):
         return [math.nan] * len(SHOWN)
-    # The lower of two neighbours, so that nothing is averaged with infinity.
-    places = np.searchsorted(share / share[-1], np.array(SHOWN) - 1e-12)
-    return [float(value) for value in ranked[places]]
+    share = np.cumsum(weights)
+    between = np.interp(SHOWN, share - weights / 2, ranked)
+    # Nothing lies between a number and infinity: there it is the value that reaches the share.
+    reached = ranked[np.searchsorted(share, np.array(SHOWN) - 1e-12)]
+    return np.where(np.isfinite(between), between, reached).tolist()
 
 
 def _cell(value: float) -> str:
