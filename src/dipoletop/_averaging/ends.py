@@ -15,7 +15,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
-from .motion import HALVINGS, Motion, Point, Stage
+from .motion import HALVINGS, LEAST_LOG, Motion, Point, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
@@ -67,12 +67,12 @@ def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
     spins = (stage.knots[stage.last] < 0) & ~limit.is_zero
     residual = spins & (r == 0)
     end = stage.end
-    h = shape(stage.interval.side, limit.x, limit.rest)
-    last_energy = jnp.where(residual, h * jnp.exp(end.log) / 2, 0.0)
+    log = jnp.where(residual & (end.log > LEAST_LOG), end.log, -jnp.inf)
+    last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
     energy = _energies(motion.stage(0))[0]
     return SlowEnd(
         slow_probability(rotation, motion.crosses, motion.ends_high, spins),
-        *_certain(jnp.where(residual, end.log / 2, -jnp.inf)),
+        *_certain(log / 2),
         energy,
         last_energy,
         _time_at(motion, (energy + last_energy) / 2),

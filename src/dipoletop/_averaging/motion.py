@@ -27,10 +27,12 @@ from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # of the quadratures
-MAX_STEPS = 800
+MAX_STEPS = 1200
 FIRST_STEP = 0.01  # of y
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
+LEAST_LOG = -800.0
+"""The ln L²/L₀² at which a motion counts as ended; no number holds a time so late."""
 
 
 class State(NamedTuple):
@@ -119,7 +121,8 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
 
     def field(y: Any, state: Array, args: Any) -> Array:
         pace, r = interval.pace(y)
-        return pace * jnp.stack([jnp.ones_like(r), -r, 1 - r * state[2]])
+        going_on = state[1] > LEAST_LOG
+        return jnp.where(going_on, pace, 0.0) * jnp.stack([jnp.ones_like(r), -r, 1 - r * state[2]])
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),

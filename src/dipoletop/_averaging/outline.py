@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
@@ -18,7 +17,6 @@ from .._base.types import Real
 from .principal_axes import FreeRotation
 from .slow_flow import FARTHEST, HALVINGS, SPACING, Interval, Side, bound
 
-GRID = np.arange(-FARTHEST, FARTHEST + SPACING, SPACING)  # of logit x
 PANELS = 24  # of the quadrature
 NODES = 16  # on each
 
@@ -45,16 +43,19 @@ def outline(rotation: FreeRotation) -> Outline:
     high, z = rotation.place
     side = rotation.side(high)
     rises = side.growth(z) > 0
-    reverses = _positive(side) != rises
-    turns = jnp.any(reverses & (jnp.where(rises, GRID - z, z - GRID) > 0))
+    points, positive = side.sample()
+    ahead = jnp.where(rises, points - z, z - points)
+    reverses = positive != rises
+    turns = jnp.any(reverses & (ahead > 0))
     has_other_side = side.moments[1] != side.moments[0]
     crosses = rises & ~turns & has_other_side
-    spins = jnp.where(crosses, ~jnp.any(_positive(side.other)), ~rises & ~turns)
+    _, beyond = side.other.sample()
+    spins = jnp.where(crosses, ~jnp.any(beyond), ~rises & ~turns)
     ends_high = high ^ crosses
     axis = jnp.where(ends_high, 0, 2)
     residual = spins & (rotation.spin_decay(axis) == 0)
-    # Behind the start there may be a zero, from which the motion comes.
-    first = _log_lost(_open_interval(side, z, rises, reverses), z, rises)
+    behind = jnp.max(jnp.where(reverses & (ahead < 0), ahead, -jnp.inf))
+    first = _log_lost(_open_interval(side, z, rises, behind), z, rises)
     second = _log_lost(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
     logs, errors = jnp.stack([first, second]).T
     used = jnp.stack([jnp.ones_like(crosses), crosses])
@@ -63,26 +64,21 @@ def outline(rotation: FreeRotation) -> Outline:
     return Outline(crosses, ends_high, spins, log, jnp.where(crosses, logs[0], 0.0), error)
 
 
-def _positive(side: Side) -> Bool[Array, "G"]:
-    """Whether F > 0, on the grid."""
-    return jax.lax.map(lambda z: side.growth(z) > 0, jnp.asarray(GRID))
+def _open_interval(side: Side, z: Real, rises: Bool[Array, ""], behind: Real) -> Interval:
+    """The interval in which a motion goes from z to the axis or to the separatrix.
 
-
-def _open_interval(
-    side: Side, z: Real, rises: Bool[Array, ""], reverses: Bool[Array, "G"]
-) -> Interval:
-    """The interval from the zero of F behind z, if there is one, to the axis or the separatrix."""
-    behind = reverses & (jnp.where(rises, z - GRID, GRID - z) > 0)
-    nearest = jnp.where(
-        rises, jnp.max(jnp.where(behind, GRID, -jnp.inf)), jnp.min(jnp.where(behind, GRID, jnp.inf))
-    )
-    found = jnp.isfinite(nearest)
-    far = jnp.where(found, nearest, z)
-    near = jnp.where(rises, jnp.minimum(far + SPACING, z), jnp.maximum(far - SPACING, z))
+    Args:
+        side: the side of the separatrix.
+        z: logit x.
+        rises: whether x grows.
+        behind: minus the distance of the nearest point behind z at which F has the other sign;
+            there is a zero next to it, from which the motion comes. Infinite if there is none.
+    """
     sign = jnp.where(rises, 1.0, -1.0)
-    # `root` looks for a change from negative to positive.
-    zero = root(lambda at: sign * side.growth(at), far, near, HALVINGS)
-    zero = jnp.where(found, zero, jnp.where(rises, -jnp.inf, jnp.inf))
+    far = jnp.where(jnp.isfinite(behind), behind, 0.0)
+    near = jnp.minimum(far + SPACING, 0.0)
+    zero = z + sign * root(lambda at: sign * side.growth(z + sign * at), far, near, HALVINGS)
+    zero = jnp.where(jnp.isfinite(behind), zero, -sign * jnp.inf)
     low = bound(side, jnp.where(rises, zero, -jnp.inf))
     high = bound(side, jnp.where(rises, jnp.inf, zero))
     return Interval(side, low, high)

@@ -19,16 +19,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
+from .._base.guards import safe_divisor
 from .._base.types import Real
 from .free_rotation import averages
 
 FARTHEST = 45.0  # |logit x| and |y| beyond which nothing changes in double precision
 SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
+GRID = np.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
 MOST_ZEROS = 4  # on one side
+MOST_FOLDS = 2  # extrema of F next to 0
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
 SMALLEST = 1e-300  # 1 − x on the separatrix, where a symmetric body has 0/0
@@ -57,14 +61,47 @@ class Side(eqx.Module):
         """The side beyond the separatrix."""
         return Side(self.moments[::-1], self.weights[::-1])
 
+    def sample(self) -> tuple[Float[Array, "g"], Bool[Array, "g"]]:
+        """Values of logit x such that the sign of F changes at most once between neighbours; F > 0.
+
+        Those of a regular grid, in order, are followed by the extrema of F between them that may
+        hide two zeros, filled up with the last value of the grid.
+        """
+        growth = jax.lax.map(self.growth, jnp.asarray(GRID))
+        folds = self._folds(growth)
+        positive = jax.vmap(self.growth)(folds) > 0
+        return jnp.append(jnp.asarray(GRID), folds), jnp.append(growth > 0, positive)
+
+    def _folds(self, growth: Float[Array, "G"]) -> Float[Array, "m"]:
+        """Extrema of F next to 0, by parabolas through three points."""
+        size, sign = jnp.abs(growth), jnp.sign(growth)
+        far, near, inner = (
+            (slice(0, -4), slice(4, None)),
+            (slice(1, -3), slice(3, -1)),
+            slice(2, -2),
+        )
+        low = size[inner] < 0.5 * jnp.maximum(*(size[part] for part in far))
+        for part in near:
+            low &= (size[inner] <= size[part]) & (sign[inner] == sign[part])
+        (index,) = jnp.nonzero(low, size=MOST_FOLDS, fill_value=-1)
+        place = jnp.asarray(GRID)[index + 2]
+        step = SPACING
+        for _ in range(4):  # each leaves an error of the order of the step squared
+            before, here, after = (jax.vmap(self.growth)(place + k * step) for k in (-1, 0, 1))
+            bend = before - 2 * here + after
+            shift = (before - after) / (2 * safe_divisor(bend))
+            place, step = place + step * jnp.clip(shift, -1.0, 1.0), step / 10
+        return jnp.where(index < 0, FARTHEST, place)
+
     def zeros(self) -> Float[Array, "m"]:
         """The zeros of F by their logit x, ascending; filled up with +∞."""
-        grid = jnp.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
-        positive = jax.vmap(self.growth)(grid) > 0
+        points, positive = self.sample()
+        order = jnp.argsort(points)
+        points, positive = points[order], positive[order]
         (index,) = jnp.nonzero(positive[1:] != positive[:-1], size=MOST_ZEROS, fill_value=-2)
         sign = jnp.where(positive[index + 1], 1.0, -1.0)
         signed = jax.vmap(lambda z, sign: sign * self.growth(z))
-        zero = root(lambda z: signed(z, sign), grid[index], grid[index + 1], HALVINGS)
+        zero = root(lambda z: signed(z, sign), points[index], points[index + 1], HALVINGS)
         return jnp.where(index >= 0, zero, jnp.inf)
 
 
