@@ -163,7 +163,7 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     low, middle, high = curves.ratios.tolist()
     if high - low < 1e-12:
         ax.set(ylim=(0.5, 1.5), yticks=[1.0])
-        names = {low: "sphere"}
+        names, gaps = {low: "sphere"}, np.zeros(2)
     else:
         span, margin = np.log(high), 0.06
         if high > 4:
@@ -180,9 +180,15 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     twin = ax.secondary_yaxis("right")
     twin.set_yticks(list(names), list(names.values()))
     twin.minorticks_off()
+    # Names of neighbouring lines give way to each other.
+    upper = gaps[1] < gaps[0] if len(names) == 3 else False
+    sides = {
+        "about $J_3$": "top",
+        "about $J_1$": "bottom",
+        "separatrix": "top" if upper else "bottom",
+    }
     for label in twin.get_yticklabels():
-        if label.get_text() == "about $J_3$":
-            label.set(va="top")
+        label.set(va=sides.get(label.get_text(), "center"))
 
 
 def _title(predictions: Prediction) -> str:
