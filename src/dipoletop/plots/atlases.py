@@ -111,7 +111,7 @@ def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
     polygons = atlas.corners @ corners
     # Edges of the same colour, so that no background shows between cells.
     colours = _colours(atlas)
-    cells = PolyCollection(list(polygons), facecolors=colours, edgecolors=colours, lw=0.3)
+    cells = PolyCollection(list(polygons), facecolors=colours, edgecolors=colours, lw=0.6)
     cells.set_rasterized(True)
     ax.add_collection(cells)
     ending = atlas.ending
