@@ -81,6 +81,15 @@ def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
     assert float(half / plateau) ** 2 == _approx(0.5, rel=2e-3)
 
 
+def test_a_dipole_is_on_its_axis_where_its_length_is_1_to_rounding_only():
+    """In SI units n₃ may be 1 − 1e-16; then 1 − n₃² is not 0, but n₁ and n₂ are."""
+    moments = jnp.array([0.99, 0.995, 1.0])
+    for size in jnp.geomspace(8.0e-27, 8.1e-27, 12):
+        grain = dt.Particle(1e-18, 1e-33 * jnp.diag(moments), size * jnp.eye(3)[2])
+        start = dt.particles.start(grain, "1 GHz", momentum=[1, 2, 3])
+        assert dt.predict(grain, start).outcome == dt.Outcome.RESIDUAL
+
+
 @pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     def ratio(moments, omega):

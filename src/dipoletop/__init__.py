@@ -17,6 +17,7 @@ from ._runs.classify_many import classify_many
 from ._runs.sensitivity import decay_time, residual_rotation
 from ._runs.simulate import simulate
 from ._runs.trajectory import Trajectory
+from .atlas import Atlas, atlas
 from .bodies import Body, axisymmetric, box, from_charges, rod, spheroid
 from .equations import (
     Full,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from .particles import Particle
 
 __all__ = [
+    "Atlas",
     "Basin",
     "Body",
     "Classification",
@@ -92,6 +94,7 @@ __all__ = [
     "TransverseSemi",
     "Verdict",
     "adaptive",
+    "atlas",
     "axisymmetric",
     "boundary",
     "box",

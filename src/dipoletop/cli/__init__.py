@@ -1,4 +1,4 @@
-"""The command line: `dipoletop map`, `simulate`, `figures`, `spectrum`, `validate`, `store`."""
+"""The command line: `dipoletop map`, `simulate`, `predict`, `atlas`, `figures`, …."""
 
 from .commands import main
 

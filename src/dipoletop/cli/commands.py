@@ -1,6 +1,5 @@
-"""The command line: `dipoletop map`, `simulate`, `figures`, `spectrum`, `validate`, `store`."""
+"""The command line: `dipoletop map`, `simulate`, `predict`, `atlas`, `figures`, …."""
 
-import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,7 +18,10 @@ from .._runs.slow_runs import SlowFlow
 from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
+from .atlas_command import atlas_command
+from .files import FORMATS, output_paths
 from .parameters import Number, Size
+from .predict_command import predict_command
 from .refusals import Refusal, computing
 from .store_commands import store
 
@@ -29,7 +31,6 @@ LEVEL = click.Choice([level.value for level in Level])
 MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.FULL])
 SLOW_FLOW: dict[str, SlowFlow] = {"auto": "auto", "on": True, "off": False}
 COLUMNS = "tau,omega_1,omega_2,omega_3,energy,power"
-FORMATS = click.Choice(["png", "pdf", "svg"])
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
 
 TERMS = """\b
@@ -67,20 +68,8 @@ def main() -> None:
 
 
 main.add_command(store)
-
-
-def _output_paths(output: str, suffix: str | None, name: str) -> tuple[Path, Path]:
-    """The path that all files begin with, and that of the picture; `name` in a folder.
-
-    `output` may end with the format of the picture; a missing folder is made.
-    """
-    base = Path(output)
-    if output.endswith(("/", os.sep)) or base.is_dir():
-        base = base / name
-    if base.suffix[1:] in FORMATS.choices:
-        suffix, base = suffix or base.suffix[1:], base.with_suffix("")
-    base.parent.mkdir(parents=True, exist_ok=True)
-    return base, base.with_name(f"{base.name}.{suffix or 'png'}")
+main.add_command(predict_command)
+main.add_command(atlas_command)
 
 
 @main.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
@@ -155,7 +144,7 @@ def map_command(**options: Any) -> None:
     axes = quantities.OPTIONS[options["x"]], quantities.OPTIONS[options["y"]]
     ranges = {quantities.OPTIONS[word]: (low, high) for word, low, high in options["ranges"]}
     grid, text = quantities.grid_over(axes, ranges, options["size"], _given(options))
-    base, picture = _output_paths(options["output"], options["suffix"], "map")
+    base, picture = output_paths(options["output"], options["suffix"], "map")
     settings = {
         name: options[name] for name in ("rtol", "max_steps", "confirm", "engine", "repair")
     }
@@ -253,7 +242,7 @@ def simulate_command(**options: Any) -> None:
             f"The run did not reach τ = {tau_max:g}: it ended after "
             f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
         )
-    base, picture = _output_paths(options["output"], options["suffix"], "trajectory")
+    base, picture = output_paths(options["output"], options["suffix"], "trajectory")
     table = base.with_name(f"{base.name}.csv")
     # 17 digits give every number back exactly.
     np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=COLUMNS, comments="")

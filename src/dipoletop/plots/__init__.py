@@ -6,9 +6,21 @@ colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
 """
 
 from .._maps.symmetry import unfold
+from .atlases import atlas
 from .basins import basin, compare
 from .continuations import continuation, diagram
+from .histories import history
 from .style import save
 from .trajectories import trajectory
 
-__all__ = ["basin", "compare", "continuation", "diagram", "save", "trajectory", "unfold"]
+__all__ = [
+    "atlas",
+    "basin",
+    "compare",
+    "continuation",
+    "diagram",
+    "history",
+    "save",
+    "trajectory",
+    "unfold",
+]

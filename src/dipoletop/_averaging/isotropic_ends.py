@@ -1,0 +1,125 @@
+"""How bodies end, as means over isotropic directions of L."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from tqdm import tqdm
+
+from .isotropic import isotropic_shapes, momentum_at, share_below, share_of_side
+from .many import ManyEnds, ends_of_many
+
+STARTS = 16
+"""Values of h on each side of the separatrix."""
+SECTIONS, ROUNDS = 66, 2
+"""Into which an interval between two neighbouring ones with different ends is cut, and how often.
+As many as fill a chunk of `ends_of_many`, whose other size would be compiled, too."""
+CHUNK = 4096
+"""Motions between two reports of progress."""
+SMALL = 1e-20
+"""|L| of the starts: an ω at which the slow flow is exact to rounding."""
+
+
+class IsotropicEnds(NamedTuple):
+    """How B bodies end."""
+
+    probability: Float[np.ndarray, "B 8"]
+    """Of each of the `ENDS`, the mean over directions."""
+    ratio: Float[np.ndarray, "B"]
+    """The mean of L∞/L₀."""
+    error: Float[np.ndarray, "B"]
+    """The largest estimated relative error."""
+
+
+class _Sides(NamedTuple):
+    """The two sides of B bodies: those round J₃, then those round J₁."""
+
+    moments: Float[np.ndarray, "2*B 3"]
+    dipole: Float[np.ndarray, "2*B 3"]
+
+    def ends(
+        self, rows: Int[np.ndarray, "M"], x: Float[np.ndarray, "M"], progress: bool = False
+    ) -> ManyEnds:
+        """How the motions of some rows end, from given x."""
+        moments, dipole = self.moments[rows], self.dipole[rows]
+        omega = SMALL * momentum_at(moments, x) / moments
+        inertia = moments[:, :, None] * np.eye(3)
+        parts = [
+            ends_of_many(inertia[part], dipole[part], omega[part])
+            for part in _parts(len(rows), progress)
+        ]
+        return ManyEnds(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def isotropic_ends(
+    moments: Float[np.ndarray, "B 3"], dipole: Float[np.ndarray, "B 3"], progress: bool = False
+) -> IsotropicEnds:
+    """How bodies end: means over isotropic directions of L.
+
+    Args:
+        moments: J₁ < J₂ < J₃.
+        dipole: direction cosines of the dipole.
+        progress: whether to show a progress bar.
+    """
+    # In the reversed order of the axes the side round J₁ is described like that round J₃.
+    sides = _Sides(
+        np.concatenate([moments, moments[:, ::-1]]), np.concatenate([dipole, dipole[:, ::-1]])
+    )
+    nodes, weights = isotropic_shapes(sides.moments, STARTS)
+    rows = np.repeat(np.arange(len(sides.moments)), STARTS)
+    ends = sides.ends(rows, np.tile(nodes, len(sides.moments)), progress)
+    kinds = _merged(ends.probability).reshape(len(weights), STARTS, 8)
+    shares = _shares(sides, nodes, kinds)
+    ratio = np.sum(weights * ends.ratio.reshape(weights.shape), axis=1)
+    error = np.max(ends.error.reshape(weights.shape), axis=1)
+    low, high = np.split(np.arange(len(weights)), 2)
+    return IsotropicEnds(
+        shares[low] + shares[high], ratio[low] + ratio[high], np.maximum(error[low], error[high])
+    )
+
+
+def _merged(probability: Float[np.ndarray, "M 8"]) -> Float[np.ndarray, "M 8"]:
+    """The probabilities, with both senses of residual rotation alike: L and −L are as frequent."""
+    residual = np.mean(probability[:, :2], axis=1, keepdims=True)
+    return np.concatenate([residual, residual, probability[:, 2:]], axis=1)
+
+
+def _shares(
+    sides: _Sides, nodes: Float[np.ndarray, "K"], kinds: Float[np.ndarray, "S K 8"]
+) -> Float[np.ndarray, "S 8"]:
+    """The share of directions with each end, on every side.
+
+    Ends change at single values of x, which are found by cutting intervals into sections.
+    """
+    rows, before = np.nonzero(_differ(kinds[:, 1:], kinds[:, :-1]))
+    low, high = nodes[before], nodes[before + 1]
+    parts = np.arange(1, SECTIONS) / SECTIONS
+    for _ in range(ROUNDS if len(rows) else 0):
+        points = low[:, None] + (high - low)[:, None] * parts
+        found = sides.ends(np.repeat(rows, len(parts)), points.ravel()).probability
+        after = _merged(found).reshape(*points.shape, 8)
+        changed = _differ(after, kinds[rows, before][:, None])
+        passed = np.where(np.any(changed, axis=1), np.argmax(changed, axis=1), len(parts))
+        edges = np.concatenate([low[:, None], points, high[:, None]], axis=1)
+        each = np.arange(len(rows))
+        low, high = edges[each, passed], edges[each, passed + 1]
+    steps = kinds[rows, before] - kinds[rows, before + 1]
+    shares = share_of_side(sides.moments)[:, None] * kinds[:, -1]
+    np.add.at(shares, rows, share_below(sides.moments[rows], (low + high) / 2)[:, None] * steps)
+    return shares
+
+
+def _differ(
+    first: Float[np.ndarray, "*#any 8"], second: Float[np.ndarray, "*#any 8"]
+) -> Bool[np.ndarray, "..."]:
+    return np.any(np.abs(first - second) > 1e-9, axis=-1)
+
+
+def _parts(size: int, progress: bool) -> Iterator[slice]:
+    """Parts of all motions, with a progress bar."""
+    with tqdm(total=size, unit=" motions", disable=not progress, leave=False) as bar:
+        for begin in range(0, size, CHUNK):
+            part = slice(begin, min(begin + CHUNK, size))
+            yield part
+            bar.update(part.stop - part.start)

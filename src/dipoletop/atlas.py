@@ -1,0 +1,224 @@
+"""The atlas of slow motions: how bodies that radiate weakly end, over all shapes or all dipoles.
+
+Every map is one over a triangle. That of bodies is spanned by J₁/J₃ and J₂/J₃, with the needle
+(0, 1), the disc (½, ½) and the sphere (1, 1) at its corners. That of dipoles is spanned by the
+squares of the direction cosines n₁², n₂², n₃², since the slow flow is linear in them. A triangle
+has n² equal cells; each stands for its middle. The directions of L are isotropic.
+"""
+
+import dataclasses
+import enum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._averaging.isotropic_ends import isotropic_ends
+from ._averaging.slow_flow import Side, from_logit
+from ._base.bisection import bisect
+from ._base.checks import instance, refuse
+from ._base.summaries import span
+from .bodies import Body
+from .particles import Particle
+
+BODY_CORNERS = np.array([[0.0, 1.0], [0.5, 0.5], [1.0, 1.0]])
+"""J₁/J₃ and J₂/J₃ of the needle, the disc and the sphere."""
+
+
+class Ending(enum.IntEnum):
+    """How a body ends, over all directions of L."""
+
+    RESIDUAL = 0
+    """In residual rotation from every start."""
+    BOTH = 1
+    """In residual rotation or in a stop, by the start."""
+    SPIN_1 = 2
+    """In a stop about the axis of J₁, the smallest moment, from every start."""
+    SPIN_3 = 3
+    """In a stop about the axis of J₃, the largest moment, from every start."""
+    TUMBLING_LOW = 4
+    """In a stop while tumbling about the axis of J₃, from every start."""
+    TUMBLING_HIGH = 5
+    """In a stop while tumbling about the axis of J₁, from every start."""
+    STOPS = 6
+    """In one of two kinds of stop, by the start."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Atlas:
+    """Ends over the n² cells of a triangle.
+
+    Attributes:
+        dipole_axis: 1, 2 or 3, the principal axis with the dipole; None if the map is over dipoles.
+        n: cells along an edge of the triangle.
+        corners: barycentric coordinates of the corners of every cell, shape (N, 3, 3): weights of
+            the needle, the disc and the sphere; or n₁², n₂², n₃².
+        moments: J₁/J₃, J₂/J₃ and 1, shape (N, 3).
+        dipole: direction cosines of the dipole with the axes of J₁, J₂, J₃, shape (N, 3).
+        probability: of each of `prediction.ENDS`, the mean over isotropic L, shape (N, 8).
+        ratio: L∞/L₀, the mean over isotropic L, shape (N,).
+        error: the largest estimated relative error of a start, shape (N,).
+    """
+
+    dipole_axis: int | None
+    n: int
+    corners: Float[np.ndarray, "N 3 3"]
+    moments: Float[np.ndarray, "N 3"]
+    dipole: Float[np.ndarray, "N 3"]
+    probability: Float[np.ndarray, "N 8"]
+    ratio: Float[np.ndarray, "N"]
+    error: Float[np.ndarray, "N"]
+
+    @property
+    def residual(self) -> Float[np.ndarray, "N"]:
+        """The share of directions of L that lead to residual rotation."""
+        return np.sum(self.probability[:, :2], axis=1)
+
+    @property
+    def ending(self) -> Int[np.ndarray, "N"]:
+        """How a body ends, over all directions of L: a member of `Ending`."""
+        stops = self.probability[:, [2, 4, 5, 6]]
+        kinds = [Ending.SPIN_1, Ending.SPIN_3, Ending.TUMBLING_LOW, Ending.TUMBLING_HIGH]
+        ending = np.array(kinds)[np.argmax(stops, axis=1)]
+        ending = np.where(np.sum(stops > 0, axis=1) > 1, Ending.STOPS, ending)
+        ending = np.where(self.residual > 0, Ending.BOTH, ending)
+        return np.where(np.all(stops == 0, axis=1), Ending.RESIDUAL, ending)
+
+    def columns(self) -> dict[str, Float[np.ndarray, "N"]]:
+        """The numbers of every cell, by name."""
+        vectors = {"J": self.moments, "n": self.dipole}
+        named = {f"{letter}{k + 1}": v[:, k] for letter, v in vectors.items() for k in range(3)}
+        return named | {
+            "ending": self.ending,
+            "residual": self.residual,
+            "ratio": self.ratio,
+            "error": self.error,
+        }
+
+    def __repr__(self) -> str:
+        """The shares of the endings, and the range of L∞/L₀."""
+        counts = np.bincount(self.ending, minlength=len(Ending)) / self.ratio.size
+        shares = ", ".join(
+            f"{Ending(k).name} {share:.3g}" for k, share in enumerate(counts) if share
+        )
+        if self.dipole_axis is None:
+            j1, j2, _ = self.moments[0]
+            what = f"dipoles of J₁/J₃ = {j1:.4g}, J₂/J₃ = {j2:.4g}"
+        else:
+            what = f"bodies with the dipole on axis {self.dipole_axis}"
+        return f"Atlas({self.ratio.size} {what}; {shares}; ratio={span(self.ratio)})"
+
+
+def atlas(
+    dipole: int | None = None,
+    *,
+    body: Body | Particle | None = None,
+    n: int = 32,
+    progress: bool = False,
+) -> Atlas:
+    """How slow motions end: over all bodies with the dipole on axis 1, 2 or 3, or over dipoles.
+
+    Ends and L∞/L₀ are means over isotropic L, by a fixed quadrature over h = 2E/L².
+
+    Args:
+        dipole: the principal axis with the dipole, 1 (smallest moment), 2 or 3; or else
+            `body`. The map is then over J₁/J₃ and J₂/J₃.
+        body: a body with three different moments, whose dipole is varied over all directions.
+        n: cells along an edge; the map has n² cells, of some 10 ms each.
+        progress: whether to show a progress bar.
+
+    Returns:
+        An `Atlas`; `plots.atlas` draws it.
+
+    Raises:
+        ValueError: neither or both of `dipole` and `body`; a `dipole` that is no axis; a `body`
+            with equal moments; an `n` below 2.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> dt.atlas(3, n=2)
+        Atlas(4 bodies with the dipole on axis 3; RESIDUAL 1; ratio=0.465994 to 0.531225)
+    """
+    if (dipole is None) == (body is None):
+        refuse("dipole", "be given or else `body`", "neither is" if dipole is None else "both are")
+    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
+        refuse("n", "be an integer of at least 2", f"is {n!r}")
+    corners = cells(n)
+    middles = np.mean(corners, axis=1)
+    if dipole is not None:
+        if isinstance(dipole, bool) or dipole not in (1, 2, 3):
+            refuse("dipole", "be 1, 2 or 3, a principal axis", f"is {dipole!r}")
+        moments = np.concatenate([middles @ BODY_CORNERS, np.ones((n * n, 1))], axis=1)
+        dipoles = np.broadcast_to(np.eye(3)[dipole - 1], moments.shape)
+    else:
+        moments = np.broadcast_to(_three_moments(body), middles.shape)
+        dipoles = np.sqrt(middles)
+    means = isotropic_ends(moments, dipoles, progress)
+    return Atlas(dipole, n, corners, moments, dipoles, *means)
+
+
+def cells(n: int) -> Float[np.ndarray, "N 3 3"]:
+    """Barycentric coordinates of the three corners of the n² cells of a triangle."""
+    found = []
+    for i in range(n):
+        for j in range(n - i):
+            up = [(i, j), (i + 1, j), (i, j + 1)]
+            down = [(i + 1, j), (i + 1, j + 1), (i, j + 1)]
+            found += [up] if i + j == n - 1 else [up, down]
+    first = np.array(found) / n
+    return np.concatenate([first, 1 - np.sum(first, axis=-1, keepdims=True)], axis=-1)
+
+
+def _three_moments(body: Body | Particle | None) -> Float[np.ndarray, "3"]:
+    """J₁/J₃, J₂/J₃ and 1, if they differ."""
+    instance("body", body, Body | Particle, "be a Body or a Particle")
+    inertia = np.asarray(body.inertia)  # pyright: ignore[reportOptionalMemberAccess]
+    if inertia.ndim != 2:
+        refuse("body", "be a single one", "is a batch of them")
+    moments = np.linalg.eigvalsh(inertia / np.trace(inertia))
+    moments = moments / moments[2]
+    if np.min(np.diff(moments)) < 1e-12:
+        shown = ", ".join(f"{moment:.6g}" for moment in moments)
+        refuse("body", "have three different moments", f"has moments in the ratios {shown}")
+    return moments
+
+
+def spin_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+    """The J₂/J₃ at given J₁/J₃ between a stop in pure spin about J₃ and tumbling, dipole on J₂.
+
+        J₂J₁² = (J₃ − J₂)(J₃ − J₁)²,
+
+    pure spin below it; f′ = 0 at the axis of J₃ there.
+
+    Source: the slow flow at its extreme axes.
+    """
+    return (1 - ratios) ** 2 / ((1 - ratios) ** 2 + ratios**2)
+
+
+def saddle_node_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+    """The J₂/J₃ at given J₁/J₃ above which a dipole on J₁ leads to residual rotation only.
+
+    Below it the slow flow round J₃ has a tumbling attractor and a repeller; they meet there. It
+    exists for 0.3848 < J₁/J₃ < 2/3, and is NaN elsewhere.
+    """
+    ratios = np.asarray(ratios, float)
+    found = np.asarray(_saddle_nodes(jnp.asarray(ratios)))
+    lowest = np.maximum(ratios, 1 - ratios)
+    inside = (found > lowest + 1e-9) & (found < 1 - 1e-9)
+    return np.where(inside, found, np.nan)
+
+
+@jax.jit
+def _saddle_nodes(ratios: Float[Array, "K"]) -> Float[Array, "K"]:
+    """By bisection: whether F of a dipole on J₁ is positive everywhere round J₃."""
+    positions = jnp.linspace(-8.0, 12.0, 801)  # logit x
+
+    def positive(j1: Float[Array, ""], j2: Float[Array, ""]) -> Array:
+        one = jnp.ones(())
+        side = Side(jnp.stack([j1, j2, one]), jnp.array([1.0, 0.0, 0.0]))
+        return jnp.all(jax.vmap(lambda z: side.rates(*from_logit(z))[1])(positions) > 0)
+
+    low, high = jnp.maximum(ratios, 1 - ratios) + 1e-10, jnp.full_like(ratios, 1 - 1e-10)
+    both = bisect(lambda j2: jax.vmap(positive)(ratios, j2), low, high, 40)
+    return (both[0] + both[1]) / 2

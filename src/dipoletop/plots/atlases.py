@@ -1,0 +1,249 @@
+"""Atlases: how bodies end, over the triangle of bodies or over that of dipoles."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Polygon
+
+from .._base.checks import flag, instance, refuse
+from ..atlas import BODY_CORNERS, Atlas, Ending, saddle_node_border, spin_border
+from ..particles import paper_particles
+from .axes import check_axes
+from .style import BLACK, MM, STYLE, WIDE, percent
+
+DIPOLE_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
+"""Where the triangle of dipoles has n₁² = 1, n₃² = 1 and n₂² = 1, in this order."""
+STOPS = {
+    Ending.SPIN_3: ("stop, spinning about $J_3$", "#202020"),
+    Ending.TUMBLING_LOW: ("stop, tumbling about $J_3$", "#9f6040"),
+    Ending.SPIN_1: ("stop, spinning about $J_1$", "#8e72b5"),
+    Ending.TUMBLING_HIGH: ("stop, tumbling about $J_1$", "#ebb97f"),
+}
+"""Name and colour of every kind of stop."""
+PLACES = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
+"""Where `prediction.ENDS` has them."""
+RATIOS = mpl.colormaps["YlGnBu"]
+"""Colours of the mean L∞/L₀."""
+MOST = 0.75
+"""L∞/L₀ at the dark end of the colours; no body has a larger mean, but the thinnest needles."""
+HEIGHT = 74 * MM
+ALONE = 110 * MM, 100 * MM
+"""Size of the figure of a single atlas."""
+DENSE = "/////"
+
+
+def atlas(
+    atlases: Atlas | Sequence[Atlas],
+    *,
+    particles: bool = True,
+    axes: Axes | Sequence[Axes] | np.ndarray | None = None,
+) -> Figure:
+    """How bodies end, each atlas in a panel: residual rotation by its mean L∞/L₀, stops by kind.
+
+    Hatched: the start decides. Lines, over bodies: where a pure spin about J₃ and tumbling meet,
+    J₂J₁² = (J₃ − J₂)(J₃ − J₁)² (dipole on J₂), and where tumbling becomes possible (dipole on J₁).
+    They are computed apart from the map, so that each checks the other.
+
+    Args:
+        atlases: one atlas or several.
+        particles: whether to mark the particles of the paper, over bodies.
+        axes: where to draw, one for each atlas; None makes a figure.
+
+    Returns:
+        The figure; `plots.save` writes it.
+
+    Raises:
+        ValueError: what is no atlas, or another number of axes.
+    """
+    must = "be an Atlas or a sequence of them"
+    maps = (
+        [atlases]
+        if isinstance(atlases, Atlas)
+        else list(instance("atlases", atlases, Sequence, must))
+    )
+    for each in maps:
+        instance("atlases", each, Atlas, must)
+    if not maps:
+        refuse("atlases", must, "is empty")
+    marked = flag("particles", particles)
+    given = None if axes is None else _given(axes, len(maps))
+    with mpl.rc_context(STYLE):
+        if given is None:
+            size = (WIDE, HEIGHT) if len(maps) > 1 else ALONE
+            figure = Figure(size, layout="constrained")
+            given = list(figure.subplots(1, len(maps), squeeze=False)[0])
+        for k, (ax, each) in enumerate(zip(given, maps, strict=True)):
+            _draw(ax, each, marked, first=k == 0)
+        result: Any = given[0].figure
+        if any(np.any(each.ratio > 0) for each in maps):
+            colours = ScalarMappable(Normalize(0, MOST), RATIOS)
+            label = r"mean $L_\infty/L_0$, residual rotation"
+            result.colorbar(colours, ax=given, label=label, pad=0.01, shrink=0.9, aspect=25)
+        handles = _legend(maps)
+        columns = min(len(handles), 3 if len(maps) > 1 else 2)
+        result.legend(handles=handles, loc="outside lower center", ncols=columns)
+    return result
+
+
+def _given(axes: Any, count: int) -> list[Axes]:
+    """As many axes as there are atlases."""
+    given: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
+    if len(given) != count:
+        refuse("axes", f"be {count}, one for each atlas", f"has {len(given)}")
+    for ax in given:
+        instance("axes", ax, Axes, "be axes of matplotlib, or None")
+        check_axes(ax, "axes")
+    return given
+
+
+def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
+    """One atlas."""
+    over_bodies = atlas.dipole_axis is not None
+    corners = BODY_CORNERS if over_bodies else DIPOLE_CORNERS[[0, 2, 1]]
+    polygons = atlas.corners @ corners
+    # Edges of the same colour, so that no background shows between cells.
+    colours = _colours(atlas)
+    cells = PolyCollection(list(polygons), facecolors=colours, edgecolors=colours, lw=0.6)
+    cells.set_rasterized(True)
+    ax.add_collection(cells)
+    ending = atlas.ending
+    for chance, colour in ((Ending.BOTH, BLACK), (Ending.STOPS, "white")):
+        _hatch(ax, polygons[ending == chance], colour)
+    ax.add_patch(Polygon(corners, fill=False, lw=0.6, ec=BLACK))
+    if over_bodies:
+        _finish_bodies(ax, atlas, particles, first=first)
+    else:
+        _finish_dipoles(ax, atlas)
+
+
+def _colours(atlas: Atlas) -> Float[np.ndarray, "N 4"]:
+    """The colour of every cell: by its mean L∞/L₀, or by the most frequent kind of stop."""
+    places = list(PLACES)
+    most = np.argmax(atlas.probability[:, places], axis=1)
+    flat = np.array([(*to_rgb(STOPS[PLACES[place]][1]), 1.0) for place in places])
+    return np.where(
+        (atlas.residual > 0)[:, None], RATIOS(np.clip(atlas.ratio / MOST, 0, 1)), flat[most]
+    )
+
+
+def _hatch(ax: Axes, polygons: Float[np.ndarray, "M 3 2"], colour: str) -> None:
+    """Hatch cells; the pattern goes on from one to the next."""
+    if len(polygons):
+        with mpl.rc_context({"hatch.linewidth": 0.6}):
+            marks = PolyCollection(
+                list(polygons), hatch=DENSE, facecolors="none", edgecolors=colour, lw=0
+            )
+        marks.set_rasterized(True)
+        ax.add_collection(marks)
+
+
+def _finish_bodies(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
+    """Borders, particles, labels and axes of a map over bodies."""
+    ratios = np.linspace(0.385, 2 / 3 - 1e-4, 120)
+    if atlas.dipole_axis == 1:
+        ax.plot(ratios, saddle_node_border(ratios), color=BLACK, lw=0.8)
+    if atlas.dipole_axis == 2:
+        ratios = np.linspace(0.0, 1.0, 400)
+        border = spin_border(ratios)
+        real = (border >= ratios) & (border >= 1 - ratios)
+        ax.plot(ratios[real], border[real], color="white", lw=1.6)
+        ax.plot(ratios[real], border[real], color=BLACK, lw=0.7)
+    if particles:
+        _mark_particles(ax)
+    for name, (x, y), (dx, dy), align in (
+        ("needle", BODY_CORNERS[0], (0, 3), "left"),
+        ("disc", BODY_CORNERS[1], (-6, -3), "right"),
+        ("sphere", BODY_CORNERS[2], (0, 3), "right"),
+    ):
+        place = {"xytext": (dx, dy), "textcoords": "offset points", "ha": align}
+        ax.annotate(name, (x, y), color="0.35", annotation_clip=False, **place)
+    ax.set_title(f"Dipole on the axis of $J_{atlas.dipole_axis}$\n{_shares(atlas)}", pad=12)
+    ax.set(xlim=(-0.02, 1.02), ylim=(0.47, 1.02), xlabel="$J_1/J_3$")
+    ax.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "¼", "½", "¾", "1"])
+    ax.set_yticks([0.5, 0.75, 1], ["½", "¾", "1"] if first else [])
+    if first:
+        ax.set_ylabel("$J_2/J_3$")
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _shares(atlas: Atlas) -> str:
+    """How many bodies keep a residual rotation."""
+    always = float(np.mean(atlas.ending == Ending.RESIDUAL))
+    some = float(np.mean(atlas.ending == Ending.BOTH))
+    if always + some == 0:
+        return "never residual"
+    by_start = f", by the start {percent(some)}" if some else ""
+    return f"residual {percent(always)}{by_start}" if always < 1 else "always residual"
+
+
+def _mark_particles(ax: Axes) -> None:
+    """The particles of the paper, at their moments of inertia; equal ones share a mark."""
+    places: dict[tuple[float, float], list[str]] = {}
+    for rotator in paper_particles():
+        moments = np.linalg.eigvalsh(np.asarray(rotator.particle.inertia) * 1e30)
+        j1, j2 = np.round(moments[:2] / moments[2], 4).tolist()
+        names = places.setdefault((j1, j2), [])
+        name = rotator.name.split()[0]
+        if name not in names:
+            names.append(name)
+    for (x, y), names in places.items():
+        ax.plot(x, y, "o", ms=3.5, mfc="white", mec=BLACK, mew=0.8, clip_on=False, zorder=5)
+        # In the empty corners below the triangle.
+        left = x < 0.5
+        at = (0.02 if left else 1.0, 0.62 if left else 0.69 if x > 0.9 else 0.53)
+        ax.annotate(
+            ",\n".join([names[0], ", ".join(names[1:])]) if names[1:] else names[0],
+            (x, y),
+            at,
+            ha="left" if left else "right",
+            va="center",
+            fontsize=6.5,
+            arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.4", "shrinkB": 3},
+        )
+
+
+def _finish_dipoles(ax: Axes, atlas: Atlas) -> None:
+    """Labels and axes of a map over dipoles."""
+    for (x, y), name, offset, align in zip(
+        DIPOLE_CORNERS,
+        ("$J_1$", "$J_3$", "$J_2$"),
+        ((-4, -9), (4, -9), (0, 4)),
+        ("center", "center", "center"),
+        strict=True,
+    ):
+        place = {"xytext": offset, "textcoords": "offset points", "ha": align}
+        ax.annotate(f"dipole on {name}", (x, y), annotation_clip=False, **place)
+    j1, j2, _ = atlas.moments[0]
+    body = f"$J_1/J_3 = {j1:.4g}$, $J_2/J_3 = {j2:.4g}$"
+    ax.set_title(f"Dipoles by $n_1^2$, $n_2^2$, $n_3^2$; {body}", loc="center", pad=18)
+    ax.set(xlim=(-0.08, 1.08), ylim=(-0.02, 0.9), aspect="equal")
+    ax.axis("off")
+
+
+def _legend(maps: list[Atlas]) -> list[Patch]:
+    """The classes that occur."""
+    endings = np.concatenate([each.ending for each in maps])
+    stops = np.sum([np.sum(each.probability, axis=0) for each in maps], axis=0)
+    handles = []
+    if np.any(endings == Ending.RESIDUAL):
+        handles.append(Patch(facecolor=RATIOS(0.6), label="residual, from every start"))
+    if np.any(endings == Ending.BOTH):
+        label = "residual or a stop, by the start"
+        handles.append(Patch(fc=RATIOS(0.2), ec=BLACK, hatch=DENSE, lw=0, label=label))
+    for place, ending in sorted(PLACES.items(), key=lambda item: list(STOPS).index(item[1])):
+        alone = any(np.any(each.probability[each.residual == 0][:, place] > 0) for each in maps)
+        if stops[place] > 0 and alone:
+            name, colour = STOPS[ending]
+            handles.append(Patch(facecolor=colour, label=name))
+    if np.any(endings == Ending.STOPS):
+        label = "either of two, by the start"
+        handles.append(Patch(fc="0.4", ec="white", hatch=DENSE, lw=0, label=label))
+    return handles

@@ -1,0 +1,220 @@
+"""The history of a prediction: E, L and the shape of the rotation against time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .._base.checks import ArrayLike, finite, instance, refuse
+from .._base.types import Outcome
+from ..prediction import Prediction
+from .axes import check_axes
+from .history_curves import Curves, curves_of
+from .style import BLACK, BLUE, GREEN, MM, ORANGE, STYLE, percent
+
+YEAR = 365.25 * 24 * 3600
+"""Seconds."""
+WIDTH, HEIGHT = 120 * MM, 125 * MM
+FLOOR = 1e-9
+"""Relative E and L below this are not shown."""
+KNOWN = 0.95
+"""The share of starts that must be known where their quantiles are drawn."""
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""The quantiles over many starts: two bands and the median."""
+
+
+def history(
+    prediction: Prediction,
+    *,
+    times: ArrayLike | None = None,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+) -> Figure:
+    """E/E₀, |L|/L₀ and hJ₃ = 2EJ₃/L² against time, on logarithmic scales, as predicted.
+
+    One rotation is drawn as a curve; of a batch, such as one over directions of L, the median and
+    the bands from 5 to 95 % and from 25 to 75 % at each time. The dotted line marks the (median)
+    half time. A curve ends where an exactly axisymmetric needle is captured by chance, and those
+    of a batch where this has happened to 5 % of it.
+
+    Args:
+        prediction: what `predict` returned; or a batch of them, of one body, such as
+            `jax.vmap(predict, (None, 0))` returns.
+        times: positive times, shape (T,), in seconds for a `Particle`; None chooses them.
+        axes: three axes to draw on, for E, L and h; None makes a figure.
+
+    Returns:
+        The figure; `plots.save` writes it.
+
+    Raises:
+        ValueError: what is not a prediction, or failed; bad times; not three axes.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> body = dt.Body([[1.0, 0, 0], [0, 1.3, 0], [0, 0, 1.8]], [0, 0, 1])
+        >>> figure = history(dt.predict(body, [1e-20, 2e-20, 3e-20]))
+        >>> figure.axes[0].get_ylabel()
+        '$E/E_0$'
+    """
+    instance("prediction", prediction, Prediction)
+    if prediction.outcome.ndim > 1:
+        refuse("prediction", "have one batch axis at most", f"has {prediction.outcome.ndim}")
+    batch = prediction
+    if prediction.outcome.ndim == 0:
+        batch = jax.tree.map(lambda leaf: leaf[None], prediction)
+    if np.any(np.asarray(batch.outcome) == Outcome.FAILED):
+        refuse("prediction", "not be FAILED", "is")
+    given = None
+    if times is not None:
+        given = np.asarray(finite("times", times, (-1,), batch=False))
+        if given.size < 2 or not (np.all(np.diff(given) > 0) and given[0] > 0):
+            refuse("times", "be positive and rising", "are not")
+    panels = _panels(axes)
+    curves = curves_of(batch, given)
+    with mpl.rc_context(STYLE):
+        if panels is None:
+            figure = Figure((WIDTH, HEIGHT), layout="constrained")
+            panels = list(figure.subplots(3, 1, sharex=True))
+        _draw(panels, curves, batch.strength != 1.0)
+        panels[0].set_title(_title(batch))
+    figure: Any = panels[0].figure
+    return figure
+
+
+def _panels(axes: Any) -> list[Axes] | None:
+    """Three axes that are given."""
+    if axes is None:
+        return None
+    panels: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
+    if len(panels) != 3:
+        refuse("axes", "be three axes, or None", f"has {len(panels)}")
+    for ax in panels:
+        instance("axes", ax, Axes, "be axes of matplotlib, or None")
+        check_axes(ax, "axes")
+    return panels
+
+
+def _draw(panels: list[Axes], curves: Curves, in_seconds: bool) -> None:
+    """The curves, axes and marks of the three panels."""
+    rows = zip(
+        panels,
+        (curves.energy, curves.momentum, curves.shape),
+        (r"$E/E_0$", r"$|L|/L_0$", r"$2EJ_3/L^2$"),
+        (ORANGE, BLUE, GREEN),
+        strict=True,
+    )
+    for ax, values, label, colour in rows:
+        least = _curve(ax, curves.times, values, colour)
+        ax.set(xscale="log", xlim=curves.times[[0, -1]], ylabel=label)
+        if np.isfinite(curves.half_time):
+            ax.axvline(curves.half_time, color="0.45", lw=0.8, ls=":", zorder=0)
+        if ax is not panels[2]:
+            _relative_scale(ax, least)
+    _mark_axes(panels[2], curves)
+    if len(curves.shape) > 1:
+        panels[1].legend(loc="lower left")
+    if np.isfinite(curves.half_time):
+        panels[0].text(
+            curves.half_time, 0.04, r" $t_{1/2}$", transform=panels[0].get_xaxis_transform()
+        )
+    panels[2].set_xlabel("time $t$ (s)" if in_seconds else r"time $\tau = t/\tau_0$")
+    if in_seconds:
+        years = panels[0].secondary_xaxis("top", functions=(_to_years, _from_years))
+        years.set_xlabel("time (years)")
+
+
+def _curve(
+    ax: Axes, times: Float[np.ndarray, "T"], values: Float[np.ndarray, "N T"], colour: str
+) -> float:
+    """One curve, or the bands and the median of many; the least value that is drawn."""
+    known = np.mean(np.isfinite(values), axis=0) > KNOWN
+    times, values = times[known], values[:, known]
+    if not times.size:
+        return 1.0
+    if len(values) == 1:
+        ax.plot(times, values[0], color=colour)
+        if not known[-1]:
+            ax.plot(times[-1], values[0, -1], ".", color=colour)
+        return float(np.min(values))
+    low, first, middle, third, high = np.nanquantile(values, LEVELS, axis=0)
+    ax.plot(times, middle, color=colour, label="median")
+    ax.fill_between(times, first, third, color=colour, alpha=0.35, lw=0, label="25 – 75 %")
+    ax.fill_between(times, low, high, color=colour, alpha=0.18, lw=0, label="5 – 95 %")
+    return float(np.min(low))
+
+
+def _relative_scale(ax: Axes, least: float) -> None:
+    """A logarithmic scale from the least value to 1, with plain numbers where it is short."""
+    least = min(max(least, FLOOR), 0.9)
+    ax.set(yscale="log", ylim=(least**1.12, least**-0.07))
+    if least > 0.05:
+        ticks = [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1] if least < 0.6 else [0.6, 0.7, 0.8, 0.9, 1]
+        shown = [tick for tick in ticks if tick > least**1.12]
+        ax.set_yticks(shown, [f"{tick:g}" for tick in shown])
+        ax.minorticks_off()
+
+
+def _mark_axes(ax: Axes, curves: Curves) -> None:
+    """The values of h in rotation about the principal axes, with their names at the right."""
+    low, middle, high = curves.ratios.tolist()
+    if high - low < 1e-12:
+        ax.set(ylim=(0.5, 1.5), yticks=[1.0])
+        names, gaps = {low: "sphere"}, np.zeros(2)
+    else:
+        span, margin = np.log(high), 0.06
+        if high > 4:
+            ax.set(yscale="log", ylim=(high**-margin, high ** (1 + margin)))
+        else:
+            span = high - low
+            ax.set(ylim=(low - margin * span, high + margin * span))
+        names = {low: "about $J_3$", high: "about $J_1$"}
+        gaps = np.diff(np.log(curves.ratios) if high > 4 else curves.ratios)
+        if np.all(gaps > 0.02 * span):
+            names[middle] = "separatrix"
+    for value in names:
+        ax.axhline(value, color=BLACK, lw=0.6, ls=(0, (4, 3)), zorder=0)
+    twin = ax.secondary_yaxis("right")
+    twin.set_yticks(list(names), list(names.values()))
+    twin.minorticks_off()
+    # Names of neighbouring lines give way to each other.
+    upper = gaps[1] < gaps[0] if len(names) == 3 else False
+    sides = {
+        "about $J_3$": "top",
+        "about $J_1$": "bottom",
+        "separatrix": "top" if upper else "bottom",
+    }
+    for label in twin.get_yticklabels():
+        label.set(va=sides.get(label.get_text(), "center"))
+
+
+def _title(predictions: Prediction) -> str:
+    """The outcome, or the shares of outcomes."""
+    outcomes = np.asarray(predictions.outcome)
+    residual = float(np.mean(np.sum(np.asarray(predictions.probability)[:, :2], axis=1)))
+    shares = [(percent(residual), "residual rotation"), (percent(1 - residual), "stop")]
+    text = ", ".join(f"{share} {word}" for share, word in shares if share != "0 %")
+    if outcomes.size > 1:
+        return f"{outcomes.size} starts: {text}"
+    outcome, ratio = Outcome(int(outcomes[0])), float(predictions.ratio[0])
+    text = {Outcome.RESIDUAL: "Residual rotation", Outcome.STOP: "Stop"}.get(outcome, text)
+    return text + (rf", $L_\infty/L_0 = {_number(ratio)}$" if ratio > 0 else "")
+
+
+def _number(value: float) -> str:
+    """Three digits, with a power of ten where it is small."""
+    if value >= 1e-3:
+        return f"{value:.3g}"
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return rf"{mantissa}\times 10^{{{int(exponent)}}}"
+
+
+def _to_years(seconds: Any) -> Any:
+    return seconds / YEAR
+
+
+def _from_years(years: Any) -> Any:
+    return years * YEAR
