@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float
 from ._base.bisection import bisect
 from ._base.checks import finite, instance, or_nan, refuse
 from ._base.types import Real
-from .equations._common import shape_parameter
+from .equations._common import planar_rates, shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM
 from .equations.levels import Level
 
@@ -37,14 +37,6 @@ PRECISION = 512.0  # relative tolerance of the curves, in units of the last plac
 LAST_STEP = 1e-6  # of Newton's method, relative; its error is then the square of that
 NEWTON_STEPS = 8  # for the cycle, whose z lies within 3 % of the first guess for every δ
 HALVINGS = 52  # for its largest swing
-
-
-def rates(delta: Real, c: Real | float, y: Point) -> Point:
-    """The rates −δz − ½ sin 2φ and z{1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ) of φ and z."""
-    phi, z = y
-    sine = jnp.sin(2 * phi)
-    growth = z * (1 - (2 + delta) / (1 - delta) * jnp.cos(phi) ** 2)
-    return jnp.stack([-delta * z - sine / 2, growth - c * sine / (1 - delta)])
 
 
 class Planar(eqx.Module):
@@ -78,7 +70,7 @@ class Planar(eqx.Module):
 
     def __call__(self, t: Any, y: Point, args: Any = None) -> Point:
         """d(φ, z)/dσ, shape (2,) or (2, B)."""
-        return rates(self.delta, 1.0 if self.corrected else 0.0, y)
+        return planar_rates(self.delta, 1.0 if self.corrected else 0.0, y)
 
     @property
     def level(self) -> str:

@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
-from ..planar import rates
+from ..equations._common import planar_rates
 from .capture import ENTRY, Expansion, follow, log_scale_of
 from .motion import HALVINGS, Motion
 from .principal_axes import FreeRotation
@@ -123,7 +123,7 @@ class Plane(NamedTuple):
 
     def __call__(self, t: Any, y: Float[Array, "n"], args: Any = None) -> Float[Array, "3"]:
         """d(φ, z, ln u)/dσ."""
-        plane = rates(self.delta, 1 - self.asymmetry(y) / 2, y[:2])
+        plane = planar_rates(self.delta, 1 - self.asymmetry(y) / 2, y[:2])
         return jnp.append(plane, -2 * jnp.sin(y[0]) ** 2)
 
     def line(self, y: Float[Array, "n"]) -> tuple[Real, Real]:

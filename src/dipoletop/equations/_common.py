@@ -122,3 +122,16 @@ def transverse_omega_scale(omega: Vector) -> Vector:
     w1, w2, w3 = jnp.abs(omega)
     across = jnp.maximum(w1, w2)
     return jnp.stack([across, across, jnp.maximum(w3, across * jnp.minimum(across, 1.0))])
+
+
+def planar_rates(
+    delta: Real, c: Real | float, y: Float[Array, "2 *#lanes"]
+) -> Float[Array, "2 *#lanes"]:
+    """The small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − …cos²φ} − c sin 2φ/(1−δ).
+
+    See `dipoletop.planar`.
+    """
+    phi, z = y
+    sine = jnp.sin(2 * phi)
+    growth = z * (1 - (2 + delta) / (1 - delta) * jnp.cos(phi) ** 2)
+    return jnp.stack([-delta * z - sine / 2, growth - c * sine / (1 - delta)])
