@@ -1,0 +1,244 @@
+"""How a rotation that radiates strongly ends: integration turn by turn, and then the slow flow.
+
+Where no small part of the energy is radiated within one period, averages over free rotation do not
+hold. The semi-reduced equation is integrated instead. Its verdict tells the outcome. A residual
+rotation is integrated until it is constant, a stop until averages hold and tell how it goes on.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._averaging.ends import QUANTILES
+from .._averaging.forecast import Forecast, decided_outcome, scaled_rotation
+from .._averaging.free_rotation import mean_square_speed
+from .._averaging.slow_flow import from_logit
+from .._base.types import Outcome, Real, Regime, Vector
+from ..bodies import Body
+from ..equations.rigid import SemiReduced
+from .classification import Classification
+from .classify import classify
+from .simulate import simulate
+
+HANDOVER = 1e-2
+"""The estimated error of averages from which on they are trusted."""
+STRETCH = 0.5  # of 1/ω², about the time in which E falls, integrated at once
+STRETCHES = 400  # at most
+SETTLED = 1e-9  # of E₀: the E − E∞ below which a residual rotation counts as constant
+POINTS, ROUNDS = 65, 4  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
+
+Variables = Float[Array, "15"]
+"""Inertia, dipole and ω₀ in one vector."""
+Values = tuple[Float[Array, "T"], ...]
+"""E, |L|, h and √⟨Ω²⟩ at given times."""
+
+
+class Averages(NamedTuple):
+    """What averages over free rotation tell, from the variables and the k of κ = k d²."""
+
+    forecast: Callable[[Variables, Real], Forecast]
+    history: Callable[[Variables, tuple[Float[Array, "T"], Real]], Values]
+
+
+@dataclass(frozen=True)
+class _Course:
+    """A rotation integrated stretch by stretch, in units of J₃ and κ/J₃."""
+
+    start: Variables
+    strength: Real
+    unit: float
+    """κ/J₃, the unit of time."""
+    equation: SemiReduced
+    times: list[float]
+    """The ends of the stretches; 0 is the first."""
+    omegas: list[Vector]
+    """ω at these times."""
+
+    @staticmethod
+    def of(start: Variables, strength: Real) -> "_Course":
+        """The course at its start."""
+        inertia, dipole, omega = start[:9].reshape(3, 3), start[9:12], start[12:]
+        moment, size = jnp.linalg.eigvalsh(inertia)[2], jnp.linalg.norm(dipole)
+        unit = strength * size**2 / moment
+        equation = SemiReduced(Body(inertia / moment, dipole / size))
+        return _Course(start, strength, float(unit), equation, [0.0], [omega * unit])
+
+    @property
+    def variables(self) -> Variables:
+        """The variables at the end of the last stretch."""
+        return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
+
+    def energy(self, omega: Vector) -> float:
+        """E of a state in the units of `start`."""
+        inertia, omega = self.start[:9].reshape(3, 3), omega / self.unit
+        return float(omega @ inertia @ omega) / 2
+
+    def momentum(self, omega: Vector) -> float:
+        """|L| of a state, in the units of `start`."""
+        return float(jnp.linalg.norm(self.start[:9].reshape(3, 3) @ omega)) / self.unit
+
+    def residual_state(self, run: Classification) -> Vector:
+        """The state in which a residual rotation ends."""
+        return jnp.asarray(run.omega_inf) * self.equation.body.dipole
+
+    def at(self, times: Float[np.ndarray, "T"]) -> Float[Array, "T 3"]:
+        """The states at ascending times."""
+        first = int(np.searchsorted(self.times, times[0], "right")) - 1
+        known = self.times[first] == times[0]
+        ts = jnp.asarray(times if known else np.append(self.times[first], times))
+        if ts.size == 1:
+            return self.omegas[first][None]
+        run = simulate(self.equation, self.omegas[first], ts, throw=False)
+        return run.omega if known else run.omega[1:]
+
+    def follow(self, enough: Callable[[Vector], bool]) -> bool:
+        """Integrate until the state is enough; False if that takes too long."""
+        while not enough(self.omegas[-1]):
+            time = self.times[-1] + STRETCH / float(jnp.sum(self.omegas[-1] ** 2))
+            omega = self.at(np.array([time]))[-1]
+            if len(self.times) > STRETCHES or not bool(jnp.all(jnp.isfinite(omega))):
+                return False
+            self.times.append(time)
+            self.omegas.append(omega)
+        return True
+
+    def time_of(self, energy: float) -> float:
+        """The time at which E falls below a value that lies between the first and the last."""
+        after = next(k for k, omega in enumerate(self.omegas) if self.energy(omega) < energy)
+        times, above, below = np.array(self.times[after - 1 : after + 1]), 1.0, 0.0
+        for _ in range(ROUNDS):
+            times = np.linspace(times[0], times[1], POINTS)
+            energies = np.array([self.energy(omega) for omega in self.at(times)])
+            k = max(int(np.argmax(energies < energy)), 1)
+            times, (above, below) = times[k - 1 : k + 1], energies[k - 1 : k + 1]
+        return float(times[0] + (times[1] - times[0]) * (above - energy) / (above - below))
+
+
+def resolved_forecast(start: Variables, strength: Real, averages: Averages) -> Forecast | None:
+    """How a rotation ends, by integration; None if that takes too long.
+
+    Args:
+        start: inertia, dipole and ω₀ in one vector.
+        strength: the k of κ = k d².
+        averages: the laws that hold where little is radiated within one period.
+    """
+    course = _Course.of(start, strength)
+    run = classify(course.equation, course.omegas[0])
+    first = course.energy(course.omegas[0])
+    if _is_residual(run):
+        last = course.residual_state(run)
+        half = (first + course.energy(last)) / 2
+        if not course.follow(lambda omega: course.energy(omega) < half):
+            return None
+        return _residual(course, run, course.time_of(half) * course.unit)
+    if run.outcome != Outcome.STOP or not _follow_stop(course, averages):
+        return None
+    late = averages.forecast(course.variables, strength)
+    stops = late.probability.at[:2].set(0.0)
+    if not bool(jnp.sum(stops) > 0):  # the two laws contradict each other
+        return None
+    stops = stops / jnp.sum(stops)
+    zero = jnp.zeros_like(late.ratio)
+    return late._replace(
+        outcome=decided_outcome(stops, late.error),
+        probability=stops,
+        omega_inf=zero,
+        ratio=zero,
+        ratio_quantiles=jnp.zeros_like(late.ratio_quantiles),
+        half_time=jnp.asarray(course.time_of(first / 2) * course.unit),
+        radiated_energy=jnp.asarray(first),
+        lifetime=late.lifetime + course.times[-1] * course.unit,
+        regime=jnp.asarray(Regime.RESOLVED.value),
+    )
+
+
+def resolved_history(
+    start: Variables, constants: tuple[Float[Array, "T"], Real], averages: Averages
+) -> Values:
+    """E, |L|, h and √⟨Ω²⟩ at given times, of a rotation that has a resolved forecast."""
+    times, strength = np.asarray(constants[0]), constants[1]
+    course = _Course.of(start, strength)
+    run = classify(course.equation, course.omegas[0])
+    if residual := _is_residual(run):
+        least = course.energy(course.residual_state(run))
+        least += SETTLED * course.energy(course.omegas[0])
+        reached = course.follow(lambda omega: course.energy(omega) < least)
+    else:
+        reached = _follow_stop(course, averages)
+    scaled, end = times / course.unit, course.times[-1]
+    values = np.full((4, times.size), np.nan)
+    early = scaled <= end
+    if np.any(early):
+        unique, places = np.unique(scaled[early], return_inverse=True)
+        states = course.at(unique)[places] / course.unit
+        values[:, early] = _of_states(start, states, strength)
+    if reached and residual:
+        last = course.residual_state(run) / course.unit
+        values[:, ~early] = _of_states(start, last[None], strength)
+    elif reached and not np.all(early):
+        after = jnp.asarray((scaled[~early] - end) * course.unit)
+        values[:, ~early] = np.stack(averages.history(course.variables, (after, strength)))
+    return tuple(jnp.asarray(row) for row in values)
+
+
+def _is_residual(run: Classification) -> bool:
+    return bool((run.outcome == Outcome.RESIDUAL) & jnp.isfinite(run.omega_inf))
+
+
+def _follow_stop(course: _Course, averages: Averages) -> bool:
+    """Integrate a rotation that stops until averages hold and half of the energy is lost."""
+    half = course.energy(course.omegas[0]) / 2
+
+    def enough(omega: Vector) -> bool:
+        if course.energy(omega) >= half:
+            return False
+        return bool(averages.forecast(course.variables, course.strength).error < HANDOVER)
+
+    return course.follow(enough)
+
+
+def _residual(course: _Course, run: Classification, half_time: float) -> Forecast:
+    """The forecast of a residual rotation."""
+    omega, last = course.omegas[0], course.residual_state(run)
+    ratio = jnp.asarray(course.momentum(last) / course.momentum(omega))
+    omega_inf = jnp.asarray(run.omega_inf)
+    senses = jnp.stack([omega_inf > 0, omega_inf < 0])
+    _, units = scaled_rotation(course.start, course.strength)
+    return Forecast(
+        outcome=jnp.asarray(Outcome.RESIDUAL.value),
+        probability=jnp.append(senses.astype(ratio.dtype), jnp.zeros(6)),
+        omega_inf=omega_inf / course.unit,
+        ratio=ratio,
+        ratio_quantiles=jnp.full(len(QUANTILES), ratio),
+        half_time=jnp.asarray(half_time),
+        radiated_energy=jnp.asarray(course.energy(omega) - course.energy(last)),
+        lifetime=jnp.asarray(jnp.inf),
+        regime=jnp.asarray(Regime.RESOLVED.value),
+        # The semi-reduced and the full equation differ at the second order.
+        error=jnp.asarray(run.omega_inf_error) / jnp.abs(omega_inf) + units.weakness**2,
+    )
+
+
+@eqx.filter_jit
+def _of_states(
+    start: Variables, omegas: Float[Array, "T 3"], strength: Real
+) -> Float[Array, "4 T"]:
+    """E, |L|, h and √⟨Ω²⟩ of the free rotations through given states."""
+
+    def values(omega: Vector) -> Float[Array, "4"]:
+        rotation, units = scaled_rotation(jnp.append(start[:12], omega), strength)
+        high, z = rotation.place
+        x, rest = from_logit(z)
+        squared = mean_square_speed(rotation.side(high).moments, x, rest)
+        h = rotation.momentum @ (rotation.momentum / rotation.moments)
+        momentum, speed = units.momentum, jnp.sqrt(squared) * units.momentum / units.moment
+        energy = h * momentum * (momentum / units.moment) / 2
+        return jnp.stack([energy, momentum, h / units.moment, speed])
+
+    return jax.vmap(values)(omegas).T
