@@ -15,6 +15,9 @@ is a matter of chance or its own. It takes the place of the slow flow where its 
 and only for a body and a start that are known: it costs up to some seconds. With the dipole on the
 third axis the slow flow tells the end, however near the two moments are. An oblique dipole of such
 a body is covered by the slow flow only, as far as its error allows.
+
+Where the error of these laws exceeds 1 %, the semi-reduced equation is integrated turn by turn, if
+that takes at most 50 000 steps; again only for a body and a start that are known.
 """
 
 from typing import NamedTuple
@@ -26,12 +29,13 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, best_forecast
-from ._averaging.histories import best_history
+from ._averaging.forecast import LARGEST_ERROR, Forecast, best_forecast
+from ._averaging.histories import Values, best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.summaries import with_error
-from ._base.types import Outcome, Regime
+from ._base.types import Outcome, Real, Regime
+from ._runs.resolved_forecast import HANDOVER, Averages, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
 
@@ -101,7 +105,8 @@ class Prediction(eqx.Module):
         Returns:
             A `History`, each field of shape (T,). NaN for a needle from the time on at which its
             capture begins, if that is a matter of chance. From a known phase of an UNFOLDED
-            rotation the values are not averaged, and NaN long after a stop has become certain.
+            rotation the values are not averaged, and NaN long after a stop has become certain. Nor
+            are E and |L| of a RESOLVED one, as long as it is integrated.
 
         Raises:
             ValueError: times that are not positive and finite.
@@ -109,7 +114,11 @@ class Prediction(eqx.Module):
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
         strength = jnp.asarray(self.strength, given.dtype)
-        values = best_history(self.variables, (given, strength), self.regime)
+        if concrete(self.regime) and self.regime.ndim == 0 and self.regime == Regime.RESOLVED:
+            averages = _averages(self.variables[:9].reshape(3, 3), self.variables[9:12])
+            values = resolved_history(self.variables, (given, strength), averages)
+        else:
+            values = best_history(self.variables, (given, strength), self.regime)
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -132,7 +141,7 @@ class Prediction(eqx.Module):
 
 
 def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
-    """How a free rotation that radiates weakly ends: the slow flow of E and L to its end.
+    """How a rotation that radiates ends: the slow flow of E and L to its end, where it holds.
 
         dE/dt = −κ⟨|n₂|²⟩,   d(L²)/dt = −2κ⟨L·(n₁×n₂)⟩,   averaged over free rotation,
 
@@ -148,9 +157,9 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         A `Prediction`.
 
     Raises:
-        ValueError: bad arguments; float64 is off; a rotation so fast that averaging or
-            non-relativistic mechanics ends. Where ω₀ is traced, the former is UNDECIDED, and the
-            latter is not looked for.
+        ValueError: bad arguments; float64 is off; a rotation that no law here describes, or whose
+            rim is relativistic. Where ω₀ is traced, the former is UNDECIDED, and the latter is not
+            looked for.
 
     Example:
         >>> import dipoletop as dt
@@ -171,29 +180,50 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     strength = RADIATION if isinstance(body, Particle) else 1.0
     coupling = jnp.asarray(strength, omega.dtype)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
-    numbers = best_forecast(variables, coupling, _is_needle(body))
-    prediction = Prediction(*numbers, variables=variables, strength=strength)
     if concrete(variables):
-        _check_theory(prediction, body, omega)
-    return prediction
+        _check_rim(body, omega)
+    averages = _averages(body.inertia, body.dipole)
+    numbers = averages.forecast(variables, coupling)
+    if concrete(variables) and numbers.error > HANDOVER:
+        numbers = resolved_forecast(variables, coupling, averages) or numbers
+        _check_error(float(numbers.error))
+    return Prediction(*numbers, variables=variables, strength=strength)
 
 
-def _check_theory(prediction: Prediction, body: Body | Particle, omega: Array) -> None:
-    """Refuse a rotation so fast that a theory ends; one that is traced is UNDECIDED."""
-    if isinstance(body, Particle) and body.radius is not None:
-        rim = float(body.rim_speed(omega))
-        if rim > FASTEST_RIM:
-            must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
-            refuse("omega0", must, f"makes it {rim:.2g} c")
-    if prediction.error > LARGEST_ERROR:
-        must = "radiate little within one turn, to be averaged (`classify` follows every turn)"
-        was = f"makes the estimated relative error {float(prediction.error):.2g}"
-        refuse("omega0", must, was)
+def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Averages:
+    """What averages over free rotation tell of a body."""
+    is_needle = _is_needle(inertia, dipole)
+
+    def forecast(variables: Float[Array, "15"], strength: Real) -> Forecast:
+        return best_forecast(variables, strength, is_needle)
+
+    def history(variables: Float[Array, "15"], constants: tuple[Array, Real]) -> Values:
+        regime = forecast(variables, constants[1]).regime
+        return best_history(variables, constants, regime)
+
+    return Averages(forecast, history)
 
 
-def _is_needle(body: Body | Particle) -> bool | None:
+def _check_rim(body: Body | Particle, omega: Array) -> None:
+    """Refuse a rotation that is relativistic."""
+    if not isinstance(body, Particle) or body.radius is None:
+        return
+    rim = float(body.rim_speed(omega))
+    if rim > FASTEST_RIM:
+        must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
+        refuse("omega0", must, f"makes it {rim:.2g} c")
+
+
+def _check_error(error: float) -> None:
+    """Refuse a rotation of which no law says enough; one that is traced is UNDECIDED."""
+    if error > LARGEST_ERROR:
+        must = "radiate little within one turn, or end within the steps that `classify` takes"
+        refuse("omega0", must, f"makes the estimated relative error {error:.2g}")
+
+
+def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:
     """Whether chance may decide, see `needle_end`; None if the body is traced."""
-    if not concrete(body):
+    if not concrete(inertia, dipole):
         return None
     with jax.ensure_compile_time_eval():  # under `jit`, too
-        return bool(free_rotation(body.inertia, body.dipole, jnp.zeros(3)).is_needle)
+        return bool(free_rotation(inertia, dipole, jnp.zeros(3)).is_needle)

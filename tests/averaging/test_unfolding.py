@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop._averaging.capture import Expansion, capture
-from dipoletop._averaging.forecast import best_forecast, forecast, outline, unfolded_forecast
+from dipoletop._averaging.forecast import best_forecast, coverage, forecast, unfolded_forecast
 from dipoletop._averaging.unfolding import Plane, entry_q, phases, settle
 
 ONE = jnp.asarray(1.0)
@@ -138,7 +138,7 @@ def test_slow_flow_and_unfolding_agree_within_their_errors():
         for asymmetry in (1e-2, 1.0, 1e2, 1e6):
             variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
             slow = forecast(variables, ONE, False)
-            turns, errors = outline(variables, ONE)
+            turns, errors = coverage(variables, ONE)
             best = best_forecast(variables, ONE, False)
             regimes.append(int(best.regime))
             if not jnp.isfinite(errors[0]):

@@ -55,9 +55,7 @@ class FreeRotation(eqx.Module):
 
     def spin_decay(self, axis: Int[Array, ""]) -> Real:
         """The r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
-        # From the other components, which are exactly 0 where nᵢ may be 1 to rounding only.
-        across = jnp.sum(jnp.where(jnp.arange(3) == axis, 0.0, self.dipole**2))
-        return across / self.moments[axis] ** 3
+        return (1 - self.dipole[axis] ** 2) / self.moments[axis] ** 3
 
     def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
         """Some other rotation where the condition holds, so that nothing is NaN there."""

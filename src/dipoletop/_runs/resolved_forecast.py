@@ -18,14 +18,18 @@ from jaxtyping import Array, Float
 from .._averaging.ends import QUANTILES
 from .._averaging.forecast import Forecast, decided_outcome, scaled_rotation
 from .._averaging.free_rotation import mean_square_speed
+from .._averaging.histories import Values
 from .._averaging.slow_flow import from_logit
+from .._base.tolerances import MAX_STEPS
 from .._base.types import Outcome, Real, Regime, Vector
 from ..bodies import Body
 from ..equations.rigid import SemiReduced
 from .classification import Classification
 from .classify import classify
 from .simulate import simulate
+from .slow_runs import SlowMotions
 
+RTOL = 1e-8
 HANDOVER = 1e-2
 """The estimated error of averages from which on they are trusted."""
 STRETCH = 0.5  # of 1/ω², about the time in which E falls, integrated at once
@@ -35,8 +39,6 @@ POINTS, ROUNDS = 65, 4  # of a search for a time, which narrows its bracket to P
 
 Variables = Float[Array, "15"]
 """Inertia, dipole and ω₀ in one vector."""
-Values = tuple[Float[Array, "T"], ...]
-"""E, |L|, h and √⟨Ω²⟩ at given times."""
 
 
 class Averages(NamedTuple):
@@ -73,6 +75,13 @@ class _Course:
     def variables(self) -> Variables:
         """The variables at the end of the last stretch."""
         return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
+
+    def is_long(self, ratio: Real) -> bool:
+        """Whether the run would take more than the budget of steps, if it ended with this L∞/L₀."""
+        body = self.equation.body
+        one = (np.asarray(x)[None] for x in (body.inertia, body.dipole, self.omegas[0]))
+        motions = SlowMotions(*one, consistent=True, is_full=False)
+        return bool(motions.steps(np.asarray(ratio)[None], RTOL, label_only=False)[0] > MAX_STEPS)
 
     def energy(self, omega: Vector) -> float:
         """E of a state in the units of `start`."""
@@ -129,7 +138,9 @@ def resolved_forecast(start: Variables, strength: Real, averages: Averages) -> F
         averages: the laws that hold where little is radiated within one period.
     """
     course = _Course.of(start, strength)
-    run = classify(course.equation, course.omegas[0])
+    if course.is_long(averages.forecast(start, strength).ratio):
+        return None
+    run = classify(course.equation, course.omegas[0], rtol=RTOL)
     first = course.energy(course.omegas[0])
     if _is_residual(run):
         last = course.residual_state(run)
@@ -164,7 +175,7 @@ def resolved_history(
     """E, |L|, h and √⟨Ω²⟩ at given times, of a rotation that has a resolved forecast."""
     times, strength = np.asarray(constants[0]), constants[1]
     course = _Course.of(start, strength)
-    run = classify(course.equation, course.omegas[0])
+    run = classify(course.equation, course.omegas[0], rtol=RTOL)
     if residual := _is_residual(run):
         least = course.energy(course.residual_state(run))
         least += SETTLED * course.energy(course.omegas[0])
