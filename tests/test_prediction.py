@@ -37,6 +37,7 @@ def test_turn_by_turn_integration_tends_to_the_prediction(body):
     assert np.all(errors[1] < 0.2 * errors[0])
 
 
+@pytest.mark.slow
 def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     """Next to the axis of J₃ the mean rate is small beside products of oscillations nᵢnⱼ."""
     body = dt.Body(jnp.diag(jnp.array([0.356, 0.908, 1.0])), [0.2228, 0.3401, 0.9136])
@@ -190,6 +191,7 @@ def test_an_oblate_top_with_its_dipole_across_the_axis_stops():
     assert (predicted.outcome, predicted.regime) == (dt.Outcome.STOP, dt.Regime.AVERAGED)
 
 
+@pytest.mark.slow
 def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
     """ω₃ = 0: no fast rotation that chance could act on; one that there is ends the history."""
     start = jnp.array([9e-4, 5e-4, 0.0])

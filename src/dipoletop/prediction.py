@@ -114,11 +114,12 @@ class Prediction(eqx.Module):
         given = finite("times", times, (-1,), batch=False)
         given = where_valid("times", given, given > 0, "be positive")
         strength = jnp.asarray(self.strength, given.dtype)
-        if concrete(self.regime) and self.regime.ndim == 0 and self.regime == Regime.RESOLVED:
-            averages = _averages(self.variables[:9].reshape(3, 3), self.variables[9:12])
-            values = resolved_history(self.variables, (given, strength), averages)
+        variables, regime = jnp.asarray(self.variables), jnp.asarray(self.regime)
+        if concrete(variables, regime) and regime == Regime.RESOLVED:
+            averages = _averages(variables[:9].reshape(3, 3), variables[9:12])
+            values = resolved_history(variables, (given, strength), averages)
         else:
-            values = best_history(self.variables, (given, strength), self.regime)
+            values = best_history(variables, (given, strength), regime)
         return History(given, *values)
 
     def __repr__(self) -> str:

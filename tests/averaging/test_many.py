@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
@@ -39,6 +40,7 @@ def test_ends_are_those_of_single_motions():
         np.testing.assert_allclose(values, expected, rtol=rtol, err_msg=name)
 
 
+@pytest.mark.slow
 def test_needles_end_by_chance_as_single_ones_do():
     body = np.array([0.2, 1.0, 1.0]), 2
     starts = 1e-12 * RNG.normal(size=(5, 3))

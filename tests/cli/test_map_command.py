@@ -224,6 +224,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
 # Slow runs
 
 
+@pytest.mark.slow
 def test_slow_runs_are_predicted_and_counted(tmp_path):
     """A needle of which chance decides, at the amplitude of a particle; and no prediction."""
     needle = ["--level", "semi", "--delta", 0.85, "--w-perp", 1e-20, "--range", "w3", 1e-20, 3e-20]

@@ -52,7 +52,8 @@ def forecast(variables: Float[Array, "15"], strength: Real, is_needle: bool | No
         strength: the k of κ = k d².
         is_needle: whether chance may decide, see `needle_end`; None if that is not known.
     """
-    values = forward_differentiable(functools.partial(_values, is_needle))(variables, strength)
+    of_start = functools.partial(_values, is_needle)
+    values = forward_differentiable(of_start, one_by_one=True)(variables, strength)
     return _fields(values)
 
 

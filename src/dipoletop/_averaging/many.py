@@ -68,7 +68,9 @@ def ends_of_many(
     ends, delta, doubtful = _in_chunks(_slow_ends, variables, coupling)
     for value in np.unique(delta[delta != 0]):
         (lanes,) = np.nonzero(delta == value)
-        captured = _in_chunks(_needle_ends, variables[lanes], (coupling, _capture(value)))
+        captured = _in_chunks(
+            _needle_ends, variables[lanes], (coupling, _capture(jnp.asarray(value)))
+        )
         _put(ends, lanes, captured)
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
         alone = forecast(jnp.asarray(variables[lane]), coupling, False)

@@ -13,16 +13,22 @@ from jaxtyping import Array, Float
 Function = Callable[[Float[Array, "n"], Any], Float[Array, "..."]]
 
 
-def forward_differentiable(function: Function) -> Function:
+def forward_differentiable(function: Function, *, one_by_one: bool = False) -> Function:
     """The same function of (vector, settings), differentiable in both modes, to any order.
 
     All derivatives come from `jax.jacfwd`, so memory does not grow with the length of the loops
     inside. The settings are constant.
+
+    Args:
+        function: the function.
+        one_by_one: whether values of a batch are computed one after the other, where its lanes
+            would wait for each other in every loop.
     """
+    values = jax.custom_batching.sequential_vmap(function) if one_by_one else function
 
     @jax.custom_jvp
     def wrapped(x: Float[Array, "n"], settings: Any) -> Float[Array, "..."]:
-        return function(x, settings)
+        return values(x, settings)
 
     @wrapped.defjvp
     def rule(primals: Any, tangents: Any) -> Any:

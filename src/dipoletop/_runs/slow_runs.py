@@ -70,10 +70,21 @@ class SlowMotions(NamedTuple):
         """How those of the motions end."""
         return ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
 
-    def is_known(self, ends: ManyEnds) -> Bool[np.ndarray, "n"]:
-        """Whether the law holds: order 1 has another limit where moments are nearly equal."""
-        holds = (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
-        return holds & (self.consistent | (ends.regime != Regime.UNFOLDED))
+    @property
+    def has_law(self) -> Bool[np.ndarray, "N"]:
+        """Whether a law is known.
+
+        Order 1 has another limit where a needle with its dipole across is captured. And moments
+        that differ by a rounding only would count as equal.
+        """
+        moments, n, _ = _in_principal_axes(self.inertia, self.dipole, self.omega)
+        order = np.argsort(moments, axis=1)
+        j1, j2, j3 = np.take_along_axis(moments, order, 1).T
+        along = np.abs(np.take_along_axis(n, order, 1)[:, 0])
+        needle = (j3 - j2 <= ROUNDING * j3) & (j2 - j1 > ROUNDING * j3) & (along <= ROUNDING)
+        turned = np.any(self.inertia[:, [0, 0, 1], [1, 2, 2]] != 0, axis=1)
+        rounded = [(gap > 0) & (gap <= ROUNDING * j3) for gap in (j2 - j1, j3 - j2)]
+        return (self.consistent | ~needle) & (turned | ~np.any(rounded, axis=0))
 
     def steps(
         self, ratio: Float[np.ndarray, "N"] | float, rtol: float, label_only: bool
@@ -184,8 +195,9 @@ def with_predictions(
         unknown &= waiting | (runs.steps >= budget)
     if not unknown.any():
         return with_probability(runs, np)
-    ends = _scattered(motions.ends(unknown), unknown)
-    known = unknown & motions.is_known(ends)
+    asked = unknown & motions.has_law
+    ends = _scattered(motions.ends(asked), asked)
+    known = asked & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
         again = unknown & waiting & ~(known & exceeds(ends.ratio))
         if again.any():
