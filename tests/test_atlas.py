@@ -53,6 +53,7 @@ def test_the_quadrature_over_h_is_that_over_directions():
     np.testing.assert_allclose(share_below(BODIES, np.full(4, 0.4)), inside, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_nearly_spherical_bodies_depend_on_the_splitting_alone():
     splitting = np.array([0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
     one = np.ones(7)
@@ -66,6 +67,7 @@ def test_nearly_spherical_bodies_depend_on_the_splitting_alone():
     np.testing.assert_allclose(_ends(mirrored, ON_1).ratio, found, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_particles_of_the_paper():
     moments = [[0.99, 0.995], [0.616, 0.634], [0.622, 0.628], [0.0199, 0.9974], [0.97, 0.985]]
     moments = np.array([[*pair, 1.0] for pair in moments])

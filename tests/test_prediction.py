@@ -22,6 +22,7 @@ def _predict(body, omegas):
     return jax.vmap(lambda omega: dt.predict(body, omega))(omegas)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [ON_3, ON_1], ids=["largest moment", "smallest moment"])
 def test_turn_by_turn_integration_tends_to_the_prediction(body):
     """The error of ω∞ falls in proportion to |ω|, and is within the estimate."""
@@ -275,7 +276,7 @@ def test_a_rotation_of_known_phase_has_the_history_of_an_integration(body, start
 @pytest.mark.slow
 def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     """On the middle moment by less than ω²: the slow flow tumbles, the body is captured."""
-    body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
+    body, start = _nearly(0.4, -1e-13), 1e-5 * STARTS[1]
     traced = jax.jit(lambda omega: dt.predict(body, omega))(start)
     assert traced.outcome == dt.Outcome.UNDECIDED
     predicted = dt.predict(body, start)

@@ -58,6 +58,7 @@ def test_needles_end_by_chance_as_single_ones_do():
     assert many.outcome[3] != Outcome.UNDECIDED
 
 
+@pytest.mark.slow
 def test_both_outcomes_occur_where_two_zeros_of_the_flow_meet():
     """With the dipole on J₁ both occur below a curve J₂(J₁); its points are known independently."""
     starts = 1e-20 * RNG.normal(size=(150, 3))
