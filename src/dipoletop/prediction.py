@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, Forecast, best_forecast
+from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_forecast
 from ._averaging.histories import Values, best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
@@ -75,7 +75,8 @@ class Prediction(eqx.Module):
             capture by chance begins before that, and where capture from a known phase is traced.
         radiated_energy: E₀ − E∞.
         lifetime: how long the last rotation lives: its late law is L² = L²ₚ/(1 + t/lifetime);
-            infinite for residual rotation, NaN where chance decides, or a stop is UNFOLDED.
+            infinite for residual rotation, NaN where chance decides, a stop is UNFOLDED, or a
+            RESOLVED one has no plateau.
         regime: a member of `Regime`, the law that decided.
         error: estimated relative error of `ratio` and of the times; 0.5 where starts within the
             error end otherwise: they share the probability.
@@ -186,7 +187,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     averages = _averages(body.inertia, body.dipole)
     numbers = averages.forecast(variables, coupling)
     if concrete(variables) and numbers.error > HANDOVER:
-        numbers = resolved_forecast(variables, coupling, averages) or numbers
+        numbers = resolved_forecast(variables, coupling, averages, numbers.ratio) or numbers
         _check_error(float(numbers.error))
     return Prediction(*numbers, variables=variables, strength=strength)
 
@@ -195,10 +196,10 @@ def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Averag
     """What averages over free rotation tell of a body."""
     is_needle = _is_needle(inertia, dipole)
 
-    def forecast(variables: Float[Array, "15"], strength: Real) -> Forecast:
+    def forecast(variables: Variables, strength: Real) -> Forecast:
         return best_forecast(variables, strength, is_needle)
 
-    def history(variables: Float[Array, "15"], constants: tuple[Array, Real]) -> Values:
+    def history(variables: Variables, constants: tuple[Array, Real]) -> Values:
         regime = forecast(variables, constants[1]).regime
         return best_history(variables, constants, regime)
 
@@ -218,8 +219,8 @@ def _check_rim(body: Body | Particle, omega: Array) -> None:
 def _check_error(error: float) -> None:
     """Refuse a rotation of which no law says enough; one that is traced is UNDECIDED."""
     if error > LARGEST_ERROR:
-        must = "radiate little within one turn, or end within the steps that `classify` takes"
-        refuse("omega0", must, f"makes the estimated relative error {error:.2g}")
+        must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
+        refuse("omega0", must, f"makes it {error:.2g} (`classify` follows every turn)")
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:

@@ -235,7 +235,15 @@ def _verdict(delta: Scalar, y: Array) -> Any:
 
 def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Array:
     """The state of an autonomous system at the first step after which `ends` holds."""
-    solution = diffrax.diffeqsolve(
+    ys: Any = solution_until(field, y0, ends, max_steps).ys
+    return ys[-1]
+
+
+def solution_until(
+    field: Any, y0: Array, ends: Any, max_steps: int, *, dense: bool = False
+) -> diffrax.Solution:
+    """The solution up to there, with its interpolation if it is to be `dense`."""
+    return diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri8(),
         0.0,
@@ -243,13 +251,12 @@ def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Arra
         0.01,
         y0,
         stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+        saveat=diffrax.SaveAt(t1=True, dense=dense),
         event=diffrax.Event(ends),
         max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,
     )
-    ys: Any = solution.ys
-    return ys[-1]
 
 
 class Expansion(NamedTuple):

@@ -22,6 +22,9 @@ from .unfolded_ends import captured_end, half_time_of, known_end, order_error
 from .unfolding import LARGEST as FARTHEST_RATIO
 from .unfolding import Plane, asymmetry_at_entry, top_of
 
+Variables = Float[Array, "15"]
+"""Inertia, dipole and ω₀ in one vector."""
+
 LARGEST_ERROR = 0.5
 """The estimated error beyond which the slow flow says nothing."""
 CERTAIN = 1 - 1e-6
@@ -44,7 +47,7 @@ class Forecast(NamedTuple):
 
 
 @eqx.filter_jit
-def forecast(variables: Float[Array, "15"], strength: Real, is_needle: bool | None) -> Forecast:
+def forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
     """How the free rotation of a body ends; differentiable by its variables.
 
     Args:
@@ -92,7 +95,7 @@ class Units(NamedTuple):
     """κL₀/J₃², about τ₀Ω."""
 
 
-def scaled_rotation(variables: Float[Array, "15"], strength: Real) -> tuple[FreeRotation, Units]:
+def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation, Units]:
     """The free rotation in units of J₃ and L₀, and these units."""
     inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
     rotation = free_rotation(inertia, dipole, omega)
@@ -111,9 +114,7 @@ def slow_motion(rotation: FreeRotation) -> Motion:
     return motion_from(rotation.side(high), high, z)
 
 
-def _values(
-    is_needle: bool | None, variables: Float[Array, "15"], strength: Real
-) -> Float[Array, "20"]:
+def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Float[Array, "20"]:
     """The floating-point fields of a `Prediction`, and its regime."""
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
@@ -148,7 +149,8 @@ def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
         omega_inf,
         ratio,
         end.half_time * units.time,
-        (end.energy - end.last_energy) * energy_unit,
+        # Not below 0 by rounding, where nothing is radiated.
+        jnp.maximum(end.energy - end.last_energy, 0.0) * energy_unit,
         jnp.where(end.decay == 0, jnp.inf, units.time / safe_divisor(end.decay)),
         jnp.zeros_like(error),
         error,
@@ -173,9 +175,7 @@ def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
     return jnp.where(rotation.is_sphere, Regime.EXACT, regime).astype(int)
 
 
-def best_forecast(
-    variables: Float[Array, "15"], strength: Real, is_needle: bool | None
-) -> Forecast:
+def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
     """The forecast of the slow flow or of the unfolded system, whichever has the smaller error.
 
     The latter is looked at for values that are known only, since it takes many steps.
@@ -195,16 +195,14 @@ def best_forecast(
     return unfolded if unfolded.error < slow.error else slow
 
 
-def _least_gap(variables: Float[Array, "15"]) -> float:
+def _least_gap(variables: Variables) -> float:
     """The smallest relative difference of moments; that of the unfolded system is larger."""
     moments = np.linalg.eigvalsh(np.asarray(variables[:9]).reshape(3, 3))
     return float(np.min(np.diff(moments)) / moments[2])
 
 
 @eqx.filter_jit
-def coverage(
-    variables: Float[Array, "15"], strength: Real
-) -> tuple[Bool[Array, "2"], Float[Array, "2"]]:
+def coverage(variables: Variables, strength: Real) -> tuple[Bool[Array, "2"], Float[Array, "2"]]:
     """Whether a body turns fast, and how well the unfolded system describes it.
 
     Returns:
@@ -233,7 +231,7 @@ def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[
 
 
 @eqx.filter_jit
-def half_time_from(variables: Float[Array, "15"], strength: Real, ratio: Real) -> Real:
+def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
     """The half time of a needle with a phase of its own, whose L∞/L₀ is known."""
     rotation, units = scaled_rotation(variables, strength)
     top = top_of(rotation, 0, units.weakness)
@@ -242,9 +240,7 @@ def half_time_from(variables: Float[Array, "15"], strength: Real, ratio: Real) -
 
 
 @eqx.filter_jit
-def unfolded_forecast(
-    variables: Float[Array, "15"], strength: Real, axial: int, turns: bool
-) -> Forecast:
+def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: bool) -> Forecast:
     """How a nearly axisymmetric body ends, by its unfolded system.
 
     Args:

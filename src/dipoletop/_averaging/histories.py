@@ -9,7 +9,7 @@ from .._base.bisection import root
 from .._base.checks import concrete, or_nan
 from .._base.types import Real, Regime
 from .ends import shape, turns_fast
-from .forecast import coverage, scaled_rotation, slow_motion
+from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS
 from .unfolded_ends import orbit_of
@@ -20,7 +20,7 @@ Values = tuple[Float[Array, "T"], ...]
 
 
 def best_history(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], regime: Array
+    variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
 ) -> Values:
     """The history by the law that decided: of the slow flow, or of the unfolded system."""
     if not concrete(variables, regime) or regime != Regime.UNFOLDED:
@@ -34,9 +34,7 @@ def best_history(
 
 
 @eqx.filter_jit
-def history_at(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real]
-) -> tuple[Float[Array, "T"], ...]:
+def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) -> Values:
     """E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
@@ -72,6 +70,11 @@ def history_at(
         jax.vmap(of_sphere)(scaled),
         jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
     ).T
+    return in_units(units, log, h, squared)
+
+
+def in_units(units: Units, log: Real, h: Real, squared: Real) -> tuple[Real, ...]:
+    """E, |L|, h and √⟨Ω²⟩, from ln L²/L₀² and from h and ⟨Ω²⟩/L² in units of 1/J₃."""
     momentum = units.momentum * jnp.exp(log / 2)
     energy = h * momentum * (momentum / units.moment) / 2
     return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
@@ -79,7 +82,7 @@ def history_at(
 
 @eqx.filter_jit
 def capture_follows(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], axial: int
+    variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Bool[Array, "T"]:
     """Whether a needle of nearly equal moments has left the slow flow at given times."""
     times, strength = constants
@@ -90,7 +93,7 @@ def capture_follows(
 
 @eqx.filter_jit
 def orbit_history(
-    variables: Float[Array, "15"], constants: tuple[Float[Array, "T"], Real], axial: int
+    variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Values:
     """The history of a start that has a phase of its own, not averaged; NaN past its last state."""
     times, strength = constants

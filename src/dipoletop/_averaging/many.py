@@ -17,14 +17,18 @@ from .._base.types import Outcome, Real
 from .capture import Capture, capture, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
 from .estimates import error_of_phase, estimated_error, start_error
-from .forecast import decided_outcome, forecast, regime_of, scaled_rotation, speed_about_dipole
+from .forecast import (
+    Variables,
+    decided_outcome,
+    forecast,
+    regime_of,
+    scaled_rotation,
+    speed_about_dipole,
+)
 from .outline import outline
 
 CHUNKS = 64, 1024  # starts that are computed at once; few sizes, since each is compiled
 DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted by itself
-
-Variables = Float[Array, "15"]
-"""Inertia, dipole and ω₀ in one vector."""
 
 
 class ManyEnds(NamedTuple):
@@ -83,7 +87,8 @@ def ends_of_many(
 
 def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: Any) -> Any:
     """A function of every start, vectorised over chunks; the last one is filled up."""
-    length = CHUNKS[len(variables) > CHUNKS[0]]
+    small, large = CHUNKS
+    length = small if len(variables) <= small else large
     count = max(1, -(-len(variables) // length))
     padded = np.resize(variables, (count * length, 15))
     parts = [function(part, constants) for part in np.split(padded, count)]

@@ -59,9 +59,9 @@ def outline(rotation: FreeRotation) -> Outline:
     residual = spins & (rotation.spin_decay(axis) == 0)
     first = _way(_interval(side, z, rises, (behind, nearest)), z, rises)
     second = _way(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
-    # On a way to a zero of F beyond the separatrix the loss is the largest at the separatrix.
     log = jnp.where(residual, first.log + jnp.where(crosses, second.log, 0.0), -jnp.inf)
     error = jnp.where(residual, first.error + jnp.where(crosses, second.error, 0.0), 0.0)
+    # Where a zero of F lies beyond the separatrix, the loss there stands for that of the way to it.
     later = jnp.where(crosses & spins, second.loss * jnp.exp(first.log / 2), 0.0)
     return Outline(crosses, ends_high, spins, log, jnp.maximum(first.loss, later), error)
 

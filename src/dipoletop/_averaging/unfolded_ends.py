@@ -18,11 +18,11 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import LEVELS
+from .capture import LEVELS, solution_until
 from .ends import SlowEnd, slow_end, time_at
 from .motion import HALVINGS, Motion, motion_from
 from .principal_axes import FreeRotation
-from .unfolding import LARGEST, PHASES, RTOL, Plane, Settled, Top, entry_of, phases, settle
+from .unfolding import LARGEST, PHASES, Plane, Settled, Top, entry_of, phases, settle
 
 TURNING = 2.0  # q above which no phase is captured
 SHIFT = 3.0  # of neighbours, in units of the error
@@ -164,20 +164,8 @@ def orbit_of(top: Top) -> Orbit:
     def ends(sigma: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
         return plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
 
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        jnp.inf,
-        0.01,
-        jnp.append(top.start, 0.0),
-        saveat=diffrax.SaveAt(t1=True, dense=True),
-        stepsize_controller=diffrax.PIDController(RTOL, RTOL),
-        event=diffrax.Event(ends),
-        max_steps=ORBIT_STEPS,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )
+    y0 = jnp.append(top.start, 0.0)
+    solution = solution_until(field, y0, ends, ORBIT_STEPS, dense=True)
     ts: Any = solution.ts
     ys: Any = solution.ys
     path: Any = solution.interpolation

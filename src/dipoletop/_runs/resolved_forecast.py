@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._averaging.ends import QUANTILES
-from .._averaging.forecast import Forecast, decided_outcome, scaled_rotation
+from .._averaging.forecast import Forecast, Variables, decided_outcome, scaled_rotation
 from .._averaging.free_rotation import mean_square_speed
-from .._averaging.histories import Values
+from .._averaging.histories import Values, in_units
 from .._averaging.slow_flow import from_logit
 from .._base.tolerances import MAX_STEPS
 from .._base.types import Outcome, Real, Regime, Vector
@@ -36,9 +36,6 @@ STRETCH = 0.5  # of 1/ω², about the time in which E falls, integrated at once
 STRETCHES = 400  # at most
 SETTLED = 1e-9  # of E₀: the E − E∞ below which a residual rotation counts as constant
 POINTS, ROUNDS = 65, 4  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
-
-Variables = Float[Array, "15"]
-"""Inertia, dipole and ω₀ in one vector."""
 
 
 class Averages(NamedTuple):
@@ -129,16 +126,19 @@ class _Course:
         return float(times[0] + (times[1] - times[0]) * (above - energy) / (above - below))
 
 
-def resolved_forecast(start: Variables, strength: Real, averages: Averages) -> Forecast | None:
+def resolved_forecast(
+    start: Variables, strength: Real, averages: Averages, ratio: Real
+) -> Forecast | None:
     """How a rotation ends, by integration; None if that takes too long.
 
     Args:
         start: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
         averages: the laws that hold where little is radiated within one period.
+        ratio: about the L∞/L₀, from which the number of steps is estimated.
     """
     course = _Course.of(start, strength)
-    if course.is_long(averages.forecast(start, strength).ratio):
+    if course.is_long(ratio):
         return None
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
     first = course.energy(course.omegas[0])
@@ -156,6 +156,8 @@ def resolved_forecast(start: Variables, strength: Real, averages: Averages) -> F
         return None
     stops = stops / jnp.sum(stops)
     zero = jnp.zeros_like(late.ratio)
+    # The late law with t from the start; a rotation that falls at once has no plateau.
+    lifetime = late.lifetime - course.times[-1] * course.unit
     return late._replace(
         outcome=decided_outcome(stops, late.error),
         probability=stops,
@@ -164,7 +166,7 @@ def resolved_forecast(start: Variables, strength: Real, averages: Averages) -> F
         ratio_quantiles=jnp.zeros_like(late.ratio_quantiles),
         half_time=jnp.asarray(course.time_of(first / 2) * course.unit),
         radiated_energy=jnp.asarray(first),
-        lifetime=late.lifetime + course.times[-1] * course.unit,
+        lifetime=jnp.where(lifetime > 0, lifetime, jnp.nan),
         regime=jnp.asarray(Regime.RESOLVED.value),
     )
 
@@ -248,8 +250,6 @@ def _of_states(
         x, rest = from_logit(z)
         squared = mean_square_speed(rotation.side(high).moments, x, rest)
         h = rotation.momentum @ (rotation.momentum / rotation.moments)
-        momentum, speed = units.momentum, jnp.sqrt(squared) * units.momentum / units.moment
-        energy = h * momentum * (momentum / units.moment) / 2
-        return jnp.stack([energy, momentum, h / units.moment, speed])
+        return jnp.stack(in_units(units, jnp.zeros_like(h), h, squared))
 
     return jax.vmap(values)(omegas).T

@@ -27,7 +27,7 @@ LAWS = {
     Regime.RESOLVED: "integration turn by turn",
     Regime.SLOW_FLOW: "slow flow, averaged over free rotation",
     Regime.AVERAGED: "slow flow of an axisymmetric body",
-    Regime.UNFOLDED: "slow flow, then capture of a needle",
+    Regime.UNFOLDED: "small amplitudes of a nearly axisymmetric body",
     Regime.EXACT: "exact solution",
 }
 UNITS = (("years", 365.25 * 86400), ("days", 86400.0), ("hours", 3600.0))
