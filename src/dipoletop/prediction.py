@@ -224,7 +224,11 @@ def _check_error(error: float) -> None:
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:
-    """Whether chance may decide, see `needle_end`; None if the body is traced."""
+    """Whether chance may decide, see `needle_end`; None if the body is traced.
+
+    Where only derivatives are traced the body is known, and half as much has to be compiled.
+    """
+    inertia, dipole = jax.lax.stop_gradient((inertia, dipole))
     if not concrete(inertia, dipole):
         return None
     with jax.ensure_compile_time_eval():  # under `jit`, too

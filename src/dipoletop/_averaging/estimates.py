@@ -65,7 +65,7 @@ def largest_loss(motion: Motion) -> Real:
         of_knots = jax.vmap(lambda *at: loss(stage.interval.side, *at))
         return jnp.max(of_knots(x, rest, stage.states.log[some]))
 
-    first, second = (largest(motion.stage(k)) for k in range(2))
+    first, second = jax.vmap(largest)(motion.stages)
     return jnp.maximum(first, jnp.where(motion.crosses, second, 0.0))
 
 

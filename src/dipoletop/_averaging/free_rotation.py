@@ -38,6 +38,7 @@ separatrix.
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -80,6 +81,7 @@ class Averages(NamedTuple):
     """F = f/(x Db), so that d ln x/ds = F."""
 
 
+@jax.jit
 def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Averages:
     """The rates r and F of a dipole along each principal axis.
 

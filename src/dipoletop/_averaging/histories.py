@@ -15,6 +15,8 @@ from .motion import HALVINGS
 from .unfolded_ends import orbit_of
 from .unfolding import entry_of, top_of
 
+FEWEST = 8  # times for which a program is compiled
+
 Values = tuple[Float[Array, "T"], ...]
 """E, |L|, h and √⟨Ω²⟩ at given times."""
 
@@ -23,6 +25,18 @@ def best_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
 ) -> Values:
     """The history by the law that decided: of the slow flow, or of the unfolded system."""
+    times, strength = constants
+    size = times.size
+    # Programs are compiled for few numbers of times, powers of 2.
+    more = max(FEWEST, 1 << (size - 1).bit_length()) - size
+    padded = jnp.pad(times, (0, more), constant_values=1.0)
+    values = _history(variables, (padded, strength), regime)
+    return tuple(x[:size] for x in values)
+
+
+def _history(
+    variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
+) -> Values:
     if not concrete(variables, regime) or regime != Regime.UNFOLDED:
         return history_at(variables, constants)
     turns, errors = coverage(variables, constants[1])

@@ -84,13 +84,18 @@ class Side(eqx.Module):
         for part in near:
             low &= (size[inner] <= size[part]) & (sign[inner] == sign[part])
         (index,) = jnp.nonzero(low, size=MOST_FOLDS, fill_value=-1)
-        place = jnp.asarray(GRID)[index + 2]
-        step = SPACING
-        for _ in range(4):  # each leaves an error of the order of the step squared
-            before, here, after = (jax.vmap(self.growth)(place + k * step) for k in (-1, 0, 1))
+
+        def nearer(_: Any, at: tuple[Array, Array]) -> tuple[Array, Array]:
+            place, step = at
+            points = jnp.stack([place - step, place, place + step])
+            before, here, after = jax.vmap(jax.vmap(self.growth))(points)
             bend = before - 2 * here + after
             shift = (before - after) / (2 * safe_divisor(bend))
-            place, step = place + step * jnp.clip(shift, -1.0, 1.0), step / 10
+            return place + step * jnp.clip(shift, -1.0, 1.0), step / 10
+
+        # Each round leaves an error of the order of the step squared.
+        start = jnp.asarray(GRID)[index + 2], jnp.asarray(SPACING)
+        place, _ = jax.lax.fori_loop(0, 4, nearer, start)
         return jnp.where(index < 0, FARTHEST, place)
 
     def zeros(self) -> Float[Array, "m"]:

@@ -35,7 +35,7 @@ HANDOVER = 1e-2
 STRETCH = 0.5  # of 1/ω², about the time in which E falls, integrated at once
 STRETCHES = 400  # at most
 SETTLED = 1e-9  # of E₀: the E − E∞ below which a residual rotation counts as constant
-POINTS, ROUNDS = 65, 4  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
+POINTS, ROUNDS = 65, 3  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
 
 
 class Averages(NamedTuple):
@@ -117,11 +117,12 @@ class _Course:
     def time_of(self, energy: float) -> float:
         """The time at which E falls below a value that lies between the first and the last."""
         after = next(k for k, omega in enumerate(self.omegas) if self.energy(omega) < energy)
-        times, above, below = np.array(self.times[after - 1 : after + 1]), 1.0, 0.0
+        times = np.array(self.times[after - 1 : after + 1])
+        above, below = (self.energy(omega) for omega in self.omegas[after - 1 : after + 1])
         for _ in range(ROUNDS):
             times = np.linspace(times[0], times[1], POINTS)
-            energies = np.array([self.energy(omega) for omega in self.at(times)])
-            k = max(int(np.argmax(energies < energy)), 1)
+            energies = [above, *(self.energy(omega) for omega in self.at(times[1:]))]
+            k = max(int(np.argmax(np.array(energies) < energy)), 1)
             times, (above, below) = times[k - 1 : k + 1], energies[k - 1 : k + 1]
         return float(times[0] + (times[1] - times[0]) * (above - energy) / (above - below))
 
