@@ -1,6 +1,6 @@
 """The engines of dipoletop driven directly: all that the benchmarks use of its private modules.
 
-An engine is named "native" (machine code, needs numba) or "jax".
+An engine is named "native" (machine code, needs llvmlite) or "jax".
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ NAMES = ("native", "jax")
 def _engine(name: str, **settings: Any) -> Engine:
     if name == "jax":
         return JaxEngine(**settings)
-    # It needs numba, the JAX engine does not.
+    # It needs llvmlite, the JAX engine does not.
     from dipoletop._engines.native_engine import NativeEngine
 
     return NativeEngine(**settings)

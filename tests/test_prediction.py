@@ -321,6 +321,7 @@ def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
     np.testing.assert_allclose(energy, exact, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.motion.MAX_STEPS", 5)
     variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])

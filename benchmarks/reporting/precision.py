@@ -12,7 +12,7 @@ on problem and tolerance only is made before the clock starts.
 | dipoletop | both engines, all starts in one queue |
 | diffrax | Dopri8, `vmap` over 512 starts, the fastest width of four; the state is a tuple or has shape (3,) |
 | heyoka batch, heyoka scalar | Taylor method, starts in SIMD batches, or one after another from Python |
-| numbalsoda | DOP853 and LSODA, right-hand side and loop over the starts compiled by numba (`peers/with_numbalsoda.py`); `pip install numbalsoda` needs a Fortran compiler |
+| numbalsoda | DOP853 and LSODA, right-hand side and loop over the starts compiled by numba (`peers/with_numbalsoda.py`); `pip install numba numbalsoda` needs a Fortran compiler |
 | scipy | DOP853, 64 starts, once |
 
 heyoka's compiler is given δ and |ω₀| as numbers; the others are given them at run time. With its

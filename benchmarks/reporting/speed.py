@@ -9,8 +9,8 @@ its outcome is certain, for at most 4096 steps. Everybody gets the same starts, 
 
 | who | driven how |
 |---|---|
-| dipoletop, native engine | `classify_many(TransverseReduced(deltas), omegas, value=False)`, with numba installed |
-| dipoletop, JAX engine | the same with `engine="jax"`, as it runs without numba |
+| dipoletop, native engine | `classify_many(TransverseReduced(deltas), omegas, value=False)` |
+| dipoletop, JAX engine | the same with `engine="jax"`, as it runs without llvmlite |
 | heyoka | Taylor method in SIMD batches, one process for each core; between rounds of a few steps a vectorised certificate, and the undecided starts are packed together (`peers/with_heyoka.py`) |
 | diffrax, repacked | Dopri8 with an event, a few steps at a time; finished starts are dropped in between (`peers/with_diffrax.py`) |
 | diffrax, chunked | the same, starts sorted by \\|ω\\|, one `vmap` for every 32 |

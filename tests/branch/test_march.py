@@ -83,6 +83,7 @@ def test_half_of_the_energy_to_be_lost_is_lost_when_it_is_said_to_be(long):
     assert float(then) == pytest.approx(float(first + rest) / 2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_residual_rotation():
     """By shape and start, backwards, against differences of order 6."""
     start, way, step = jnp.array([0.2, 0.05, 0.05]), jnp.array([1.0, 0.3, -0.2, 0.4]), 4e-3

@@ -44,7 +44,7 @@ class Fading(Growing):
         return -self.rate[None] * y
 
 
-def test_without_numba_jax_runs(monkeypatch):
+def test_without_llvmlite_jax_runs(monkeypatch):
     equation, start = Fading(jnp.ones(1)), jnp.ones((1, 3))
     grid = dt.Grid(w3=[0.6, 0.9])
 
@@ -52,10 +52,12 @@ def test_without_numba_jax_runs(monkeypatch):
         return dt.sweep(lambda w3: (Fading(1 + w3), w3 * jnp.ones(3)), grid)
 
     assert swept().attrs["engine"] == "native"
-    monkeypatch.setattr(select, "_native_engine", lambda: (None, "numba cannot be imported (gone)"))
+    monkeypatch.setattr(
+        select, "_native_engine", lambda: (None, "llvmlite cannot be imported (gone)")
+    )
     assert swept().attrs["engine"] == "jax"
     assert dt.classify_many(equation, start).outcome == [dt.Outcome.STOP]
-    with pytest.raises(ValueError, match=r"'native', but numba cannot be imported \(gone\)"):
+    with pytest.raises(ValueError, match=r"'native', but llvmlite cannot be imported \(gone\)"):
         dt.classify_many(equation, start, engine="native")
 
 

@@ -116,6 +116,7 @@ def momentum_defect(equation, start, end, **settings):
     return np.abs(change + lost).max() / size, np.abs(change).max() / size
 
 
+@pytest.mark.slow
 def test_full_equation_keeps_the_balance_of_angular_momentum():
     """d/dτ(L − d×d₂) = −d₁×d₂ in the laboratory, along the branch and off it."""
     start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)

@@ -124,7 +124,9 @@ def bodies(n):
     return dt.Body(inertia, jnp.tile(jnp.array([1.0, 0.0, 0.0]), (n, 1))), jnp.asarray(starts)
 
 
-@pytest.mark.parametrize("level", [dt.Reduced, dt.SemiReduced])
+@pytest.mark.parametrize(
+    "level", [dt.Reduced, pytest.param(dt.SemiReduced, marks=pytest.mark.slow)]
+)
 def test_bodies_against_a_closer_tolerance(level):
     body, starts = bodies(128)
     found = dt.classify_many(level(body), starts, max_steps=5000)

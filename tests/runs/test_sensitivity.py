@@ -84,6 +84,7 @@ def test_the_default_tolerance_holds_for_slopes(cases):
     assert np.all(basin.outcome == dt.sweep(first_order, dt.Points(**cases)).outcome)
 
 
+@pytest.mark.slow
 def test_single_starts_differentiate_in_every_way(cases):
     one = {name: values[60:61] for name, values in cases.items()}
     point = {name: float(values[0]) for name, values in one.items()}
@@ -466,13 +467,14 @@ def test_a_verdict_has_no_derivatives():
     assert all(np.isnan(jax.jacrev(verdict)(-0.2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "moments"),
     [
         (dt.Reduced, (1.0, 1.0, 0.7)),  # dipole across the axis of a top, along axis 1
-        pytest.param(dt.SemiReduced, (1.0, 0.8, 1.0), marks=pytest.mark.slow),
+        (dt.SemiReduced, (1.0, 0.8, 1.0)),
         (dt.Reduced, (1.0, 0.9, 0.9)),  # along the axis
-        pytest.param(dt.SemiReduced, (1.0, 1.0, 1.0), marks=pytest.mark.slow),
+        (dt.SemiReduced, (1.0, 1.0, 1.0)),
     ],
 )
 def test_derivatives_at_repeated_moments(level, moments):
@@ -525,6 +527,7 @@ def test_decay_time_and_its_slope():
     assert float(slope) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
 
 
+@pytest.mark.slow
 def test_decay_time_that_there_is_not_has_no_derivative():
     def time(delta, start):
         return decay_time(dt.TransverseReduced(delta), start)

@@ -65,6 +65,7 @@ def test_cylindrical_form_runs_the_same_motion():
     assert jnp.allclose(flat.omega_dot, round_.omega_dot, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_adjoint_controller_and_gradient_pass_through():
     @functools.partial(jax.jit, static_argnums=1)
     def end(delta, adjoint):

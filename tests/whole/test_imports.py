@@ -14,7 +14,7 @@ RANK = {page: rank for rank, pages in enumerate(ORDER.split("|")) for page in pa
 UPWARDS = {("continuation", "plots"): "its deprecated functions that draw"}
 INSIDE_FUNCTIONS = {  # and any in cli: a command imports what it needs, so `--help` is quick
     ("continuation", "plots"): "matplotlib",
-    ("_engines", "_engines"): "numba",
+    ("_engines", "_engines"): "llvmlite",
 }
 
 

@@ -3,7 +3,7 @@
 `step.begin` and `step.advance`, traced for one lane, are compiled to vector instructions
 (`jaxpr_to_llvm`); a loop around them refills a lane as soon as it is idle (`native_queue`). The
 equation's `lift` and the function that finishes the runs are compiled, too, since a call of JAX
-costs as much as a thousand runs. It needs numba.
+costs as much as a thousand runs. It needs llvmlite.
 """
 
 import functools
@@ -27,7 +27,7 @@ from .._base.types import Equation
 from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
-from .native_queue import KINDS, WIDTH, work_off
+from .native_queue import KINDS, WIDTH, Job, Loop, loop
 from .vector_code import MachineCode
 
 SHARE = 256  # runs from which on a thread of its own pays
@@ -127,6 +127,7 @@ class _Program:
 
     kernels: tuple[MachineCode, MachineCode, MachineCode]
     """They begin, advance and finish the runs of a block of lanes."""
+    loop: Loop
     rows: Any
     """A `_Table` with a slice in the place of every array: the rows that hold it."""
     sizes: tuple[int, int, int]
@@ -164,7 +165,9 @@ class _Program:
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        return cls(kernels, rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result)
+        return cls(
+            kernels, loop(), rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result
+        )
 
     def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.
@@ -185,14 +188,18 @@ class _Program:
         given = jax.tree.map(lambda x: np.asarray(x, float).reshape(-1, size), given)
         out = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), self.result)
         inputs, outputs = _transfers(into, given), _transfers(result, out)
-        addresses = tuple(kernel.address for kernel in self.kernels)
-        sizes = size, *self.sizes
+        rows, *places = self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
-        queue = np.zeros(1, np.intp)
+        queue = np.zeros(1, np.int64)
+        tables = inputs.ctypes.data, len(inputs), outputs.ctypes.data, len(outputs)
+        kernels = (kernel.address for kernel in self.kernels)
+        known = *kernels, size, *places, queue.ctypes.data, *tables, shared.ctypes.data
 
         # An address does not keep its array: every thread holds the arrays until it ends.
-        def work(_arrays: Any = (given, out)) -> int:
-            return work_off(addresses, sizes, queue, inputs, outputs, shared)
+        def work(_arrays: Any = (given, out, inputs, outputs)) -> int:
+            blocks = np.zeros((3, rows, WIDTH))
+            own = (block.ctypes.data for block in blocks)
+            return self.loop.work_off(Job._make([*known, *own]))
 
         threads = min(threads, -(-size // SHARE))
         steps = _in_threads(work, threads, queue, size) if threads > 1 else work()
@@ -217,7 +224,7 @@ def _transfers(rows: Any, arrays: Any) -> np.ndarray:
         first, (down, along) = values.ctypes.data, values.strides
         kind = list(KINDS).index(values.dtype.name)
         transfers += [(place.start + i, first + i * down, along, kind) for i in range(len(values))]
-    return np.array(transfers)
+    return np.array(transfers, np.int64)
 
 
 def _is_array(leaf: Any) -> bool:

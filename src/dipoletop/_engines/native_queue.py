@@ -1,155 +1,293 @@
 """The loop of the native engine: threads share one queue, and a lane is refilled when it is idle.
 
-The steps themselves are machine code at addresses, see `jaxpr_to_llvm`. The loop is compiled by
-numba, without the lock of the interpreter. Where the numbers of a run lie in memory is told by
+The steps themselves are machine code at addresses, see `jaxpr_to_llvm`. The loop is machine code,
+too, written here once for all equations. Where the numbers of a run lie in memory is told by
 transfers, rows of (row of the table, address of its first number, stride in bytes, kind).
 """
 
-from typing import Any, no_type_check
+import ctypes
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 
 from .._base.stopping import RUNNING
+from .vector_code import MachineCode, machine_code
 
 WIDTH = 8  # lanes stepped together
-KINDS = {"float64": ir.DoubleType(), "int64": ir.IntType(64), "int32": ir.IntType(32)}
-KINDS |= {"bool": ir.IntType(8)}  # types of numbers in arrays; a kind is a position in this list
+LONG, DOUBLE = ir.IntType(64), ir.DoubleType()
+KINDS = {"float64": DOUBLE, "int64": LONG, "int32": ir.IntType(32), "bool": ir.IntType(8)}
+"""Types of numbers in arrays; a kind is a position in this table."""
+KERNEL = ir.FunctionType(ir.VoidType(), [DOUBLE.as_pointer(), LONG, DOUBLE.as_pointer()])
 
 
-@intrinsic
-def _call_kernel(typing: Any, address: Any, first: Any, stride: Any, shared: Any) -> Any:
-    """Call the machine code at an address, see `jaxpr_to_llvm.compiled`."""
+class Job(NamedTuple):
+    """What the loop is given: integers and addresses of arrays that the caller keeps."""
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        double, long = ir.DoubleType().as_pointer(), ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [double, long, double]).as_pointer()
-        code, first, stride, shared = args
-        table, numbers = (builder.inttoptr(x, double) for x in (first, shared))
-        builder.call(builder.inttoptr(code, kind), [table, stride, numbers])
-        return context.get_dummy_value()
-
-    return types.void(types.intp, types.intp, types.intp, types.intp), generate
-
-
-@intrinsic
-def _claim(typing: Any, counter: Any, many: Any) -> Any:
-    """Raise a counter that threads share; returns its old value."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address, many = args
-        place = builder.inttoptr(address, ir.IntType(64).as_pointer())
-        return builder.atomic_rmw("add", place, many, "monotonic")
-
-    return types.intp(types.intp, types.intp), generate
-
-
-@intrinsic
-def _load(typing: Any, address: Any) -> Any:
-    """The float64 at an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(builder.inttoptr(args[0], ir.DoubleType().as_pointer()))
-
-    return types.float64(types.intp), generate
+    begin: int
+    """The machine code that begins the runs of a block of lanes."""
+    advance: int
+    finish: int
+    size: int
+    """The number of runs."""
+    lane_rows: int
+    """The number of rows of a lane at work."""
+    status: int
+    """The row of its status."""
+    queue: int
+    """A counter of the runs that are taken, which threads share."""
+    inputs: int
+    """Transfers of what the runs begin with."""
+    input_count: int
+    outputs: int
+    """Transfers of what is wanted of the ended runs."""
+    output_count: int
+    shared: int
+    """The numbers that all lanes share."""
+    fresh: int
+    """A block of lanes, rows × WIDTH: the next runs from the queue."""
+    block: int
+    """The runs at work."""
+    ended: int
+    """The last runs that have ended."""
 
 
-@intrinsic
-def _store(typing: Any, address: Any, number: Any, kind: Any) -> Any:
-    """Store a number at an address, converted to a kind."""
+class Loop(NamedTuple):
+    """The loop as machine code."""
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address, number, kind = args
-        after = builder.append_basic_block()
-        choice = builder.switch(kind, after)
+    call: Callable[[int], int]
+    code: MachineCode
+    """Kept alive with it."""
+
+    def work_off(self, job: Job) -> int:
+        """Work off a queue of runs, which other threads may do at the same time.
+
+        Returns:
+            How many steps the block of lanes at work made.
+        """
+        arguments = np.array(job, np.int64)
+        return self.call(arguments.ctypes.data)  # without the lock of the interpreter
+
+
+@functools.cache
+def loop() -> Loop:
+    """The loop; compiled once, which two threads must not do at the same time."""
+    module = ir.Module("queue")
+    function = ir.Function(module, ir.FunctionType(LONG, [LONG.as_pointer()]), "treat")
+    _write_loop(_Code(ir.IRBuilder(function.append_basic_block())), function.args[0])
+    code = machine_code(str(module))
+    return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
+
+
+def _write_loop(code: "_Code", arguments: Any) -> None:
+    """Write the loop; a lane without a run has the slot −1, as all have at first."""
+    job = Job(*(code.load(arguments, i) for i in range(len(Job._fields))))
+    fresh, block, ended = (code.pointer(x) for x in (job.fresh, job.block, job.ended))
+    slot, slots = code.array(WIDTH), code.array(WIDTH)  # the runs in `block` and in `ended`
+    # The runs in `fresh` that no lane has taken yet are those from `following` to `last`.
+    first, following, last = code.variable(), code.variable(), code.variable()
+    count, steps = code.variable(), code.variable()
+    running, waits = code.variable(1), code.variable()
+    with code.each(WIDTH) as lane:
+        code.store(slot, lane, -1)
+
+    def is_running(lane: Any) -> Any:
+        status = code.load(block, code.place(job.status, lane))
+        return code.builder.fcmp_ordered("==", status, ir.Constant(DOUBLE, RUNNING))
+
+    def put_away(lane: Any) -> None:
+        _copy_lane(code, job.lane_rows, (block, lane), (ended, count.value))
+        code.store(slots, count.value, code.load(slot, lane))
+        code.store(slot, lane, -1)
+        count.add(1)
+        with code.when(count.value, "==", WIDTH):
+            write_results()
+
+    def write_results() -> None:
+        code.call(job.finish, ended, job.shared)
+        with (
+            code.each_transfer(job.outputs, job.output_count) as (row, address, stride, kind),
+            code.each(count.value) as lane,
+        ):
+            run = code.load(slots, lane)
+            number = code.load(ended, code.place(row, lane))
+            code.store_as(kind, code.add(address, code.multiply(run, stride)), number)
+        count.value = 0
+
+    def take_runs() -> None:
+        with code.when(following.value, "<", job.size):
+            following.value = code.minimum(code.claim(job.queue, WIDTH), job.size)
+        first.value = following.value
+        last.value = code.minimum(code.add(following.value, WIDTH), job.size)
+        with code.when(following.value, "<", last.value):
+            with (
+                code.each_transfer(job.inputs, job.input_count) as (row, address, stride, _),
+                code.each(WIDTH) as k,
+            ):
+                run = code.minimum(code.add(following.value, k), code.subtract(job.size, 1))
+                number = code.pointer(code.add(address, code.multiply(run, stride)))
+                code.store(fresh, code.place(row, k), code.load(number, 0))
+            code.call(job.begin, fresh, job.shared)
+
+    def refill(lane: Any) -> None:
+        with code.when(code.load(slot, lane), ">=", 0):
+            put_away(lane)
+        with code.when(following.value, "==", last.value):
+            take_runs()
+        with code.when(following.value, "==", last.value):
+            waits.value = 0
+        with code.when(following.value, "<", last.value):
+            place = code.subtract(following.value, first.value)
+            _copy_lane(code, job.lane_rows, (fresh, place), (block, lane))
+            code.store(slot, lane, following.value)
+            following.add(1)
+
+    def advance() -> None:
+        code.call(job.advance, block, job.shared)
+        steps.add(1)
+
+    with code.during(running, ">", 0):
+        running.value = 0
+        with code.each(WIDTH) as lane:
+            waits.value = 1
+            with code.during(waits, ">", 0), code.builder.if_else(is_running(lane)) as (yes, no):
+                with yes:
+                    running.add(1)
+                    waits.value = 0
+                with no:
+                    refill(lane)
+        with code.when(running.value, ">", 0):
+            advance()
+    write_results()
+    code.builder.ret(steps.value)
+
+
+def _copy_lane(code: "_Code", rows: Any, source: Any, target: Any) -> None:
+    """Copy a lane from a place in a block to a place in another."""
+    with code.each(rows) as row:
+        number = code.load(source[0], code.place(row, source[1]))
+        code.store(target[0], code.place(row, target[1]), number)
+
+
+class _Variable:
+    """An integer that changes."""
+
+    def __init__(self, builder: ir.IRBuilder, initial: int) -> None:
+        self._builder = builder
+        with builder.goto_entry_block():
+            self._place = builder.alloca(LONG)
+        self.value = initial
+
+    @property
+    def value(self) -> Any:
+        """What it is now; a number may be assigned, too."""
+        return self._builder.load(self._place)
+
+    @value.setter
+    def value(self, new: Any) -> None:
+        self._builder.store(_integer(new), self._place)
+
+    def add(self, number: int) -> None:
+        self.value = self._builder.add(self.value, _integer(number))
+
+
+class _Code:
+    """Writes instructions on integers, in loops and branches."""
+
+    def __init__(self, builder: ir.IRBuilder) -> None:
+        self.builder = builder
+
+    def variable(self, initial: int = 0) -> _Variable:
+        return _Variable(self.builder, initial)
+
+    def array(self, size: int) -> Any:
+        """The address of some integers."""
+        with self.builder.goto_entry_block():
+            return self.builder.alloca(LONG, size)
+
+    def pointer(self, address: Any) -> Any:
+        """To numbers."""
+        return self.builder.inttoptr(address, DOUBLE.as_pointer())
+
+    def add(self, a: Any, b: Any) -> Any:
+        return self.builder.add(_integer(a), _integer(b))
+
+    def subtract(self, a: Any, b: Any) -> Any:
+        return self.builder.sub(_integer(a), _integer(b))
+
+    def multiply(self, a: Any, b: Any) -> Any:
+        return self.builder.mul(_integer(a), _integer(b))
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        a, b = _integer(a), _integer(b)
+        return self.builder.select(self.builder.icmp_signed("<", a, b), a, b)
+
+    def place(self, row: Any, lane: Any) -> Any:
+        """The index of a lane of a row in a block."""
+        return self.add(self.multiply(row, WIDTH), lane)
+
+    def load(self, pointer: Any, index: Any) -> Any:
+        return self.builder.load(self.builder.gep(pointer, [_integer(index)]))
+
+    def store(self, pointer: Any, index: Any, value: Any) -> None:
+        self.builder.store(_integer(value), self.builder.gep(pointer, [_integer(index)]))
+
+    def store_as(self, kind: Any, address: Any, number: Any) -> None:
+        """Store a number at an address, converted to a kind."""
         for i, element in enumerate(KINDS.values()):
-            block = builder.append_basic_block()
-            choice.add_case(ir.Constant(kind.type, i), block)
-            builder.position_at_end(block)
-            value = number if element == number.type else builder.fptosi(number, element)
-            builder.store(value, builder.inttoptr(address, element.as_pointer()))
-            builder.branch(after)
-        builder.position_at_end(after)
-        return context.get_dummy_value()
+            with self.when(kind, "==", i):
+                same = element == number.type
+                value = number if same else self.builder.fptosi(number, element)
+                self.builder.store(value, self.builder.inttoptr(address, element.as_pointer()))
 
-    return types.void(types.intp, types.float64, types.intp), generate
+    def call(self, address: Any, block: Any, shared: Any) -> None:
+        """Call machine code of `jaxpr_to_llvm` for a block of lanes."""
+        kernel = self.builder.inttoptr(address, KERNEL.as_pointer())
+        self.builder.call(kernel, [block, _integer(WIDTH), self.pointer(shared)])
+
+    def claim(self, address: Any, many: int) -> Any:
+        """Raise a counter that threads share; returns its old value."""
+        counter = self.builder.inttoptr(address, LONG.as_pointer())
+        return self.builder.atomic_rmw("add", counter, _integer(many), "monotonic")
+
+    @contextmanager
+    def when(self, a: Any, sign: str, b: Any) -> Iterator[None]:
+        """What follows is done if a comparison holds."""
+        with self.builder.if_then(self.builder.icmp_signed(sign, _integer(a), _integer(b))):
+            yield
+
+    @contextmanager
+    def during(self, variable: _Variable, sign: str, bound: Any) -> Iterator[None]:
+        """What follows is repeated as long as a comparison holds."""
+        test, body, after = (self.builder.append_basic_block() for _ in range(3))
+        self.builder.branch(test)
+        self.builder.position_at_end(test)
+        holds = self.builder.icmp_signed(sign, variable.value, _integer(bound))
+        self.builder.cbranch(holds, body, after)
+        self.builder.position_at_end(body)
+        yield
+        self.builder.branch(test)
+        self.builder.position_at_end(after)
+
+    @contextmanager
+    def each(self, count: Any) -> Iterator[Any]:
+        """What follows is done for every index below a number."""
+        index = self.variable()
+        index.value = 0  # again, where a loop around this one comes back
+        with self.during(index, "<", count):
+            yield index.value
+            index.add(1)
+
+    @contextmanager
+    def each_transfer(self, transfers: Any, count: Any) -> Iterator[list[Any]]:
+        """What follows is done for every row of a table of transfers."""
+        table = self.builder.inttoptr(transfers, LONG.as_pointer())
+        with self.each(count) as row:
+            yield [self.load(table, self.add(self.multiply(row, 4), i)) for i in range(4)]
 
 
-_LIST, _ROWS = numba.float64[::1], numba.intp[:, ::1]
-_SIZES, _ADDRESSES = numba.types.UniTuple(numba.intp, 4), numba.types.UniTuple(numba.intp, 3)
-
-
-@numba.njit(nogil=True)
-@no_type_check  # numba reads the functions themselves, not a checker around them
-def _write_results(finish, ended, slots, count, shared, outputs):
-    """Finish the runs in a block of ended lanes, and store what is wanted of them."""
-    _call_kernel(finish, ended.ctypes.data, WIDTH, shared.ctypes.data)
-    for row, address, stride, kind in outputs:
-        for lane in range(count):
-            _store(address + slots[lane] * stride, ended[row, lane], kind)
-
-
-@numba.njit([numba.intp(_ADDRESSES, _SIZES, numba.intp[::1], _ROWS, _ROWS, _LIST)], nogil=True)
-@no_type_check
-def work_off(kernels, sizes, queue, inputs, outputs, shared):
-    """Work off a queue of runs, which other threads may do at the same time.
-
-    There are three blocks of lanes: the next runs from the queue, those at work, and the last that
-    have ended.
-
-    Args:
-        kernels: addresses of the machine code that begins, advances and finishes the runs of a
-            block.
-        sizes: the number of runs, of rows, of rows of a lane at work, and the row of its status.
-        queue: counts the runs that are taken.
-        inputs: transfers of what the runs begin with.
-        outputs: transfers of what is wanted of the ended runs.
-        shared: the numbers that all lanes share.
-
-    Returns:
-        How many steps the block of lanes at work made.
-    """
-    begin, advance, finish = kernels
-    size, rows, lane_rows, status = sizes
-    numbers = shared.ctypes.data
-    fresh, ended = np.zeros((rows, WIDTH)), np.zeros((rows, WIDTH))
-    block = np.zeros((lane_rows, WIDTH))
-    slot, slots = np.full(WIDTH, -1), np.zeros(WIDTH, np.intp)
-    first = following = last = count = steps = 0
-    while True:
-        running = 0
-        for lane in range(WIDTH):
-            while block[status, lane] != RUNNING:
-                if slot[lane] >= 0:
-                    for row in range(lane_rows):
-                        ended[row, count] = block[row, lane]
-                    slots[count] = slot[lane]
-                    count += 1
-                    if count == WIDTH:
-                        _write_results(finish, ended, slots, count, shared, outputs)
-                        count = 0
-                    slot[lane] = -1
-                if following == last:
-                    if following < size:
-                        following = min(_claim(queue.ctypes.data, WIDTH), size)
-                    first, last = following, min(following + WIDTH, size)
-                    if following == last:
-                        break
-                    for row, address, stride, _ in inputs:
-                        for k in range(WIDTH):
-                            run = min(following + k, size - 1)
-                            fresh[row, k] = _load(address + run * stride)
-                    _call_kernel(begin, fresh.ctypes.data, WIDTH, numbers)
-                for row in range(lane_rows):
-                    block[row, lane] = fresh[row, following - first]
-                slot[lane] = following
-                following += 1
-            running += block[status, lane] == RUNNING
-        if running == 0:
-            _write_results(finish, ended, slots, count, shared, outputs)
-            return steps
-        _call_kernel(advance, block.ctypes.data, WIDTH, numbers)
-        steps += 1
+def _integer(value: Any) -> Any:
+    return LONG(value) if isinstance(value, int) else value

@@ -35,8 +35,8 @@ def select_engine(
     """The engine for such runs.
 
     Args:
-        name: "jax"; "native"; or "auto", the native one where it can run, with a warning if numba
-            is installed but this equation cannot be compiled.
+        name: "jax"; "native"; or "auto", the native one where it can run, with a warning if
+            llvmlite is installed but this equation cannot be compiled.
         equation: with a trailing axis of lanes on its arrays.
         device: where it shall run.
         until: when a run is finished.
@@ -74,7 +74,7 @@ def _native_engine() -> "tuple[NativeEngine | None, str]":
         with report_compile_time():
             from .native_engine import NativeEngine
     except ImportError as error:
-        return None, f"numba cannot be imported ({error})"
+        return None, f"llvmlite cannot be imported ({error})"
     return NativeEngine(), ""
 
 

@@ -60,7 +60,7 @@ def sweep(
         progress: whether to show a progress bar; None shows it on a terminal only. A text is its
             label.
         devices: which devices to use; None means all.
-        engine: "jax", "native" (machine code, for float64 on processors; it needs numba), or
+        engine: "jax", "native" (machine code, for float64 on processors; it needs llvmlite), or
             "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
         slow_flow: whether runs that would take more than `max_steps` are predicted by the average
             over free rotation: "auto", True (all that the first state does not decide) or False;

@@ -66,7 +66,7 @@ def classify_many(
         max_steps: largest number of steps of a run; a run that needs more is predicted, or
             UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
-        engine: "jax"; "native" (machine code, for float64 on processors; it needs numba); or
+        engine: "jax"; "native" (machine code, for float64 on processors; it needs llvmlite); or
             "auto", the fastest one that can run here.
         slow_flow: whether runs that would take more than `max_steps` are predicted, as by
             `predict`; see `classify`.

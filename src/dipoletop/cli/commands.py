@@ -118,7 +118,7 @@ main.add_command(atlas_command)
     "--engine",
     type=click.Choice(["auto", "jax", "native"]),
     default="auto",
-    help="native is machine code (needs numba); auto takes the fastest that can run.",
+    help="native is machine code (needs llvmlite); auto takes the fastest that can run.",
 )
 @click.option(
     "--output", default="dipoletop-map", help="Folder, or first part of the names of all files."
