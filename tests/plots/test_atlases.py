@@ -7,7 +7,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 
 from dipoletop import plots
-from dipoletop.atlas import BODY_CORNERS, Atlas, cells
+from dipoletop.atlases import BODY_CORNERS, Atlas, cells
 from dipoletop.plots.atlases import MOST, RATIOS, STOPS
 
 

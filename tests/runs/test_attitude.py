@@ -162,6 +162,7 @@ def slopes(dipole, forward):
     yield jax.jit(jax.grad(lambda s: dipole(s) @ WAY))(zero)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_rotator():
     """By its speed, the time and the first attitude: those of the closed form."""
 

@@ -163,6 +163,7 @@ class Held(eqx.Module):
         )
 
 
+@pytest.mark.slow
 def test_no_derivative_along_changes_that_turn_the_dipole_off_its_axis():
     """Then ω∞ falls to 0. What keeps the dipole there, or turns all, has its derivative."""
     plain = jnp.diag(jnp.array([0.7, 1.1, 0.9]))
@@ -254,6 +255,7 @@ def test_no_derivative_no_number():
 INF = np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("x", "gradient", "infinite"),
     [
@@ -418,6 +420,7 @@ def test_the_power_beside_axis_3():
     assert np.log10(far / near) == pytest.approx(1.2, abs=0.1)
 
 
+@pytest.mark.slow
 def test_on_the_boundary_there_is_no_derivative():
     def problem(phi):
         return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, phi)
@@ -453,6 +456,7 @@ def test_bad_input_has_no_derivative_backwards():
     assert np.all(np.isnan(by_share[3:, 1]))
 
 
+@pytest.mark.slow
 def test_a_verdict_has_no_derivatives():
     spin = dt.cylindrical(0.2, 0.2, np.pi / 30)
 
@@ -516,6 +520,7 @@ def test_bad_names_are_refused():
         dt.sweep(first_order, points, derivatives=["phi"], value=False)
 
 
+@pytest.mark.slow
 def test_decay_time_and_its_slope():
     # Spin about axis 2 obeys (2.4): E falls to (1 − share) when 2ω₀²τ = share/(1 − share).
     def time(size, share):

@@ -6,7 +6,7 @@ from typing import Any
 import click
 import numpy as np
 
-from ..atlas import Atlas, Ending, atlas
+from ..atlases import Atlas, Ending, atlas
 from ..bodies import Body
 from .files import FORMATS, output_paths
 from .parameters import Numbers

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
 
 from .._base.checks import flag, instance, refuse
-from ..atlas import BODY_CORNERS, Atlas, Ending, saddle_node_border, spin_border
+from ..atlases import BODY_CORNERS, Atlas, Ending, saddle_node_border, spin_border
 from ..particles import paper_particles
 from .axes import check_axes
 from .style import BLACK, MM, STYLE, WIDE, percent

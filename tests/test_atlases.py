@@ -14,7 +14,7 @@ from dipoletop._averaging.isotropic import (
 )
 from dipoletop._averaging.isotropic_ends import isotropic_ends
 from dipoletop._base.directions import spread_directions
-from dipoletop.atlas import Ending, cells, saddle_node_border, spin_border
+from dipoletop.atlases import Ending, cells, saddle_node_border, spin_border
 
 BODIES = np.array([[0.6, 0.75, 1.0], [0.99, 0.995, 1.0], [0.5, 0.55, 1.0], [0.1, 0.95, 1.0]])
 ON_1, ON_2, ON_3 = np.eye(3)
