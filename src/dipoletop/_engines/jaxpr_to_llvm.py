@@ -146,17 +146,24 @@ def _arg_extreme(name: str, eqn: Any, value: Value, w: VectorBuilder) -> Value:
 def _scan(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """A loop of fixed length, unrolled."""
     p = eqn.params
-    split = p["num_consts"], p["num_consts"] + p["num_carry"]
-    consts, carry, xs = values[: split[0]], values[split[0] : split[1]], values[split[1] :]
+    body = getattr(p["jaxpr"], "jaxpr", p["jaxpr"])
+    # Versions of JAX name these numbers differently. Only rows have one axis more outside.
+    carried = _count_equal_ranks(eqn.outvars, body.outvars)
+    kept = _count_equal_ranks(eqn.invars, body.invars)
+    consts, carry, xs = values[: kept - carried], values[kept - carried : kept], values[kept:]
     rows = []
     steps = range(p["length"])
     for i in reversed(steps) if p["reverse"] else steps:
         out = _write(p["jaxpr"], [*consts, *carry, *(x[i] for x in xs)], w)
-        carry, row = out[: p["num_carry"]], out[p["num_carry"] :]
+        carry, row = out[:carried], out[carried:]
         rows.append(row)
     if p["reverse"]:
         rows.reverse()
     return [*carry, *(_stack(column) for column in zip(*rows, strict=True))]
+
+
+def _count_equal_ranks(outside: Sequence[Any], inside: Sequence[Any]) -> int:
+    return sum(a.aval.ndim == b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
 def _stack(column: Sequence[Value]) -> Value:
@@ -246,6 +253,8 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
     if name in _REARRANGE:
         return [_REARRANGE[name](eqn.params, *values)]
+    if name == "unstack":
+        return list(np.moveaxis(values[0], eqn.params["axis"], 0))
     if name == "dot_general":
         return [_dot(eqn.params, values[0], values[1], w)]
     if name in ("argmax", "argmin"):
@@ -339,7 +348,10 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
     leaves = [table.load_rows(numbers, leaf) for leaf in jax.tree.leaves(shapes[0])]
     given = [table.load_shared(i, leaf) for i, leaf in enumerate(jax.tree.leaves(shapes[1]))]
     before = [entry for leaf in leaves for entry in leaf.ravel()]
-    results = _write(jaxpr, leaves + given, w)
+    try:
+        results = _write(jaxpr, leaves + given, w)
+    except KeyError as name:  # of a parameter of a primitive
+        raise Unsupported(f"this version of JAX, without the parameter {name}") from None
     dtypes = [variable.aval.dtype for variable in jaxpr.jaxpr.outvars]
     row = itertools.count()
     for value, dtype in zip(results, dtypes, strict=True):
