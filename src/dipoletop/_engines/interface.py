@@ -19,7 +19,7 @@ from .._base.types import DecidingEquation, Equation
 T = TypeVar("T")
 
 
-class Limits(eqx.Module):
+class Limits(NamedTuple):
     """Tolerances and budget of runs, all traced: a new value compiles nothing.
 
     The error of a step is kept below atol + rtol·max(size(y), size(y_new)) in every component,
@@ -38,8 +38,12 @@ class Limits(eqx.Module):
         """The tolerances alone."""
         return Tolerances(self.rtol, self.atol)  # pyright: ignore[reportArgumentType]
 
+    def loosened(self, factor: float) -> "Limits":
+        """The same limits with larger tolerances."""
+        return self._replace(rtol=factor * self.rtol, atol=factor * np.asarray(self.atol))
 
-class EndStates(eqx.Module):
+
+class EndStates(NamedTuple):
     """The states in which runs ended, one entry for each run on the trailing axis."""
 
     y: Float[Array, "n *N"] | Float[np.ndarray, "n *N"]
@@ -65,6 +69,11 @@ Finish = Callable[[DecidingEquation, EndStates, Tolerances], T]
 """A pure function from equation, end states and tolerances to a pytree of arrays, lanes behind."""
 
 
+def power_of_two(least: int) -> int:
+    """The smallest power of two that is at least `least` and 128, so that few sizes compile."""
+    return max(128, 1 << (least - 1).bit_length())
+
+
 class Unsupported(Exception):
     """An engine cannot run this equation."""
 
@@ -77,6 +86,8 @@ class Engine(Protocol):
     """As in `basin.attrs["engine"]`."""
     has_own_threads: ClassVar[bool]
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
+    compiles_for_size: ClassVar[bool]
+    """Whether a new number of runs is compiled for."""
 
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"

@@ -40,6 +40,7 @@ class JaxEngine:
 
     name: ClassVar[str] = "jax"
     has_own_threads: ClassVar[bool] = False
+    compiles_for_size: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
     width: int = 128
 

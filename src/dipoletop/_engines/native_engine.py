@@ -9,7 +9,7 @@ costs as much as a thousand runs. It needs llvmlite.
 import functools
 import threading
 from concurrent.futures import wait
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
@@ -44,6 +44,7 @@ class NativeEngine:
 
     name: ClassVar[str] = "native"
     has_own_threads: ClassVar[bool] = True
+    compiles_for_size: ClassVar[bool] = False
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
     def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
@@ -69,7 +70,7 @@ class NativeEngine:
         """
         program = _program(equation, until, self.solver, n=y0.shape[0])
         ends, block_steps = program.run(equation, y0, limits, threads=1)
-        return replace(ends, block_steps=np.array([block_steps, 0]))
+        return ends._replace(block_steps=np.array([block_steps, 0]))
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`; in NumPy. The device is not used: every processor is the same."""

@@ -14,8 +14,10 @@ from .._base.checks import names_of, refuse
 from .._base.parallel import Device
 from .._base.tolerances import absolute
 from .._base.types import Equation
-from .._engines.interface import Engine, Limits
-from .._runs.classify_many import TILE, Value, classify_block, power_of_two
+from .._engines.interface import Engine, Limits, power_of_two
+from .._runs.blocks import classify_block
+from .._runs.classification import Value
+from .._runs.classify_many import TILE
 from .._runs.slow_runs import SlowFlow
 from ..equations.levels import level_of
 from .columns import DERIVATIVE_PREFIX, columns_of_runs
@@ -124,21 +126,29 @@ class Plan:
         """The columns of a tile, and the equations and starts that they belong to."""
         block, is_real = self.block(tile), self.tiling.is_real(tile)
         columns, *confirming = [
-            self._columns(block, is_real, rtol, device) for rtol in self.rules.rtols
+            self._columns(block, is_real, rtol, device, loosely=number == 0)
+            for number, rtol in enumerate(self.rules.rtols)
         ]
         for other in confirming:
             columns["changed"] = columns["outcome"] != other["outcome"]
         return {name: values[is_real] for name, values in columns.items()}, block
 
     def _columns(
-        self, block: Block, is_real: np.ndarray, rtol: Float[Array, ""], device: Device
+        self,
+        block: Block,
+        is_real: np.ndarray,
+        rtol: Float[Array, ""],
+        device: Device,
+        *,
+        loosely: bool,
     ) -> Columns:
         (equation, omegas), (_, atol, max_steps, value, slow_flow) = block, self.rules
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
         atol = absolute(atol, rtol, omegas, label_only=not value)
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
-        engine = self.engines[device]
-        ends = classify_block(equation, omegas, limits, value, engine, device, slow_flow)
+        where = {"engine": self.engines[device], "device": device}
+        rules = {"value": value, "slow_flow": slow_flow, "loosely": loosely}
+        ends = classify_block(equation, omegas, limits, **where, **rules)
         kept = columns_of_runs(slow_flow).items()
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in kept}
         for k, name in enumerate(self.blocks.derivatives):

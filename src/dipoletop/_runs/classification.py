@@ -1,7 +1,7 @@
 """Classification: from the state that ended a run to its outcome, ω∞ and the error of ω∞."""
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -117,6 +117,20 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
     if not value:
         return "outcome"
     return "slope" if isinstance(equation, Tangent) else "value"
+
+
+class Ended(NamedTuple):
+    """What is kept of runs that have ended."""
+
+    runs: Classification
+    square: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    """ω² at the end."""
+
+
+def ended(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
+    """What is kept of runs, by the states that ended them; see `classification_of`."""
+    w1, w2, w3 = equation.omega(jnp.asarray(ends.y))
+    return Ended(classification_of(equation, ends, tolerances), w1**2 + w2**2 + w3**2)
 
 
 def classification_of(

@@ -32,7 +32,7 @@ from .conditioning import run_with_error_estimate, without_error_estimates
 from .slow_runs import (
     SlowFlow,
     check_slow_flow,
-    slow_motions,
+    is_predictable,
     with_predictions,
     with_probability,
 )
@@ -123,11 +123,10 @@ def _classify_or_predict(
     equation, omega0 = begin
     check_verdict(equation)
     check_single(equation)
+    if not is_predictable(equation):
+        return with_probability(classify_with_tangents(equation, omega0, **settings), jnp)
     start = real("omega0", omega0, (3,), batch=False)
     lanes, starts = jax.tree.map(lambda x: np.asarray(x)[..., None], (equation, start))
-    motions = slow_motions(lanes, starts, slow_flow)
-    if motions is None:
-        return with_probability(classify_with_tangents(equation, omega0, **settings), jnp)
 
     def run(followed: Bool[np.ndarray, "1"]) -> Classification:
         one = classify_with_tangents(equation, omega0, **settings, followed=bool(followed[0]))
@@ -136,7 +135,7 @@ def _classify_or_predict(
     rtol, steps = tolerance("rtol", settings["rtol"]), budget("max_steps", settings["max_steps"])
     limits = Limits(rtol, np.zeros(1), np.full(1, np.inf), jnp.asarray(steps))
     label_only = settings["value"] is False
-    runs = with_predictions(run, motions, limits, label_only, slow_flow is True)
+    runs = with_predictions(run, (lanes, starts), limits, label_only, slow_flow is True)
     return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), runs)
 
 

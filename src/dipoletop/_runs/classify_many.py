@@ -1,13 +1,12 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._base.checks import (
     ArrayLike,
@@ -17,23 +16,15 @@ from .._base.checks import (
     is_single,
     real,
     refuse,
-    subnormal,
 )
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
-from .._base.types import DecidingEquation, Equation
-from .._engines.interface import Engine, Limits, Queue
+from .._base.types import Equation
+from .._engines.interface import Limits, power_of_two
 from .._engines.select import select_engines
-from ..equations._common import omega_scale_of, physical
-from .classification import Classification, Value, classification_of, stopping_rule
-from .conditioning import with_error_estimates, without_error_estimates
-from .slow_runs import (
-    SlowFlow,
-    check_slow_flow,
-    slow_motions,
-    with_predictions,
-    with_probability,
-)
+from .blocks import classify_block
+from .classification import Classification, Value, ended, stopping_rule
+from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
 
@@ -100,7 +91,7 @@ def classify_many(
     runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
-    engines = select_engines(engine, every_run[0], devices, until, classification_of)
+    engines = select_engines(engine, every_run[0], devices, until, ended)
     first = devices[0]
     if engines[first].has_own_threads:  # they share one queue
         threads = len(devices)
@@ -114,48 +105,6 @@ def classify_many(
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1)[..., :size], *tiles)
-
-
-def classify_block(
-    equation: Equation,
-    omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"],
-    limits: Limits,
-    value: Value,
-    engine: Engine,
-    device: Device,
-    slow_flow: SlowFlow = False,
-    threads: int = 1,
-) -> Classification:
-    """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes."""
-    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
-        omegas = np.where(lost, np.nan, omegas)
-    until = stopping_rule(equation, value)
-    deciding: DecidingEquation = physical(equation)
-
-    def run(omegas: Any, limits: Limits) -> Classification:
-        queue = Queue(deciding, omegas, limits, until)
-        runs = engine.classify(classification_of, queue, device, threads)
-        return jax.tree.map(np.asarray, runs)
-
-    def classified(limits: Limits) -> Classification:
-        runs = run(omegas, limits)
-        if value is True:
-            return with_error_estimates(runs, run, omegas, limits, omega_scale_of(deciding))
-        return without_error_estimates(runs, value, np)
-
-    def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
-        t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
-        return classified(replace(limits, t1=t1))
-
-    motions = slow_motions(equation, omegas, slow_flow)
-    if motions is None:
-        return with_probability(classified(limits), np)
-    return with_predictions(classified_where, motions, limits, value is False, slow_flow is True)
-
-
-def power_of_two(least: int) -> int:
-    """The smallest power of two that is at least `least` and 128, so that few sizes compile."""
-    return max(128, 1 << (least - 1).bit_length())
 
 
 class _Runs(NamedTuple):

@@ -41,7 +41,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.tolerances import Tolerances
 from .._base.types import OmegaScale, Outcome
-from .._engines.interface import Limits
+from .._engines.interface import Limits, power_of_two
 from .classification import Classification, Value
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
@@ -52,10 +52,13 @@ LARGEST_PHASE = 0.01  # of distance · steps: beyond, neighbours may be off by a
 SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # of one start: rtol over the run's; distance over rtol
 LINEAR = 0.2  # largest change of ω∞, relative to it, that still gives a gradient
 
+RunNeighbours = Callable[[Bool[np.ndarray, "N"], Limits, Float[np.ndarray, "3 N"]], Classification]
+"""From a mark for each run, limits and starts to the classifications of those that are marked."""
+
 
 def with_error_estimates(
     runs: Classification,
-    run: Callable[[Any, Limits], Classification],
+    run: RunNeighbours,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
     scales: OmegaScale,
@@ -64,7 +67,7 @@ def with_error_estimates(
 
     Args:
         runs: in NumPy, with the error of the formula for ω∞ at their ends.
-        run: classifies starts of shape (3, N) within limits.
+        run: classifies neighbours of the runs.
         omegas: the starts ω₀, shape (3, N).
         limits: those of the runs.
         scales: gives the sizes s of ω₀.
@@ -73,31 +76,39 @@ def with_error_estimates(
     if not integrated.any():
         return _with_added_error(runs, 0.0, np)
     starts = np.asarray(omegas)
-    steps = np.eye(3)[:, :, None] * np.asarray(_scaled(scales, starts))
+    around = starts, _scaled(scales, starts)
     tolerances = float(limits.rtol), np.asarray(limits.atol)
     with np.errstate(all="ignore"):  # of runs that failed
-        gradient = _gradient_by_neighbours(runs, run, (starts, steps), limits, integrated)
+        gradient = _gradient_by_neighbours(runs, run, around, limits, integrated)
         error = _integration_error(runs.omega_inf, runs.steps, gradient, tolerances)
     return _with_added_error(runs, np.where(integrated, error, 0.0), np)
 
 
+def _scaled(scales: OmegaScale, omegas: Float[np.ndarray, "3 N"]) -> Float[np.ndarray, "3 N"]:
+    """The sizes s of N starts, by a program for a power of 2."""
+    size = omegas.shape[1]
+    padded = np.zeros((3, power_of_two(size)), omegas.dtype)
+    padded[:, :size] = omegas
+    return np.asarray(_jitted_scales(scales, padded))[:, :size]
+
+
 @functools.partial(jax.jit, static_argnums=0)
-def _scaled(scales: OmegaScale, omegas: Array) -> Array:
+def _jitted_scales(scales: OmegaScale, omegas: Array) -> Array:
     return scales(omegas)
 
 
 def _gradient_by_neighbours(
     runs: Classification,
-    run: Callable[[Any, Limits], Classification],
+    run: RunNeighbours,
     around: tuple[np.ndarray, np.ndarray],
     limits: Limits,
     wanted: Bool[np.ndarray, "N"],
 ) -> Float[np.ndarray, "N"]:
     """|s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown.
 
-    `around` are the starts, shape (3, N), and the directions to their neighbours, (3, 3, N).
+    `around` are the starts and the sizes s, both of shape (3, N).
     """
-    omega_inf, (starts, directions) = runs.omega_inf, around
+    omega_inf, (starts, sizes) = runs.omega_inf, around
     gradient = np.full(omega_inf.shape, np.inf, omega_inf.dtype)
     rtol = float(limits.rtol)
     for looser in dict.fromkeys(max(1.0, min(x, LARGEST_RTOL / rtol)) for x in NEIGHBOUR_RTOLS):
@@ -106,19 +117,15 @@ def _gradient_by_neighbours(
         tried &= distance * runs.steps <= LARGEST_PHASE
         if not tried.any():
             continue
-        looser_limits = replace(
-            limits,
-            rtol=looser * limits.rtol,
-            atol=looser * np.asarray(limits.atol),
-            t1=np.where(tried, np.inf, 0.0).astype(omega_inf.dtype),
-        )
-        neighbours = [
-            np.asarray(run(starts + distance * direction, looser_limits).omega_inf)
-            for direction in directions
-        ]
-        changes = [(neighbour - omega_inf) / omega_inf for neighbour in neighbours]
+        limits_here, changes = limits.loosened(looser), []
+        for axis in range(3):
+            moved = starts.copy()
+            moved[axis] += distance * sizes[axis]
+            neighbours = run(tried, limits_here, moved).omega_inf
+            changes.append((neighbours - omega_inf[tried]) / omega_inf[tried])
         linear = np.max(np.abs(changes), axis=0) <= LINEAR
-        gradient = np.where(tried & linear, np.linalg.norm(changes, axis=0) / distance, gradient)
+        found = np.linalg.norm(changes, axis=0) / distance[tried]
+        gradient[tried] = np.where(linear, found, np.inf)
     return gradient * np.abs(omega_inf)
 
 

@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR
 from .._averaging.many import ManyEnds, ends_of_many
@@ -34,6 +34,7 @@ from ..equations.rigid import Full, Reduced, SemiReduced
 from ..equations.tangent import Tangent
 from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 from .classification import Classification
+from .lanes import merged, part_of
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
@@ -91,17 +92,18 @@ class SlowMotions(NamedTuple):
     ) -> Float[np.ndarray, "N"]:
         """The estimated number of steps of the runs (see above), if L∞/L₀ = ratio."""
         moments, n, omega = _in_principal_axes(self.inertia, self.dipole, self.omega)
-        order = np.argsort(-np.abs(n), axis=1)  # the dipole's axis c, then a and b
+        c = np.argmax(np.abs(n), axis=1)  # the dipole's axis; the formula is symmetric in a and b
         (jc, ja, jb), (wc, wa, wb) = (
-            np.take_along_axis(values, order, 1).T for values in (moments, omega)
+            [_of_axis(values, (c + k) % 3) for k in range(3)] for values in (moments, omega)
         )
-        kappa = np.sum(self.dipole**2, axis=1)
+        kappa = np.sum(np.square(self.dipole), axis=1)
         with np.errstate(all="ignore"):
-            momentum = np.sqrt((jc * wc) ** 2 + (ja * wa) ** 2 + (jb * wb) ** 2)
+            across = (ja * wa) ** 2 + (jb * wb) ** 2
+            square = (jc * wc) ** 2 + across
+            momentum = np.sqrt(square)
             decay = (jc * (ja + jb) - (ja - jb) ** 2) / (2 * ja**2 * jb**2 * jc)
             pa, pb = (1 / jc - 1 / j for j in (ja, jb))
-            across = ((ja * wa) ** 2 + (jb * wb) ** 2) / momentum**2
-            folds = np.log1p(across / NEAR_AXIS)
+            folds = np.log1p(across / square / NEAR_AXIS)
             slow = np.sqrt(np.abs(pa * pb)) / (2 * kappa * momentum * ratio * decay) * folds
             # A stop takes as long as L needs to fall.
             gap = np.maximum(np.maximum(np.abs(pa), np.abs(pb)), np.abs(pa - pb))
@@ -109,22 +111,39 @@ class SlowMotions(NamedTuple):
             needle = np.zeros_like(slow)
             for j, along, equal, other in ((jb, wb, ja, wa), (ja, wa, jb, wb)):
                 nearly = (np.abs(equal - jc) <= EQUAL * jc) & (j < jc)
-                phase = j * np.abs(along) / (kappa * (wc**2 + other**2))
+                phase = _phase_of_needle(j, along, kappa * (wc**2 + other**2))
                 needle = np.maximum(needle, np.where(nearly, phase, 0.0))
-            per_phase, per_needle = (x[int(not label_only)] for x in (PER_PHASE, PER_NEEDLE))
-            steps = np.maximum(per_phase * slow, per_needle * needle) * (1e-8 / rtol) ** 0.125
+            per_phase, per_needle = _steps_per_radian(rtol, label_only)
+            steps = np.maximum(per_phase * slow, per_needle * needle)
         return WINDOWS * steps if self.is_full else steps
 
 
-def slow_motions(
-    equation: Any, omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"], slow_flow: SlowFlow
-) -> SlowMotions | None:
-    """The slow motions of N starts, or None where they are not to be predicted.
+def _of_axis(
+    values: Float[np.ndarray, "N 3"], axis: Int[np.ndarray, "N"]
+) -> Float[np.ndarray, "N"]:
+    """The components along an axis of each body, most often the same one."""
+    if np.all(axis == axis[0]):
+        return values[:, axis[0]]
+    return np.take_along_axis(values, axis[:, None], 1)[:, 0]
+
+
+def _phase_of_needle(j: Any, along: Any, across: Any) -> Any:
+    """The phase of the precession of a needle before its capture, but for a factor."""
+    return j * np.abs(along) / across
+
+
+def _steps_per_radian(rtol: float, label_only: bool) -> tuple[float, float]:
+    """The steps per radian of a body and of a needle."""
+    of_body, of_needle = (x[int(not label_only)] for x in (PER_PHASE, PER_NEEDLE))
+    factor = (1e-8 / rtol) ** 0.125
+    return factor * of_body, factor * of_needle
+
+
+def slow_motions(equation: Any, omegas: Any) -> SlowMotions:
+    """The slow motions of N starts, shape (3, N).
 
     The array fields of `equation` have a trailing axis of N lanes.
     """
-    if slow_flow is False or _why_not(equation):
-        return None
     size = omegas.shape[1]
     if type(equation) in RIGID:
         inertia = np.moveaxis(np.asarray(equation.body.inertia), -1, 0)
@@ -133,8 +152,30 @@ def slow_motions(
         delta = np.asarray(equation.delta)
         inertia = np.eye(3) * np.stack([np.ones(size), np.ones(size), 1 - delta], axis=-1)[:, None]
         dipole = np.broadcast_to(np.eye(3)[0 if type(equation) in TRANSVERSE else 2], (size, 3))
-    consistent = getattr(equation, "order", None) != 1
+    consistent = _is_consistent(equation)
     return SlowMotions(inertia, dipole, np.asarray(omegas).T, consistent, is_full(equation))
+
+
+def _is_consistent(equation: Any) -> bool:
+    """Whether the level keeps every term of leading order."""
+    return getattr(equation, "order", None) != 1
+
+
+def _long_runs(
+    equation: Any, omegas: Any, budget: float, rtol: float, label_only: bool
+) -> Bool[np.ndarray, "N"]:
+    """The runs whose estimated number of steps exceeds a budget if L∞ is as small as is assumed."""
+    if type(equation) not in TRANSVERSE:
+        steps = slow_motions(equation, omegas).steps(LEAST_RATIO, rtol, label_only)
+        return steps > budget
+    # The same formula for moments 1, 1 and 1 − δ, where most terms vanish: only needles are slow.
+    delta, (w1, w2, w3) = np.asarray(equation.delta), np.asarray(omegas)
+    if not _is_consistent(equation):  # their law is not known, so there is no use in waiting
+        return np.zeros_like(w1, bool)
+    budget = budget / WINDOWS if is_full(equation) else budget
+    with np.errstate(all="ignore"):
+        phase = _phase_of_needle(1 - delta, w3, w1**2 + w2**2)
+    return (delta > 0) & (phase > budget / _steps_per_radian(rtol, label_only)[1])
 
 
 def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
@@ -150,6 +191,11 @@ def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
         refuse("slow_flow", "be 'auto', True or False", f"is {slow_flow!r}")
     if slow_flow is True and (reason := why_not or _why_not(equation)):
         refuse("slow_flow", "be 'auto' or False here", f"is True, but {reason}")
+
+
+def is_predictable(equation: Any) -> bool:
+    """Whether the runs of an equation can be predicted."""
+    return not _why_not(equation)
 
 
 def _why_not(equation: Any) -> str:
@@ -168,7 +214,7 @@ def _why_not(equation: Any) -> str:
 
 def with_predictions(
     run: Callable[[Bool[np.ndarray, "N"]], Classification],
-    motions: SlowMotions,
+    begin: tuple[Any, Any],
     limits: Limits,
     label_only: bool,
     every: bool,
@@ -178,32 +224,33 @@ def with_predictions(
     Args:
         run: classifies the runs, in NumPy; of those that are not marked it only looks at the first
             state.
-        motions: their slow motions.
+        begin: the predictable equation, with a trailing axis of N lanes, and the starts (3, N).
         limits: their tolerance and budget; a run with t1 ≤ 0 is not wanted.
         label_only: whether ω∞ is not wanted.
         every: whether all that the first state does not decide is predicted.
     """
-    rtol, budget, wanted = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1) > 0
-
-    def exceeds(ratio: Any) -> Bool[np.ndarray, "N"]:
-        return motions.steps(ratio, rtol, label_only) > MARGIN * budget
-
-    waiting = np.ones(len(motions.omega), bool) if every else exceeds(LEAST_RATIO)
+    rtol, most, wanted = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1) > 0
+    budget = MARGIN * most
+    waiting = ~np.zeros_like(wanted) if every else _long_runs(*begin, budget, rtol, label_only)
     runs = run(~waiting)
     unknown = _is_open(runs, label_only) & wanted
     if not every:  # of the runs that were made, those that have exhausted the budget
-        unknown &= waiting | (runs.steps >= budget)
+        unknown &= waiting | (runs.steps >= most)
     if not unknown.any():
         return with_probability(runs, np)
-    asked = unknown & motions.has_law
-    ends = _scattered(motions.ends(asked), asked)
-    known = asked & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
+    motions = slow_motions(*part_of(begin, unknown))
+    law = motions.has_law
+    ends = _scattered(motions.ends(law), law) if law.any() else _unknown_ends(law.size)
+    known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
-        again = unknown & waiting & ~(known & exceeds(ends.ratio))
+        long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
+        again = unknown & waiting
+        again[unknown] &= ~long
         if again.any():
             runs = _where(again, run(again), runs)
-            known &= _is_open(runs, label_only)
-    return _filled_in(runs, ends, known, motions)
+            known &= _is_open(runs, label_only)[unknown]
+    filled = _filled_in(part_of(runs, unknown), ends, known, motions)
+    return merged(with_probability(runs, np), unknown, filled)
 
 
 def with_probability(runs: Classification, xp: Any) -> Classification:
@@ -224,12 +271,18 @@ def _is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
 
 def _scattered(ends: ManyEnds, which: Bool[np.ndarray, "N"]) -> ManyEnds:
     """The ends at their places among N; the others are FAILED."""
-    whole = ManyEnds(
-        *(np.zeros((len(which), *values.shape[1:]), values.dtype) for values in ends)
-    )._replace(outcome=np.full(len(which), Outcome.FAILED))
+    whole = _unknown_ends(which.size)
     for target, values in zip(whole, ends, strict=True):
         target[which] = values
     return whole
+
+
+def _unknown_ends(size: int) -> ManyEnds:
+    """FAILED ends of so many motions."""
+    blank = [np.zeros(size) for _ in range(4)]
+    omega_inf, ratio, regime, error = blank
+    outcome = np.full(size, int(Outcome.FAILED))
+    return ManyEnds(outcome, np.zeros((size, 8)), omega_inf, ratio, regime.astype(int), error)
 
 
 def _where(which: Bool[np.ndarray, "N"], new: Any, old: Any) -> Any:

@@ -22,6 +22,8 @@ Orders 2–4 and the full equation agree with the semi-reduced level up to O(ω�
 them at small amplitude. Tested.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -43,6 +45,19 @@ there: the power of √u is q/(2 − q + p).
 """
 NEAR_LINE = 1e-4
 """T² + Z² up to which motions of the full equation near the residual line decay."""
+
+
+def has_boundary(delta: Any, level: Level) -> Any:
+    """Whether a basin boundary exists at a shape δ, so that a run may end in either way.
+
+    Elsewhere runs are residual, but for starts on an axis and on a surface (section 4.2), and no
+    region but that of residual rotation ever decides. From order 2 on runs may diverge, too.
+    """
+    if level is Level.ORDER_1:
+        return delta < 0
+    if level is Level.SEMI:
+        return (delta < 0) | (delta > WOBBLING_FROM)
+    return (delta < 0) | (delta >= 0)
 
 
 def _log_below(q: Real) -> Real:

@@ -1,0 +1,165 @@
+"""A block of runs on one device: the passes in which they are made, and what is kept of each.
+
+An outcome is certain long before a motion is known exactly, and almost every start lies far from
+the boundary between outcomes. So runs that are asked for no more than their outcome are made
+loosely and briefly at first. Made again at the tolerance that was asked for are those that did not
+end by then, and those that may lie so near to the boundary that their label is in doubt.
+
+A motion near the boundary comes near to a motion on it, which loses all its angular velocity. At
+small amplitude ω⊥² falls there as fast as the distance from the boundary grows: at the saddle of
+`planar` the two rates are equal, at order 1 and at the consistent levels. So (|ω|/|ω₀|)² at the end
+of a run is a measure of how near it has been. The error is a phase that grows with the number of
+turns, as its rate is off by about the same. So a label is in doubt where
+
+    (|ω|/|ω₀|)² ≤ DOUBT · rtol · n²,      n the number of steps.
+
+`benchmarks/accuracy/label_precision.py` measures how far on either side of this the wrong labels
+lie, for every level and for bodies of every kind.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._base.checks import subnormal
+from .._base.parallel import Device
+from .._base.stopping import Until
+from .._base.types import DecidingEquation, Equation, Outcome
+from .._engines.interface import Engine, Limits, Queue
+from ..equations._common import omega_scale_of, physical
+from ..equations._verdicts.transverse import has_boundary
+from ..equations.levels import Level
+from ..equations.rigid import Reduced, SemiReduced
+from ..equations.transverse import TransverseReduced, TransverseSemi
+from .classification import Classification, Value, ended, stopping_rule
+from .conditioning import with_error_estimates, without_error_estimates
+from .lanes import merged, part_of
+from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probability
+
+LOOSE = 1e-4  # relative tolerance of the first pass
+BRIEF = 64  # steps of a run in the first pass
+DOUBT = 1.0  # the formula above; measured: no wrong label beyond a tenth of it
+FADED = 1e-8  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
+
+
+def classify_block(
+    equation: Equation,
+    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
+    limits: Limits,
+    value: Value,
+    engine: Engine,
+    device: Device,
+    slow_flow: SlowFlow = False,
+    threads: int = 1,
+    loosely: bool = True,
+) -> Classification:
+    """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
+
+    With `loosely` runs of which only the outcome is wanted are made in two passes.
+    """
+    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
+        omegas = np.where(lost, np.nan, omegas)
+    deciding: DecidingEquation = physical(equation)
+    block = Block(deciding, omegas, stopping_rule(equation, value), engine, device, threads)
+
+    def classified(limits: Limits) -> Classification:
+        if value is False and loosely:
+            return without_error_estimates(outcomes(block, limits), value, np)
+        runs = block.run(limits).runs
+        if value is True:
+            scales = omega_scale_of(deciding)
+            return with_error_estimates(runs, block.run_some, omegas, limits, scales)
+        return without_error_estimates(runs, value, np)
+
+    def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
+        t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
+        return classified(limits._replace(t1=t1))
+
+    if slow_flow is False or not is_predictable(equation):
+        return with_probability(classified(limits), np)
+    every, label_only = slow_flow is True, value is False
+    return with_predictions(classified_where, (equation, omegas), limits, label_only, every)
+
+
+@dataclass(frozen=True)
+class Block:
+    """N runs of one equation on one device.
+
+    Attributes:
+        equation: the equation to integrate; its array fields have a trailing axis of N lanes.
+        omegas: the starts ω₀.
+        until: when a run is finished.
+        engine: what integrates them.
+        device: where.
+        threads: how many share the queue, of an engine that has its own.
+    """
+
+    equation: DecidingEquation
+    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"]
+    until: Until
+    engine: Engine
+    device: Device
+    threads: int = 1
+
+    def run(self, limits: Limits) -> Any:
+        """All runs, `Ended` in NumPy."""
+        queue = Queue(self.equation, self.omegas, limits, self.until)
+        found = self.engine.classify(ended, queue, self.device, self.threads)
+        return jax.tree.map(np.asarray, found)
+
+    def run_some(
+        self, which: Bool[np.ndarray, "N"], limits: Limits, omegas: Any = None
+    ) -> Classification:
+        """Those of the runs that are marked, from their own starts or from others, in this order.
+
+        Where a new number of runs would be compiled for, the others take no step.
+        """
+        block = self if omegas is None else replace(self, omegas=omegas)
+        if self.engine.compiles_for_size:
+            t1 = np.where(which, limits.t1, 0.0)
+            runs = block.run(limits._replace(t1=t1)).runs
+            return jax.tree.map(lambda x: x[..., which], runs)
+        return block.part(which).run(part_of(limits, which)).runs
+
+    def part(self, which: Bool[np.ndarray, "N"]) -> "Block":
+        """The runs that are marked."""
+        equation, omegas = part_of((self.equation, self.omegas), which)
+        return replace(self, equation=equation, omegas=omegas)
+
+
+def outcomes(block: Block, limits: Limits) -> Classification:
+    """The classifications of runs of which no more than the outcome is wanted, in two passes."""
+    factor = LOOSE / float(limits.rtol)
+    bounded = _bounded(block.equation)
+    if factor <= 1 or bounded is None:
+        return block.run(limits).runs
+    brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
+    runs, square = block.run(brief)
+    runs = _with_known_values(runs, limits)
+    start = np.sum(np.square(np.asarray(block.omegas)), axis=0)
+    least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps), FADED)
+    again = (runs.outcome <= Outcome.UNDECIDED) | (square <= least * start)
+    again &= np.asarray(limits.t1) > 0
+    return merged(runs, again, block.run_some(again, limits)) if again.any() else runs
+
+
+def _with_known_values(runs: Classification, limits: Limits) -> Classification:
+    """The same runs, but ω∞ is NaN unless it is known to the tolerance of the limits."""
+    allowed = float(limits.rtol) * np.abs(runs.omega_inf) + np.asarray(limits.atol)
+    known = runs.omega_inf_error <= allowed
+    omega_inf, error = (np.where(known, x, np.nan) for x in (runs.omega_inf, runs.omega_inf_error))
+    return replace(runs, omega_inf=omega_inf, omega_inf_error=error)
+
+
+def _bounded(equation: Any) -> Bool[np.ndarray, "N"] | Bool[np.ndarray, ""] | None:
+    """Whether there is a boundary between outcomes; None of equations that this is not known of."""
+    if type(equation) in (TransverseReduced, TransverseSemi):
+        order = getattr(equation, "order", None)
+        level = Level.SEMI if order is None else Level.of_order(order)
+        return np.asarray(has_boundary(equation.delta, level))
+    if type(equation) in (Reduced, SemiReduced):
+        return np.asarray(True)
+    return None
