@@ -36,7 +36,7 @@ from ..equations.rigid import Reduced, SemiReduced
 from ..equations.transverse import TransverseReduced, TransverseSemi
 from .classification import Classification, Value, ended, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
-from .lanes import merged, part_of
+from .lanes import Lanes, part_of, put_back
 from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probability
 
 LOOSE = 1e-4  # relative tolerance of the first pass
@@ -110,24 +110,19 @@ class Block:
         found = self.engine.classify(ended, queue, self.device, self.threads)
         return jax.tree.map(np.asarray, found)
 
-    def run_some(
-        self, which: Bool[np.ndarray, "N"], limits: Limits, omegas: Any = None
-    ) -> Classification:
-        """Those of the runs that are marked, from their own starts or from others, in this order.
+    def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
+        """Some of the runs, from their own starts or from others.
 
-        Where a new number of runs would be compiled for, the others take no step.
+        Where a new number of runs would be compiled for, all others take no step.
         """
         block = self if omegas is None else replace(self, omegas=omegas)
+        size = block.omegas.shape[1]
         if self.engine.compiles_for_size:
-            t1 = np.where(which, limits.t1, 0.0)
-            runs = block.run(limits._replace(t1=t1)).runs
-            return jax.tree.map(lambda x: x[..., which], runs)
-        return block.part(which).run(part_of(limits, which)).runs
-
-    def part(self, which: Bool[np.ndarray, "N"]) -> "Block":
-        """The runs that are marked."""
-        equation, omegas = part_of((self.equation, self.omegas), which)
-        return replace(self, equation=equation, omegas=omegas)
+            t1 = np.zeros(size, block.omegas.dtype)
+            t1[lanes] = np.inf
+            return part_of(block.run(limits._replace(t1=t1)).runs, lanes, size)
+        equation, omegas, limits = part_of((block.equation, block.omegas, limits), lanes, size)
+        return replace(block, equation=equation, omegas=omegas).run(limits).runs
 
 
 def outcomes(block: Block, limits: Limits) -> Classification:
@@ -138,20 +133,20 @@ def outcomes(block: Block, limits: Limits) -> Classification:
         return block.run(limits).runs
     brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
     runs, square = block.run(brief)
-    runs = _with_known_values(runs, limits)
-    start = np.sum(np.square(np.asarray(block.omegas)), axis=0)
-    least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps), FADED)
-    again = (runs.outcome <= Outcome.UNDECIDED) | (square <= least * start)
-    again &= np.asarray(limits.t1) > 0
-    return merged(runs, again, block.run_some(again, limits)) if again.any() else runs
-
-
-def _with_known_values(runs: Classification, limits: Limits) -> Classification:
-    """The same runs, but ω∞ is NaN unless it is known to the tolerance of the limits."""
+    # Of a run that has made no step ω∞ is known to its error, which may be above the tolerance.
     allowed = float(limits.rtol) * np.abs(runs.omega_inf) + np.asarray(limits.atol)
-    known = runs.omega_inf_error <= allowed
-    omega_inf, error = (np.where(known, x, np.nan) for x in (runs.omega_inf, runs.omega_inf_error))
-    return replace(runs, omega_inf=omega_inf, omega_inf_error=error)
+    unknown = ~(runs.omega_inf_error <= allowed)
+    omega_inf, error = (
+        np.where(unknown, np.nan, x) for x in (runs.omega_inf, runs.omega_inf_error)
+    )
+    runs = replace(runs, omega_inf=omega_inf, omega_inf_error=error)
+    starts = np.asarray(block.omegas)
+    least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps, dtype=float), FADED)
+    again = square <= least * np.einsum("in,in->n", starts, starts)
+    again |= runs.outcome <= Outcome.UNDECIDED
+    again &= np.asarray(limits.t1) > 0
+    lanes = np.flatnonzero(again)
+    return put_back(runs, lanes, block.run_some(lanes, limits)) if lanes.size else runs
 
 
 def _bounded(equation: Any) -> Bool[np.ndarray, "N"] | Bool[np.ndarray, ""] | None:

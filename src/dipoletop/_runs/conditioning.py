@@ -43,6 +43,7 @@ from .._base.tolerances import Tolerances
 from .._base.types import OmegaScale, Outcome
 from .._engines.interface import Limits, power_of_two
 from .classification import Classification, Value
+from .lanes import Lanes
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
 NEIGHBOUR_RTOLS = 1e3, 3.0  # of the neighbours over rtol, at the first and the second try
@@ -52,13 +53,13 @@ LARGEST_PHASE = 0.01  # of distance · steps: beyond, neighbours may be off by a
 SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # of one start: rtol over the run's; distance over rtol
 LINEAR = 0.2  # largest change of ω∞, relative to it, that still gives a gradient
 
-RunNeighbours = Callable[[Bool[np.ndarray, "N"], Limits, Float[np.ndarray, "3 N"]], Classification]
-"""From a mark for each run, limits and starts to the classifications of those that are marked."""
+RunSome = Callable[[Lanes, Limits, Float[np.ndarray, "3 N"]], Classification]
+"""From the numbers of some runs, limits and the starts of all to the classifications of these."""
 
 
 def with_error_estimates(
     runs: Classification,
-    run: RunNeighbours,
+    run: RunSome,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
     scales: OmegaScale,
@@ -99,7 +100,7 @@ def _jitted_scales(scales: OmegaScale, omegas: Array) -> Array:
 
 def _gradient_by_neighbours(
     runs: Classification,
-    run: RunNeighbours,
+    run: RunSome,
     around: tuple[np.ndarray, np.ndarray],
     limits: Limits,
     wanted: Bool[np.ndarray, "N"],
@@ -115,17 +116,18 @@ def _gradient_by_neighbours(
         distance = looser * rtol * np.maximum(1.0, runs.steps / LONG_RUN)
         tried = wanted & np.isinf(gradient) & np.isfinite(omega_inf)
         tried &= distance * runs.steps <= LARGEST_PHASE
-        if not tried.any():
+        lanes = np.flatnonzero(tried)
+        if not lanes.size:
             continue
-        limits_here, changes = limits.loosened(looser), []
+        limits_here, middle, changes = limits.loosened(looser), omega_inf[lanes], []
         for axis in range(3):
             moved = starts.copy()
             moved[axis] += distance * sizes[axis]
-            neighbours = run(tried, limits_here, moved).omega_inf
-            changes.append((neighbours - omega_inf[tried]) / omega_inf[tried])
+            neighbours = run(lanes, limits_here, moved).omega_inf
+            changes.append((neighbours - middle) / middle)
         linear = np.max(np.abs(changes), axis=0) <= LINEAR
-        found = np.linalg.norm(changes, axis=0) / distance[tried]
-        gradient[tried] = np.where(linear, found, np.inf)
+        found = np.linalg.norm(changes, axis=0) / distance[lanes]
+        gradient[lanes] = np.where(linear, found, np.inf)
     return gradient * np.abs(omega_inf)
 
 

@@ -5,27 +5,29 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Int
 
 T = TypeVar("T")
+Lanes = Int[np.ndarray, "some"]
+"""The numbers of some runs."""
 
 
-def part_of(tree: T, which: Bool[np.ndarray, "N"]) -> T:
-    """What belongs to the marked lanes, of arrays with a trailing axis of N; in NumPy."""
+def part_of(tree: T, lanes: Lanes, size: int) -> T:
+    """What belongs to some lanes, of arrays with a trailing axis of all; in NumPy."""
 
     def chosen(leaf: Any) -> Any:
-        is_lanewise = eqx.is_array_like(leaf) and np.shape(leaf)[-1:] == which.shape
-        return np.asarray(leaf)[..., which] if is_lanewise else leaf
+        is_lanewise = eqx.is_array_like(leaf) and np.shape(leaf)[-1:] == (size,)
+        return np.take(np.asarray(leaf), lanes, axis=-1) if is_lanewise else leaf
 
     return jax.tree.map(chosen, tree)
 
 
-def merged(whole: T, which: Bool[np.ndarray, "N"], part: T) -> T:
-    """The arrays with other entries for the marked lanes, which may be of other types."""
+def put_back(whole: T, lanes: Lanes, part: T) -> T:
+    """The arrays with other entries for some lanes, in place where they may be written to."""
 
-    def replaced(old: Any, new: Any) -> np.ndarray:
-        both = np.array(old)
-        both[..., which] = new
+    def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        both = old if old.flags.writeable else old.copy()
+        both[..., lanes] = new
         return both
 
     return jax.tree.map(replaced, whole, part)

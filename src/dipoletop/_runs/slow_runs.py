@@ -34,7 +34,7 @@ from ..equations.rigid import Full, Reduced, SemiReduced
 from ..equations.tangent import Tangent
 from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 from .classification import Classification
-from .lanes import merged, part_of
+from .lanes import part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
@@ -236,21 +236,23 @@ def with_predictions(
     unknown = _is_open(runs, label_only) & wanted
     if not every:  # of the runs that were made, those that have exhausted the budget
         unknown &= waiting | (runs.steps >= most)
-    if not unknown.any():
+    lanes = np.flatnonzero(unknown)
+    if not lanes.size:
         return with_probability(runs, np)
-    motions = slow_motions(*part_of(begin, unknown))
+    motions = slow_motions(*part_of(begin, lanes, unknown.size))
     law = motions.has_law
     ends = _scattered(motions.ends(law), law) if law.any() else _unknown_ends(law.size)
     known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
         long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
-        again = unknown & waiting
-        again[unknown] &= ~long
+        again = np.zeros_like(unknown)
+        again[lanes] = waiting[lanes] & ~long
         if again.any():
             runs = _where(again, run(again), runs)
-            known &= _is_open(runs, label_only)[unknown]
-    filled = _filled_in(part_of(runs, unknown), ends, known, motions)
-    return merged(with_probability(runs, np), unknown, filled)
+            known &= _is_open(runs, label_only)[lanes]
+    runs = with_probability(runs, np)
+    filled = _filled_in(part_of(runs, lanes, unknown.size), ends, known, motions)
+    return put_back(runs, lanes, filled)
 
 
 def with_probability(runs: Classification, xp: Any) -> Classification:
