@@ -27,8 +27,8 @@ from .._base.types import Equation
 from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
+from .machine_code import MachineCode
 from .native_queue import KINDS, WIDTH, Job, Loop, loop
-from .vector_code import MachineCode
 
 SHARE = 256  # runs from which on a thread of its own pays
 
