@@ -22,7 +22,7 @@ OTHER_PROGRAMS = (
     *("call", "jvp_jaxpr_fun", "jvp_jaxpr_thunk", "fwd_jaxpr_thunk", "bwd", "out_trees"),
     *("prevent_cse", "policy"),
 )
-"""Parameters of calls that tell how they are differentiated, which their value does not depend on."""
+"""Parameters of calls that tell how they are differentiated; no value depends on them."""
 
 
 def digest(*parts: bytes) -> bytes:

@@ -15,7 +15,7 @@ from .._base import private_cache
 from .._base.digests import digest
 from .._base.monitoring import report_native_compilation
 
-WRITERS = ("jaxpr_to_llvm.py", "machine_code.py", "native_queue.py", "vector_code.py")
+WRITERS = ("jaxpr_to_llvm.py", "machine_code.py", "vector_code.py", "../_base/numpy_programs.py")
 """The modules that decide what LLVM code is written, and how it is compiled."""
 
 
