@@ -2,7 +2,7 @@
 
 JAX compiles a program for every operation that is done outside of `jax.jit`, which takes longer
 than thousands of starts need. Operations that IEEE 754 defines to the last bit, and those that only
-move numbers, need none; the others are left to JAX one by one, as they would be without this module.
+move numbers, need none; the others are left to JAX one by one, as if this module were not there.
 """
 
 from collections.abc import Callable, Sequence
