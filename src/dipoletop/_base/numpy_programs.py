@@ -82,6 +82,8 @@ def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
             return [np.asarray(EXACT[name](params, *values))]
         if name in ARITHMETIC and kinds == {"f"}:
             return [np.asarray(_flushed(ARITHMETIC[name](*map(_flushed, values))))]
+        if name in ARITHMETIC and "f" not in kinds and name not in ("div", "rem"):
+            return [np.asarray(ARITHMETIC[name](*values))]
         if name == "round" and int(params["rounding_method"]) == 1:  # to even
             return [np.asarray(np.rint(_flushed(values[0])))]
         if name == "argmax" and kinds == {"b"}:
