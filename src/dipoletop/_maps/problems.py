@@ -25,7 +25,7 @@ from .grids import Grid, Points, PointValues, Sample
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
 """From the named values of one point to the equation and the start ω₀."""
-Block = tuple[Equation, Float[Array, "3 N"]]
+Block = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 """Equations and starts of N points; every array has a trailing lane axis."""
 
 

@@ -108,7 +108,7 @@ def _gradient_by_neighbours(
             continue
         looser_limits = replace(
             limits,
-            rtol=looser * np.asarray(limits.rtol),
+            rtol=jnp.asarray(looser * np.asarray(limits.rtol)),
             atol=looser * np.asarray(limits.atol),
             t1=np.where(tried, np.inf, 0.0).astype(omega_inf.dtype),
         )
