@@ -56,6 +56,7 @@ EXACT: dict[str, Callable[..., Any]] = MOVES | {
     "or": lambda params, a, b: a | b,
     "xor": lambda params, a, b: a ^ b,
     "is_finite": lambda params, x: np.isfinite(x),
+    "rem": lambda params, a, b: np.fmod(a, b),
 }
 """Primitives that take numbers as they are."""
 
@@ -64,7 +65,6 @@ ARITHMETIC: dict[str, Callable[..., Any]] = {
     "sub": np.subtract,
     "mul": np.multiply,
     "div": np.divide,
-    "rem": np.fmod,
     **{"eq": np.equal, "ne": np.not_equal},
     **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal},
 }
@@ -77,12 +77,14 @@ def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The results of one equation of a jaxpr for known operands: in NumPy, or by JAX."""
     name, params = eqn.primitive.name, eqn.params
     kinds = {value.dtype.kind for value in values}
+    # XLA divides by one number for all by a product with its reciprocal.
+    by_one = name == "div" and values[0].shape != values[1].shape
     with np.errstate(all="ignore"):
-        if name in EXACT:
+        if name in EXACT and (name != "rem" or kinds == {"f"}):
             return [np.asarray(EXACT[name](params, *values))]
-        if name in ARITHMETIC and kinds == {"f"}:
+        if name in ARITHMETIC and kinds == {"f"} and not by_one:
             return [np.asarray(_flushed(ARITHMETIC[name](*map(_flushed, values))))]
-        if name in ARITHMETIC and "f" not in kinds and name not in ("div", "rem"):
+        if name in ARITHMETIC and "f" not in kinds and name != "div":
             return [np.asarray(ARITHMETIC[name](*values))]
         if name == "round" and int(params["rounding_method"]) == 1:  # to even
             return [np.asarray(np.rint(_flushed(values[0])))]
