@@ -53,6 +53,22 @@ def test_bits_are_those_of_single_operations(name):
     assert bits(found) == bits(program(x))
 
 
+@pytest.mark.parametrize(
+    ("inner", "whole"), [(lambda x: x * x + x, True), (lambda x: -x - 1, False), (jnp.cumsum, True)]
+)
+def test_a_program_inside_that_may_round_otherwise_is_left_whole(monkeypatch, inner, whole):
+    single, names = numpy_programs.apply, []
+
+    def watched(eqn, values):
+        names.append(eqn.primitive.name)
+        return single(eqn, values)
+
+    monkeypatch.setattr(numpy_programs, "apply", watched)
+    x = jnp.arange(3.0)
+    numpy_programs.run(jax.make_jaxpr(jax.jit(inner))(x), [x])
+    assert ("jit" in names) == whole
+
+
 def test_only_what_needs_jax_is_compiled():
     compiled = []
 

@@ -122,7 +122,10 @@ def _run(program: Jaxpr, consts: Sequence[Any], arguments: Sequence[Any]) -> lis
     known |= zip(program.invars, map(np.asarray, arguments), strict=True)
 
     def read(atom: Any) -> np.ndarray:
-        return np.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else known[atom]
+        if isinstance(atom, Literal):
+            kind: Any = atom.aval  # that of an array
+            return np.asarray(atom.val, kind.dtype)
+        return known[atom]
 
     for eqn in program.eqns:
         values = [read(atom) for atom in eqn.invars]
