@@ -49,6 +49,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     load_before = measure.load()
     # Fresh processes first, while this one is small.
     import_times = importing.compare(1 if small else 15)
+    cold_start = importing.cold_start(1, 16) if small else importing.cold_start(9)
     maps = [
         default_map.measured(level, n, engine)
         for n, level, engine in itertools.product(points, default_map.LEVELS, engines.NAMES)
@@ -57,6 +58,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     return {
         "machine": measure.machine(),
         "import": import_times,
+        "cold_start": cold_start,
         "maps": maps,
         "precision": precision.alone(**precision_sizes),
         "basin": outcomes.compare(sizes),

@@ -14,6 +14,8 @@ import quick
 
 # `.ci/run` also runs what users do, with all of XLA's optimisations.
 os.environ.setdefault("XLA_FLAGS", quick.FLAGS)
+# Tests neither use what is kept between processes nor leave anything there.
+os.environ["DIPOLETOP_CACHE"] = "off"
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -21,8 +21,8 @@ from dipoletop._engines import jaxpr_to_llvm as _llvm
 from dipoletop._engines import native_engine, step
 from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import NARROW, JaxEngine
+from dipoletop._engines.machine_code import MachineCode
 from dipoletop._engines.native_engine import WIDTH, NativeEngine
-from dipoletop._engines.vector_code import MachineCode
 
 # Steps of a run of the mixed basin at rtol 1e-8, by level and `value`: (least mean, mean, longest).
 STEPS = {
@@ -260,7 +260,9 @@ def test_length_of_the_native_code(monkeypatch):
 
     VectorBuilder = _llvm.VectorBuilder
     monkeypatch.setattr(_llvm, "VectorBuilder", builder)
-    monkeypatch.setattr(_llvm, "machine_code", lambda text: MachineCode(0, None))
+    monkeypatch.setattr(
+        _llvm, "machine_code", lambda source, write: MachineCode(len(write()), None)
+    )
     equation = dt.TransverseReduced(jnp.zeros(8))
     native_engine._Program.compile(equation, 3, diffrax.Dopri8(), "value", None)
     for part, name in zip(written[:2], INSTRUCTIONS, strict=True):  # the third only copies

@@ -18,6 +18,11 @@ NOT_COMPUTED = (
     "ctx_mesh",
 )
 """Parameters of primitives that change no number: names, and where and how a call is run."""
+OTHER_PROGRAMS = (
+    *("call", "jvp_jaxpr_fun", "jvp_jaxpr_thunk", "fwd_jaxpr_thunk", "bwd", "out_trees"),
+    *("prevent_cse", "policy"),
+)
+"""Parameters of calls that tell how they are differentiated; no value depends on them."""
 
 
 def digest(*parts: bytes) -> bytes:
@@ -51,12 +56,21 @@ def program_digest(function: Callable[..., Any], *arguments: Any) -> bytes:
     return _ProgramDigests().of_closed(jax.make_jaxpr(function)(*arguments))
 
 
+def complete_digest(program: ClosedJaxpr) -> bytes | None:
+    """Digest of a traced program; None if a parameter is of a kind that digests leave out."""
+    digests = _ProgramDigests()
+    known = digests.of_closed(program)
+    return known if digests.complete else None
+
+
 class _ProgramDigests:
     """Digests of a program and of the programs in it, each hashed once."""
 
     def __init__(self) -> None:
         # The programs are kept with their digests, so that no address (the key) is used again.
         self._known: dict[int, tuple[Any, bytes]] = {}
+        self.complete = True
+        """Whether every parameter that may change a number is part of the digests."""
 
     def of_closed(self, program: ClosedJaxpr) -> bytes:
         return digest(self.of_open(program.jaxpr), *(array_digest(c) for c in program.consts))
@@ -81,7 +95,10 @@ class _ProgramDigests:
             parts.append(str(call.primitive).encode())
             parts += [of_atom(atom) for atom in (*call.invars, *call.outvars)]
             for name in sorted(set(call.params) - set(NOT_COMPUTED)):
+                complete = self.complete
                 parts += [name.encode(), self._of_parameter(call.params[name])]
+                if name in OTHER_PROGRAMS:
+                    self.complete = complete
         return digest(*parts, *(of_atom(atom) for atom in program.outvars))
 
     def _of_parameter(self, value: Any) -> bytes:
@@ -106,4 +123,5 @@ class _ProgramDigests:
             return digest(*sorted(self._of_parameter(item) for item in value))
         if isinstance(value, tuple | list):
             return digest(*(self._of_parameter(item) for item in value))
+        self.complete = False
         return b""

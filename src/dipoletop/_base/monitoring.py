@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import jax
 
 COMPILING = "/dipoletop/compile"
+NATIVE_COMPILATION = "/dipoletop/native_compilation"
 
 
 @contextlib.contextmanager
@@ -15,3 +16,8 @@ def report_compile_time() -> Iterator[None]:
     started = time.perf_counter()
     yield
     jax.monitoring.record_event_duration_secs(COMPILING, time.perf_counter() - started)
+
+
+def report_native_compilation() -> None:
+    """Report that a function is compiled to machine code, as an event `NATIVE_COMPILATION`."""
+    jax.monitoring.record_event(NATIVE_COMPILATION)

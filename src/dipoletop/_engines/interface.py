@@ -40,7 +40,8 @@ class Limits(NamedTuple):
 
     def loosened(self, factor: float) -> "Limits":
         """The same limits with larger tolerances."""
-        return self._replace(rtol=factor * self.rtol, atol=factor * np.asarray(self.atol))
+        rtol, atol = (np.asarray(factor * np.asarray(x)) for x in (self.rtol, self.atol))
+        return self._replace(rtol=rtol, atol=atol)
 
 
 class EndStates(NamedTuple):

@@ -17,8 +17,11 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 from llvmlite import ir
 
+from .._base import numpy_programs
+from .._base.digests import complete_digest
 from .interface import Unsupported
-from .vector_code import BITWISE, COMPARE, FLOAT, MachineCode, VectorBuilder, machine_code
+from .machine_code import MachineCode, machine_code
+from .vector_code import BITWISE, COMPARE, FLOAT, VectorBuilder
 
 Value = np.ndarray
 """An array of numbers that are known already, or (dtype object) of LLVM values."""
@@ -27,8 +30,6 @@ _LONG = ir.IntType(64)
 _FUNCTIONS = {"sqrt", "exp", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
 _FUNCTIONS |= {"exp2", "asin", "acos", "atan", "sinh", "cosh"}
 _ROUND = ("round", "roundeven")  # by lax.RoundingMethod
-_INNER = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
-_INNER |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr"}
 _UNCHANGED = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 _MOVES = {"gather": (0,), "dynamic_slice": (0,), "scatter": (0, 2), "dynamic_update_slice": (0, 1)}
 _MOVES |= {"rev": (0,), "pad": (0, 1)}
@@ -71,29 +72,6 @@ def _move_by_numbers(
         numbers[i] = jnp.arange(first, first + part.size, dtype="int32").reshape(part.shape)
     order = np.asarray(eqn.primitive.bind(*numbers, **eqn.params))
     return np.concatenate([part.ravel() for part in parts])[order]
-
-
-def _slice(params: dict[str, Any], x: Value) -> Value:
-    strides = params["strides"] or [1] * x.ndim
-    return x[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
-
-
-def _broadcast(params: dict[str, Any], x: Value) -> Value:
-    shape, kept = params["shape"], params["broadcast_dimensions"]
-    new = [axis for axis in range(len(shape)) if axis not in kept]
-    return np.broadcast_to(np.expand_dims(x, new), shape)
-
-
-_REARRANGE: dict[str, Callable[..., Value]] = {
-    "slice": _slice,
-    "squeeze": lambda params, x: np.squeeze(x, params["dimensions"]),
-    "reshape": lambda params, x: x.reshape(params["new_sizes"]),
-    "transpose": lambda params, x: x.transpose(params["permutation"]),
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
-    "stack": lambda params, *rows: np.stack(rows, params.get("axis", params.get("dimension", 0))),
-}
-"""The common primitives that only move data, in NumPy."""
 
 
 def _is_zero(entry: Any) -> bool:
@@ -238,21 +216,20 @@ _REDUCE |= {"reduce_and": "and", "reduce_or": "or"}
 def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """The results of one equation of a jaxpr."""
     name = eqn.primitive.name
-    if name in _INNER:
-        return _write(eqn.params[_INNER[name]], values, w)
+    if name in numpy_programs.CALLS:
+        return _write(eqn.params[numpy_programs.CALLS[name]], values, w)
     if name == "scan":
         return _scan(eqn, values, w)
     if name in _UNCHANGED:
         return values
     if all(v.dtype != object for v in values):  # known already
-        results = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
-        return [np.asarray(v) for v in (results if eqn.primitive.multiple_results else [results])]
+        return numpy_programs.apply(eqn, values)
     if name in _MOVES:
         return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
     kinds = [v.aval.dtype for v in eqn.invars]
     values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
-    if name in _REARRANGE:
-        return [_REARRANGE[name](eqn.params, *values)]
+    if name in numpy_programs.MOVES:
+        return [numpy_programs.MOVES[name](eqn.params, *values)]
     if name == "unstack":
         return list(np.moveaxis(values[0], eqn.params["axis"], 0))
     if name == "dot_general":
@@ -338,6 +315,18 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
     """
     shapes = jax.eval_shape(lambda *x: x, rows, shared)
     jaxpr = jax.make_jaxpr(lambda pair: jax.tree.leaves(function(*pair)))(shapes)
+    rows, shared = (jax.tree.leaves(part) for part in shapes)
+    write = functools.partial(_in_llvm, jaxpr, rows, shared, width)
+    # A digest takes a tenth of the time of writing; without one the code itself tells it apart.
+    source = complete_digest(jaxpr)
+    if source is None:
+        text = write()
+        return machine_code(text.encode(), lambda: text)
+    return machine_code(b"%d %d %b" % (width, len(rows), source), write)
+
+
+def _in_llvm(jaxpr: ClosedJaxpr, rows: list[Any], shared: list[Any], width: int) -> str:
+    """A traced function of rows and shared numbers as LLVM code."""
     double = ir.DoubleType().as_pointer()
     module = ir.Module("lanes")
     kind = ir.FunctionType(ir.VoidType(), [double, _LONG, double])
@@ -345,8 +334,8 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
     w = VectorBuilder(ir.IRBuilder(kernel.append_basic_block()), width)
     table = _TableAccess(w, *kernel.args)
     numbers = itertools.count()
-    leaves = [table.load_rows(numbers, leaf) for leaf in jax.tree.leaves(shapes[0])]
-    given = [table.load_shared(i, leaf) for i, leaf in enumerate(jax.tree.leaves(shapes[1]))]
+    leaves = [table.load_rows(numbers, leaf) for leaf in rows]
+    given = [table.load_shared(i, leaf) for i, leaf in enumerate(shared)]
     before = [entry for leaf in leaves for entry in leaf.ravel()]
     try:
         results = _write(jaxpr, leaves + given, w)
@@ -360,4 +349,4 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
             if number is not before[here]:
                 table.store(here, number, dtype)
     w.builder.ret_void()
-    return machine_code(str(module))
+    return str(module)

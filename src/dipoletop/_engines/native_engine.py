@@ -27,8 +27,8 @@ from .._base.types import Equation
 from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
+from .machine_code import MachineCode
 from .native_queue import KINDS, WIDTH, Job, Loop, loop
-from .vector_code import MachineCode
 
 SHARE = 256  # runs from which on a thread of its own pays
 
@@ -151,16 +151,22 @@ class _Program:
         def one_lane(leaf: Any) -> Array:
             return jnp.zeros((*leaf.shape[:-1], 1), leaf.dtype)
 
-        y, number, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
-        fields = jax.tree.map(one_lane, arrays)
-        lanes = step.LaneState(y, y, number, number, number, count, count, fields, number, number)
-        shared = jnp.zeros(()), jnp.zeros((), int)
-        result = jax.eval_shape(functions.result, lanes, shared)
-        omegas = None if finish is None else jnp.zeros((3, 1))
-        table = _Table(lanes, omegas, jax.tree.map(one_lane, result))
+        def blank() -> Any:
+            y, number, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
+            fields = jax.tree.map(one_lane, arrays)
+            lanes = step.LaneState(
+                y, y, number, number, number, count, count, fields, number, number
+            )
+            shared = jnp.zeros(()), jnp.zeros((), int)
+            omegas = None if finish is None else jnp.zeros((3, 1))
+            result = functions.result(lanes, shared)
+            return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
+
+        # Shapes and types only: JAX would compile what makes zeros.
+        table, shared, result = jax.eval_shape(blank)
         kernels = (
             compiled(functions.begin, table, shared, WIDTH),
-            compiled(functions.advance, lanes, shared, WIDTH),
+            compiled(functions.advance, table.lanes, shared, WIDTH),
             compiled(functions.finish, table, shared, WIDTH),
         )
         leaves, structure = jax.tree.flatten(table)

@@ -15,7 +15,7 @@ import numpy as np
 from llvmlite import ir
 
 from .._base.stopping import RUNNING
-from .vector_code import MachineCode, machine_code
+from .machine_code import MachineCode, machine_code
 
 WIDTH = 8  # lanes stepped together
 LONG, DOUBLE = ir.IntType(64), ir.DoubleType()
@@ -75,11 +75,17 @@ class Loop(NamedTuple):
 @functools.cache
 def loop() -> Loop:
     """The loop; compiled once, which two threads must not do at the same time."""
+    text = _loop_in_llvm()
+    code = machine_code(text.encode(), lambda: text)
+    return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
+
+
+def _loop_in_llvm() -> str:
+    """The loop as LLVM code."""
     module = ir.Module("queue")
     function = ir.Function(module, ir.FunctionType(LONG, [LONG.as_pointer()]), "treat")
     _write_loop(_Code(ir.IRBuilder(function.append_basic_block())), function.args[0])
-    code = machine_code(str(module))
-    return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
+    return str(module)
 
 
 def _write_loop(code: "_Code", arguments: Any) -> None:

@@ -1,10 +1,10 @@
 """Vector instructions: LLVM code in which every value is one number for each of some lanes."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from llvmlite import binding, ir
+from llvmlite import ir
 
 from .interface import Unsupported
 
@@ -165,31 +165,3 @@ class VectorBuilder:
 
 def is_float(a: Any) -> bool:
     return isinstance(a.type.element, ir.FloatType | ir.DoubleType)
-
-
-class MachineCode(NamedTuple):
-    """A compiled function."""
-
-    address: int
-    owner: Any
-    """What keeps the code alive."""
-
-
-def machine_code(text: str) -> MachineCode:
-    """Compile the function `treat` of a module for this processor."""
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    target = binding.Target.from_default_triple()
-    features = binding.get_host_cpu_features()
-    if features.get("avx512f"):  # or it would be told to prefer narrower vectors
-        features["prefer-256-bit"] = False
-    machine = target.create_target_machine(
-        cpu=binding.get_host_cpu_name(), features=features.flatten(), opt=3
-    )
-    module = binding.parse_assembly(text)
-    module.verify()
-    passes = binding.create_pass_builder(machine, binding.create_pipeline_tuning_options(3))
-    passes.getModulePassManager().run(module, passes)
-    engine = binding.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return MachineCode(engine.get_function_address("treat"), engine)

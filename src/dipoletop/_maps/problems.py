@@ -1,5 +1,6 @@
 """A sweep's problem: from flat indices to the equations and starts of its points, vectorised."""
 
+import contextlib
 import inspect
 import threading
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._base import numpy_programs
 from .._base.checks import check_equation, instance, real, refuse
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
@@ -23,7 +25,7 @@ from .grids import Grid, Points, PointValues, Sample
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
 """From the named values of one point to the equation and the start ω₀."""
-Block = tuple[Equation, Float[Array, "3 N"]]
+Block = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 """Equations and starts of N points; every array has a trailing lane axis."""
 
 
@@ -38,6 +40,8 @@ class BlockBuilder:
     over: Grid | Points | Sample
     derivatives: tuple[str, ...] = ()
     _tracing: Any = field(default_factory=threading.Lock)
+    _programs: dict[Any, Any] = field(default_factory=dict)
+    """What `_program` has found, by the shapes of points."""
 
     def __post_init__(self) -> None:
         check_problem(self.problem)
@@ -51,7 +55,32 @@ class BlockBuilder:
             points = self.over.points(indices)
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
-            return self._vectorised(points)
+            program, structure = self._program(points)
+            if program is None:
+                return self._vectorised(points)
+            leaves = numpy_programs.run(program, jax.tree.leaves(points))
+            return jax.tree.unflatten(structure, leaves)
+
+    def _program(self, points: PointValues) -> tuple[Any, Any]:
+        """The traced program of such points, to be run in NumPy; None where JAX must run it.
+
+        That is where the problem cannot be traced, or where it compares numbers of its own: these
+        are refused if they are wrong, but only while they are known.
+        """
+        shapes = jax.tree.map(lambda x: (x.shape, x.dtype), points)
+        key = jax.tree.structure(points), tuple(jax.tree.leaves(shapes, is_leaf=_is_shape))
+        if key not in self._programs:
+            program = structure = None
+            if not self.derivatives and jax.default_backend() == "cpu":
+                # Whatever is wrong shows itself when JAX runs it.
+                with contextlib.suppress(Exception):
+                    make = jax.make_jaxpr(self._vectorised, return_shape=True)
+                    program, result = make(points)
+                    structure = jax.tree.structure(result)
+                    if numpy_programs.asks_known_numbers(program):
+                        program = None
+            self._programs[key] = program, structure
+        return self._programs[key]
 
     def _vectorised(self, points: PointValues) -> Block:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
@@ -116,6 +145,10 @@ def _verdict(equation: DecidingEquation, y: State) -> Verdict:
     """The verdict, certified only if its regions are proven for this class of equation."""
     verdict = Verdict(*equation.verdict(y))
     return verdict._replace(certified=verdict.certified_for(equation))
+
+
+def _is_shape(value: Any) -> bool:
+    return isinstance(value, tuple)
 
 
 def check_problem(problem: Any) -> None:

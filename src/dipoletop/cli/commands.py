@@ -118,7 +118,8 @@ main.add_command(atlas_command)
     "--engine",
     type=click.Choice(["auto", "jax", "native"]),
     default="auto",
-    help="native is machine code (needs llvmlite); auto takes the fastest that can run.",
+    help="auto runs native (machine code; needs llvmlite) where it can, else jax. Machine code is "
+    "kept in your folder of caches, ~/.cache/dipoletop on Linux, unless DIPOLETOP_CACHE=off.",
 )
 @click.option(
     "--output", default="dipoletop-map", help="Folder, or first part of the names of all files."

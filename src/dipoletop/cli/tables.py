@@ -1,5 +1,6 @@
 """The tables and sentences that the command line prints."""
 
+import dataclasses
 import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -182,10 +183,11 @@ def _column(run: Run) -> dict[str, str]:
         column["starts per second"] = f"{computed / seconds:,.0f}"
         column["compilation, apart"] = f"{run.compiling:.1f} s"
         column["engine"] = ENGINES[basin.attrs["engine"]]
-    at_once = decided & (basin.time == 0)
+    time = basin.time
+    at_once = decided & (time == 0)
     column["decided at τ = 0"] = f"{np.sum(at_once)} starts, without a step"
     column["steps"] = f"{np.mean(steps):.1f} on average, at most {np.max(steps)}"
-    times = basin.time[decided & ~np.isnan(basin.time)]
+    times = time[decided & ~np.isnan(time)]
     if times.size:
         column["τ when certain"] = f"{np.median(times):.3g} (median), at most {np.max(times):.3g}"
     return column
@@ -204,7 +206,8 @@ def _remarks(runs: list[Run]) -> list[str]:
         share = differ / first.size
         lines.append(f"Outcome differs between the levels: {differ} starts, {share:.2%}.")
     basin = runs[0].basin
-    size, whole = math.prod(basin.shape), math.prod(unfold(basin).shape)
+    shape = unfold(dataclasses.replace(basin, columns={})).shape
+    size, whole = math.prod(basin.shape), math.prod(shape)
     if whole > size:
         lines.append(
             f"Not computed: {whole - size} of {whole} starts of the whole plane "

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.constants import c as LIGHT
 
 from .._base.batches import over_batch
 from .._base.checks import concrete, finite, refuse, where_valid
@@ -16,7 +15,7 @@ from .._base.linalg import dot, trace
 from ..bodies import Body
 from . import moments, shapes
 from .texts import text
-from .units import RADIATION, STATCOULOMB_CM, numbers, positive_si, speed_in_rad
+from .units import LIGHT, RADIATION, STATCOULOMB_CM, numbers, positive_si, speed_in_rad
 
 
 def _batch_axes(particle: Any) -> int:

@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.constants import e
 
 from .._base.checks import instance
 from .particle import Particle
-from .units import DEBYE
+from .units import CHARGE, DEBYE
 
 
 class Rotator(NamedTuple):
@@ -59,7 +58,7 @@ def paper_particles() -> tuple[Rotator, ...]:
         ['cellulose fibre', 'CdSe sphere', 'CdS sphere']
     """
     nm, x, y, z = 1e-9, np.array([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    silica = Particle.sphere(50 * nm, 50 * nm * e * x, mass=1e-18)
+    silica = Particle.sphere(50 * nm, 50 * nm * CHARGE * x, mass=1e-18)
     dast = Particle.cuboid(nm * np.array([100, 100, 50]), 2.8e7 * DEBYE * x, density=1280)
     cellulose = Particle.cuboid(nm * np.array([300, 30, 30]), 4000 * DEBYE * x, density=1600)
     cdse = Particle.sphere(2.5 * nm, 100 * DEBYE * x, density=5810)

@@ -6,13 +6,20 @@ from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from scipy.constants import c, epsilon_0
 
 from .._base.checks import finite, real, refuse, where_valid
 
-RADIATION = 1 / (6 * math.pi * epsilon_0 * c**3)
+# Of CODATA 2022. `scipy.constants` has them too, but takes 60 ms to import.
+LIGHT = 299_792_458.0
+"""The speed of light c, in m/s."""
+CHARGE = 1.602_176_634e-19
+"""The elementary charge, in C."""
+PERMITTIVITY = 8.854_187_818_8e-12
+"""The electric constant ε₀, in F/m."""
+
+RADIATION = 1 / (6 * math.pi * PERMITTIVITY * LIGHT**3)
 """k = 1/(6πε₀c³), in kg m² s/(C m)²: the strength of the radiation torque in SI units."""
-DEBYE = 1e-21 / c
+DEBYE = 1e-21 / LIGHT
 """One debye, 1e-18 statC cm, in C m (c is its number in m/s)."""
 STATCOULOMB_CM = 1e18 * DEBYE
 """The Gaussian unit of dipole moment, in C m."""

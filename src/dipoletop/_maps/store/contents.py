@@ -40,7 +40,7 @@ def save(parts: BasinParts, path: Any) -> None:
     }
     with atomic_folder("path", folder) as fresh:
         create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
-        open_tiles("path", fresh, "r+").write(0, dict(parts.columns), bytes(SIZE))
+        open_tiles("path", fresh).write(0, dict(parts.columns), bytes(SIZE))
 
 
 def load(path: Any) -> BasinParts:

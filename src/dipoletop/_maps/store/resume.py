@@ -37,9 +37,9 @@ def begin_or_resume(
     if not exists("store", folder):
         with atomic_folder("store", folder) as fresh:
             create_arrays(fresh, header, values)
-        return open_tiles("store", folder, "r+")
+        return open_tiles("store", folder)
     try:
-        tiles = open_tiles("store", folder, "r+")
+        tiles = open_tiles("store", folder)
         if not tiles.checked:
             must = f"be new or a {FORMAT}, to go on with it"
             reason = f"{folder} is a {FORMAT_UNCHECKED} (`Basin.load` reads it)"
@@ -88,4 +88,4 @@ def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.nda
                 target = folder / file.relative_to(fresh)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, target)
-    return open_tiles("store", folder, "r+")
+    return open_tiles("store", folder)

@@ -1,22 +1,24 @@
 """Tiles of a sweep on disk: how they are laid out, written, and read with every bit checked.
 
 A store is a Zarr group of flat columns, one chunk for each tile, of arrays with the swept values,
-and of one record for each finished tile: digests of its inputs and of its columns. Zarr writes
-each chunk to a temporary name and renames it. A record is written after its columns, so a tile
-torn by a crash is simply not finished, and is computed again to the same bytes.
+and of one record for each finished tile: digests of its inputs and of its columns. Each chunk is
+written to a temporary name and renamed. A record is written after its columns, so a tile torn by a
+crash is simply not finished, and is computed again to the same bytes.
 """
 
 import contextlib
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ..._base.digests import SIZE, array_digest, digest
 from ..columns import BasinParts, column_spec
 from ..tiling import Tiling
+from .arrays import METADATA, StoredArray, write_json
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
@@ -27,7 +29,7 @@ FORMAT_UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for
 
 @contextlib.contextmanager
 def _reading(folder: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
-    """Turns whatever zarr and its codecs raise at damaged bytes into `StoreDamaged`.
+    """Turns whatever codecs and the library zarr raise at damaged bytes into `StoreDamaged`.
 
     The types of their errors are not documented. No code of the user runs in here.
     """
@@ -46,27 +48,28 @@ def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exceptio
 
 def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
     """An empty store: metadata and the swept values, but no tile."""
-    import zarr
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    group = zarr.open_group(folder, mode="w")
-    packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}
     tiling, names = tiling_of(header), header["columns"]
-    flat: Any = {"shape": (tiling.size,), "chunks": (tiling.tile_size,), **packed}
+    new: dict[str, StoredArray] = {}
     for name in names:
-        group.create_array(name, dtype=column_spec(name).dtype, **flat)
-    with zarr.config.set({"array.write_empty_chunks": True}):
-        for name, array in values.items():
-            rows = min(len(array), 1 << 20)  # codecs take no more than 2 GiB at once
-            chunks = (rows, *array.shape[1:])
-            group.create_array(f"axis_{name}", data=array, chunks=chunks, **packed)
-    # Uncompressed: a record is its own checksum.
-    shape = (tiling.count, SIZE * (3 + len(names)))
-    group.create_array("done", shape=shape, chunks=(1, shape[1]), dtype="uint8", compressors=None)
-    created = (*names, *(f"axis_{name}" for name in values), "done")
-    layout = {name: _metadata_digest(folder, name) for name in created}
+        dtype = np.dtype(column_spec(name).dtype)
+        new[name] = StoredArray(folder / name, (tiling.size,), tiling.tile_size, dtype)
+    for name, array in values.items():
+        rows = min(len(array), 1 << 20)  # codecs take no more than 2 GiB at once
+        new[f"axis_{name}"] = StoredArray(folder / f"axis_{name}", array.shape, rows, array.dtype)
+    shape = tiling.count, SIZE * (3 + len(names))
+    # Not compressed: a record is its own checksum.
+    new["done"] = StoredArray(folder / "done", shape, 1, np.dtype("uint8"), codecs=())
+    for array in new.values():
+        array.create()
+    for name, numbers in values.items():
+        array = new[f"axis_{name}"]
+        for chunk in range(array.chunks):
+            array.write(chunk, numbers[chunk * array.rows :][: array.rows])
+    layout = {name: _metadata_digest(folder, name) for name in new}
     full = {"format": FORMAT, "layout": layout, **header}
-    group.attrs.update({**full, "digest": header_digest(full)})
+    attributes = {**full, "digest": header_digest(full)}
+    group = {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
+    write_json(folder / METADATA, group)
 
 
 def tiling_of(header: Header) -> Tiling:
@@ -129,9 +132,7 @@ class Tiles:
         swept_names: those of the swept values.
     """
 
-    def __init__(self, folder: Path, group: Any, header: Header, checked: bool) -> None:
-        import zarr
-
+    def __init__(self, folder: Path, header: Header, checked: bool) -> None:
         self.folder, self.header, self.checked = folder, header, checked
         with _reading(folder, (), "its header"):
             self.tiling, self.names = tiling_of(header), list(header["columns"])
@@ -140,9 +141,8 @@ class Tiles:
                     raise StoreDamaged(folder, (), f"the metadata of {name} are not as written")
             self.swept_names = list(header["values" if checked else "axes"])
             axes = (f"axis_{name}" for name in self.swept_names)
-            # Chunks of zeros are written too, so that a missing chunk always means damage.
-            with zarr.config.set({"array.write_empty_chunks": True}):
-                self._arrays = {name: group[name] for name in (*self.names, "done", *axes)}
+            names = (*self.names, "done", *axes)
+            self._arrays = {name: StoredArray.open(folder / name) for name in names}
         self._sweep = sweep_digest(header) if checked else b""
 
     def values(self, name: str) -> np.ndarray:
@@ -150,9 +150,10 @@ class Tiles:
         what = f"the values of {name}"
         with _reading(self.folder, (), what):
             array = self._arrays[f"axis_{name}"]
-            if array.nchunks_initialized != array.nchunks:
+            chunks = range(array.chunks)
+            if not all(array.file(chunk).is_file() for chunk in chunks):
                 raise StoreDamaged(self.folder, (), f"{what} are missing")
-            values = np.asarray(array[...])
+            values = np.concatenate([array.read(chunk) for chunk in chunks])
         if self.checked and array_digest(values).hex() != self.header["values"][name]:
             raise StoreDamaged(self.folder, (), f"{what} are not what was written")
         return values
@@ -161,9 +162,9 @@ class Tiles:
         """Write one tile, then its record; `inputs` is a digest."""
         parts = [columns[name] for name in self.names]
         for name, part in zip(self.names, parts, strict=True):
-            self._arrays[name][self.tiling.span(tile)] = part
+            self._arrays[name].write(tile, part)
         record = TileRecord.encode(tile, self._sweep, inputs, parts)
-        self._arrays["done"][tile] = np.frombuffer(record, np.uint8)
+        self._arrays["done"].write(tile, np.frombuffer(record, np.uint8)[None])
 
     def unfinished(self) -> list[int]:
         """The tiles that have to be computed."""
@@ -171,8 +172,8 @@ class Tiles:
         if self.checked:
             return [tile for tile in every if not TileRecord(self.folder, tile).exists]
         with _reading(self.folder, (), "the flags"):
-            flags = np.asarray(self._arrays["done"][:])
-        return np.flatnonzero(flags[: self.tiling.count] == 0).tolist()
+            flags = self._arrays["done"]
+            return [t for t in every if not (flags.file(t).is_file() and flags.read(t).any())]
 
     def record(self, tile: int) -> TileRecord:
         """The record of a finished tile."""
@@ -185,11 +186,11 @@ class Tiles:
 
     def read(self, name: str, tile: int) -> np.ndarray:
         """The part of a column in a tile."""
-        if not (self.folder / name / "c" / str(tile)).is_file():
+        if not self._arrays[name].file(tile).is_file():
             raise StoreDamaged(self.folder, (tile,), f"its {name} is missing")
         written = self.record(tile).columns[self.names.index(name)] if self.checked else None
         with _reading(self.folder, (tile,), f"its {name}"):
-            part = np.asarray(self._arrays[name][self.tiling.span(tile)])
+            part = self._arrays[name].read(tile)
         complete = len(part) == self.tiling.length(tile)
         if not complete or (self.checked and array_digest(part) != written):
             raise StoreDamaged(self.folder, (tile,), f"its {name} is not what was written")
@@ -227,25 +228,22 @@ class Tiles:
 
 def open_store(path: Any) -> Tiles:
     """The store at a path, to be read."""
-    return open_tiles("path", absolute_path("path", path), "r")
+    return open_tiles("path", absolute_path("path", path))
 
 
-def open_tiles(argument: str, folder: Path, mode: Literal["r", "r+"]) -> Tiles:
+def open_tiles(argument: str, folder: Path) -> Tiles:
     """The store in a folder.
 
     Raises:
         StoreMismatch: there is none.
         StoreDamaged: its metadata are damaged.
     """
-    import zarr
-
     must = "be a folder with a basin"
     if not exists(argument, folder):
         raise StoreMismatch(argument, folder, must, f"{folder} does not exist")
     was_store = (folder / "done").is_dir()
     try:
-        group = zarr.open_group(folder, mode=mode)
-        header = dict(group.attrs)
+        header = dict(json.loads((folder / METADATA).read_bytes())["attributes"])
     except MemoryError:
         raise
     except Exception as error:  # of any type, as in `_reading`
@@ -261,4 +259,4 @@ def open_tiles(argument: str, folder: Path, mode: Literal["r", "r+"]) -> Tiles:
     if not is_known:
         reason = f"the format of {folder} is {version!r}"
         raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
-    return Tiles(folder, group, header, checked)
+    return Tiles(folder, header, checked)

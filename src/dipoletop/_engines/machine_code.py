@@ -1,0 +1,88 @@
+"""Machine code of LLVM code, compiled for this processor once and then kept on disk."""
+
+import functools
+import platform
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import llvmlite
+import numpy as np
+from llvmlite import binding
+
+from .._base import private_cache
+from .._base.digests import digest
+from .._base.monitoring import report_native_compilation
+
+WRITERS = ("jaxpr_to_llvm.py", "machine_code.py", "vector_code.py", "../_base/numpy_programs.py")
+"""The modules that decide what LLVM code is written, and how it is compiled."""
+
+
+class MachineCode(NamedTuple):
+    """A compiled function."""
+
+    address: int
+    owner: Any
+    """What keeps the code alive."""
+
+
+def machine_code(source: bytes, write: Callable[[], str]) -> MachineCode:
+    """The function `treat` of a module, as machine code for this processor.
+
+    Args:
+        source: all that the LLVM code is written from, besides this package, or a digest of it.
+        write: gives the LLVM code; it is not called if the machine code is on disk.
+    """
+    key = digest(source, *_circumstances())
+    code = private_cache.load(key)
+    if code is None:
+        code = _compile(write())
+        private_cache.save(key, code)
+    # Code from the disk and new code take the same way.
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _target_machine())
+    engine.add_object_file(binding.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return MachineCode(engine.get_function_address("treat"), engine)
+
+
+def _compile(text: str) -> bytes:
+    """The object file of a module."""
+    report_native_compilation()
+    machine = _target_machine()
+    module = binding.parse_assembly(text)
+    module.verify()
+    passes = binding.create_pass_builder(machine, binding.create_pipeline_tuning_options(3))
+    passes.getModulePassManager().run(module, passes)
+    return machine.emit_object(module)
+
+
+def _target_machine() -> Any:
+    """This processor; an engine takes it away, so each needs a new one."""
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    target = binding.Target.from_default_triple()
+    return target.create_target_machine(
+        cpu=binding.get_host_cpu_name(), features=_processor_features(), opt=3
+    )
+
+
+@functools.cache
+def _processor_features() -> str:
+    features = binding.get_host_cpu_features()
+    if features.get("avx512f"):  # or it would be told to prefer narrower vectors
+        features["prefer-256-bit"] = False
+    return features.flatten()
+
+
+@functools.cache
+def _circumstances() -> tuple[bytes, ...]:
+    """All that machine code depends on besides its source.
+
+    These are the modules that write it, the versions of what they use, and the processor.
+    """
+    folder = Path(__file__).parent
+    versions = jax.__version__, np.__version__, llvmlite.__version__, binding.llvm_version_info
+    processor = binding.get_process_triple(), binding.get_host_cpu_name(), _processor_features()
+    texts = *map(str, versions), *processor, platform.python_version()
+    return *(text.encode() for text in texts), *((folder / x).read_bytes() for x in WRITERS)

@@ -1,0 +1,150 @@
+"""Machine code is compiled once, and found on disk by later processes."""
+
+import os
+import re
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dipoletop._base import private_cache
+from dipoletop._base.digests import complete_digest
+from dipoletop._base.monitoring import NATIVE_COMPILATION
+from dipoletop._engines import machine_code
+
+SCRIPT = f"""
+import warnings; warnings.simplefilter("error")
+import jax
+jax.config.update("jax_enable_x64", True)
+compiled = []
+jax.monitoring.register_event_listener(lambda event, **_: compiled.append(event))
+import dipoletop as dt
+ends = dt.classify_many(
+    dt.TransverseReduced(-0.2), [[0.2, 0.1, 0.2], [0.0, 0.2, 0.1]], engine="native"
+)
+print(compiled.count({NATIVE_COMPILATION!r}), ends.omega_inf.tolist(), ends.steps.tolist())
+"""
+
+
+def fresh(**variables):
+    """How many functions a new process compiles, and what it finds."""
+    clean = {k: x for k, x in os.environ.items() if k != private_cache.VARIABLE}
+    environment = clean | {k: str(x) for k, x in variables.items()}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    number, found = done.stdout.split(maxsplit=1)
+    return int(number), found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the cache has another folder")
+def test_a_second_process_compiles_nothing_and_finds_the_same(tmp_path):
+    functions, found = fresh(XDG_CACHE_HOME=tmp_path)
+    assert functions == 4  # three kernels and the loop
+    assert fresh(XDG_CACHE_HOME=tmp_path) == (0, found)
+    entries = list((tmp_path / "dipoletop").iterdir())
+    assert len(entries) == 4
+    content = entries[0].read_bytes()
+    entries[0].write_bytes(content[:200] + bytes([content[200] ^ 1]) + content[201:])
+    assert fresh(XDG_CACHE_HOME=tmp_path) == (1, found)
+    assert entries[0].read_bytes() == content
+    assert fresh(XDG_CACHE_HOME=tmp_path, DIPOLETOP_CACHE="off") == (4, found)
+    (tmp_path / "file").write_text("")
+    # As in a home that cannot be written to; modes do not stop an administrator.
+    assert fresh(XDG_CACHE_HOME=tmp_path / "file") == (4, found)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache."""
+    monkeypatch.delenv(private_cache.VARIABLE, raising=False)
+    monkeypatch.setattr(private_cache, "location", lambda: tmp_path / "cache")
+
+
+def number(value):
+    """A function that writes a number."""
+    return f"""
+define void @treat(double* %first, i64 %stride, double* %shared) {{
+  store double {value:.17e}, double* %first
+  ret void
+}}"""
+
+
+def call(code):
+    import ctypes
+
+    place = np.zeros(1)
+    pointers = ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p
+    function = ctypes.CFUNCTYPE(None, *pointers)(code.address)
+    function(place.ctypes.data, 8, place.ctypes.data)
+    return place[0]
+
+
+def never():
+    raise AssertionError("It is on disk.")
+
+
+def test_code_is_found_by_its_source_and_by_nothing_else(cache):
+    assert call(machine_code.machine_code(b"one", lambda: number(1.5))) == 1.5
+    assert call(machine_code.machine_code(b"two", lambda: number(2.5))) == 2.5
+    assert call(machine_code.machine_code(b"one", never)) == 1.5
+
+
+def test_code_of_other_circumstances_is_not_found(cache, monkeypatch):
+    machine_code.machine_code(b"one", lambda: number(1.5))
+    here = machine_code._circumstances()
+    for i in range(len(here)):
+        other = (*here[:i], here[i] + b"x", *here[i + 1 :])
+        monkeypatch.setattr(machine_code, "_circumstances", lambda other=other: other)
+        assert call(machine_code.machine_code(b"one", lambda i=i: number(i + 2))) == i + 2
+
+
+def test_circumstances_name_processor_and_versions():
+    import llvmlite
+    from llvmlite import binding
+
+    known = machine_code._circumstances()
+    for text in (jax.__version__, llvmlite.__version__, binding.get_host_cpu_name()):
+        assert text.encode() in known
+    assert any(re.search(rb"[+-]\w", text) for text in known)  # features
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (lambda x: x + 1, lambda x: x + 2),
+        (lambda x: x[:2], lambda x: x[1:]),
+        (lambda x: jnp.sum(x), lambda x: jnp.prod(x)),
+        (lambda x: x**3, lambda x: x**4),
+        (lambda x: jnp.round(x), lambda x: jax.lax.round(x)),
+        (lambda x: x[jnp.array([0, 1])], lambda x: x[jnp.array([1, 0])]),
+        (lambda x: jnp.where(x > 0, x, 1.0), lambda x: jnp.where(x > 0, x, -1.0)),
+        (lambda x: x * jnp.arange(3.0), lambda x: x * np.array([0.0, 1.0, 3.0])),
+        (lambda x: x.astype("float32"), lambda x: x.astype("int32")),
+    ],
+)
+def test_the_digest_of_a_program_tells_it_apart(one, other):
+    digests = [complete_digest(jax.make_jaxpr(f)(jnp.zeros(3))) for f in (one, one, other)]
+    assert digests[0] == digests[1] != digests[2]
+    assert None not in digests
+
+
+def test_a_program_with_parameters_of_unknown_kinds_has_no_digest():
+    def program(x):
+        return jax.pure_callback(np.sin, x, x)
+
+    assert complete_digest(jax.make_jaxpr(program)(jnp.zeros(3))) is None
+
+
+def test_programs_that_differ_in_their_derivatives_alone_are_the_same():
+    @jax.custom_jvp
+    def own(x):
+        return 2 * x
+
+    own.defjvp(lambda primals, tangents: (own(*primals), 2 * tangents[0]))
+    assert complete_digest(jax.make_jaxpr(own)(jnp.zeros(3))) is not None

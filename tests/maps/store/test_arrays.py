@@ -1,0 +1,75 @@
+"""Arrays on disk: the bytes of the library zarr, which reads them, and whose bytes are read."""
+
+import numpy as np
+import pytest
+import zarr
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from dipoletop._maps.store.arrays import StoredArray
+
+RNG = np.random.default_rng(0)
+ARRAYS = {
+    "int8": RNG.integers(-1, 3, 300).astype("int8"),
+    "int32": RNG.integers(0, 2**30, 300).astype("int32"),
+    "bool": RNG.random(300) > 0.5,
+    "float64": RNG.normal(size=(300, 3)),
+    "float32": np.zeros(300, "float32"),
+}
+
+
+def files(folder):
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+def by_zarr(folder, values, **codecs):
+    with zarr.config.set({"array.write_empty_chunks": True}):
+        zarr.create_array(folder, data=values, chunks=(128, *values.shape[1:]), **codecs)
+
+
+@pytest.fixture(params=ARRAYS)
+def values(request):
+    return ARRAYS[request.param]
+
+
+@pytest.mark.parametrize("codecs", [("zstd", "crc32c"), ()])
+def test_the_bytes_are_those_of_zarr(tmp_path, values, codecs):
+    array = StoredArray(tmp_path / "own", values.shape, 128, values.dtype, codecs)
+    (tmp_path / "own").mkdir()
+    array.create()
+    for chunk in range(array.chunks):
+        array.write(chunk, values[128 * chunk :][:128])
+    compressors = [ZstdCodec(level=0), Crc32cCodec()] if codecs else None
+    by_zarr(tmp_path / "zarr", values, compressors=compressors)
+    own, other = files(tmp_path / "own"), files(tmp_path / "zarr")
+    chunks = {name for name in other if name.startswith("c/")}
+    assert len(chunks) == 3
+    assert {name: own[name] for name in chunks} == {name: other[name] for name in chunks}
+    assert own.keys() == other.keys()
+    read = zarr.open_array(tmp_path / "own", mode="r")
+    assert read.dtype == values.dtype
+    np.testing.assert_array_equal(read[...], values)
+
+
+def test_what_zarr_has_written_is_read(tmp_path, values):
+    by_zarr(tmp_path / "a", values)  # without checksums, as in stores of version 1
+    array = StoredArray.open(tmp_path / "a")
+    found = np.concatenate([array.read(chunk) for chunk in range(array.chunks)])
+    assert found.dtype == values.dtype
+    np.testing.assert_array_equal(found, values)
+
+
+def test_arrays_of_another_kind_are_refused(tmp_path):
+    by_zarr(tmp_path / "a", ARRAYS["int32"], compressors=zarr.codecs.GzipCodec())
+    with pytest.raises(ValueError, match="chunks of another kind"):
+        StoredArray.open(tmp_path / "a")
+
+
+@pytest.mark.parametrize("place", [0, 40, -1])
+def test_one_bit_is_seen(tmp_path, place):
+    array = StoredArray(tmp_path, (128,), 128, np.dtype(float))
+    array.write(0, RNG.normal(size=128))
+    content = bytearray(array.file(0).read_bytes())
+    content[place] ^= 4
+    array.file(0).write_bytes(content)
+    with pytest.raises(ValueError, match="checksum"):
+        array.read(0)
