@@ -17,6 +17,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 from llvmlite import ir
 
+from .hoisting import INNER
 from .interface import Unsupported
 from .vector_code import BITWISE, COMPARE, FLOAT, MachineCode, VectorBuilder, machine_code
 
@@ -27,8 +28,6 @@ _LONG = ir.IntType(64)
 _FUNCTIONS = {"sqrt", "exp", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
 _FUNCTIONS |= {"exp2", "asin", "acos", "atan", "sinh", "cosh"}
 _ROUND = ("round", "roundeven")  # by lax.RoundingMethod
-_INNER = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
-_INNER |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr"}
 _UNCHANGED = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 _MOVES = {"gather": (0,), "dynamic_slice": (0,), "scatter": (0, 2), "dynamic_update_slice": (0, 1)}
 _MOVES |= {"rev": (0,), "pad": (0, 1)}
@@ -238,8 +237,8 @@ _REDUCE |= {"reduce_and": "and", "reduce_or": "or"}
 def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """The results of one equation of a jaxpr."""
     name = eqn.primitive.name
-    if name in _INNER:
-        return _write(eqn.params[_INNER[name]], values, w)
+    if name in INNER:
+        return _write(eqn.params[INNER[name]], values, w)
     if name == "scan":
         return _scan(eqn, values, w)
     if name in _UNCHANGED:

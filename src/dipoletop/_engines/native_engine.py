@@ -105,7 +105,13 @@ class _Functions(NamedTuple):
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
+        begun = step.prepared(begun, *shared, self.solver, self.until)
         return table._replace(lanes=eqx.filter(begun, eqx.is_array))
+
+    def hoisted(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> list[Array] | None:
+        """What lanes hold besides when they are at work."""
+        whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
+        return step.prepared(whole, *shared, self.solver, self.until).hoisted
 
     def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
         whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
@@ -154,6 +160,8 @@ class _Program:
         fields = jax.tree.map(one_lane, arrays)
         lanes = step.LaneState(y, y, number, number, number, count, count, fields, number, number)
         shared = jnp.zeros(()), jnp.zeros((), int)
+        hoisted = jax.tree.map(one_lane, jax.eval_shape(functions.hoisted, lanes, shared))
+        lanes = replace(lanes, hoisted=hoisted)
         result = jax.eval_shape(functions.result, lanes, shared)
         omegas = None if finish is None else jnp.zeros((3, 1))
         table = _Table(lanes, omegas, jax.tree.map(one_lane, result))
@@ -165,9 +173,8 @@ class _Program:
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        return cls(
-            kernels, loop(), rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result
-        )
+        at_work = jax.tree.leaves(rows.lanes)[-1].stop
+        return cls(kernels, loop(), rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
     def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.
