@@ -60,7 +60,7 @@ def advance_window(
     Returns:
         The next state, the window, and how many of its elements, from the first on, are accepted.
     """
-    window = solve_window(equation, state.omega, state.span)
+    window = solve_window(equation, state.omega, state.span, rtol)
     size = jnp.max(jnp.abs(state.omega))
     size = jnp.where(size > 0, size, 1.0)
     ends, runaway = window.times[:, -1], equation.runaway_rate

@@ -34,11 +34,15 @@ from jaxtyping import Array, Bool, Float, Int
 from .. import radiation
 from .._base.chebyshev import collocation_rule
 from .._base.dense import solve_dense
+from .._base.types import Real
 
 NODES, ELEMENTS = 16, 4
 ITERATIONS = 20  # of Newton's method, at most
 LEAST_DAMPING = 0.02  # below, a step is accepted even if the residual does not fall
 CONVERGED = 1e-10  # relative size of the last step, after which the error is far smaller
+NEGLIGIBLE = 1e-15  # relative size of the step after it that also tells so, at least
+REMAINDER = 1e-3  # of the tolerance: what that step may be
+FALLING = 0.03  # of one step over that before it, at most, where convergence is quadratic
 SUBSTEPS = 2  # of the initial guess, between two nodes
 
 
@@ -62,7 +66,7 @@ class Window(NamedTuple):
     """Estimated error of the fast part at the far end."""
 
 
-def solve_window(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:
+def solve_window(equation: Any, omega0: Float[Array, "3"], span: Any, rtol: Any = 0.0) -> Window:
     """The physical motion of a full equation over a time `span` from ω₀ on.
 
     Args:
@@ -70,6 +74,7 @@ def solve_window(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:
             the levels that approach its branch, `reduced(order)` and `semi`.
         omega0: ω at the left end.
         span: length, several runaway e-foldings more than what will be kept.
+        rtol: the relative error that is allowed; Newton's method leaves far less.
     """
     dtype = omega0.dtype
     sigma, integral, transform = (jnp.asarray(table, dtype) for table in collocation_rule(NODES))
@@ -91,7 +96,8 @@ def solve_window(equation: Any, omega0: Float[Array, "3"], span: Any) -> Window:
     omegas = _guess(slow, omega0, times)
     fast = jax.vmap(jax.vmap(lambda w: equation.fast(_damped_rate(slow, w))))
     guess = jnp.concatenate([omegas, fast(omegas)], axis=-1)
-    problem = _Problem(equation, omega0, forward, backward)
+    negligible = jnp.maximum(jnp.asarray(REMAINDER * rtol, dtype), NEGLIGIBLE)
+    problem = _Problem(equation, omega0, forward, backward, negligible)
     states, converged, iterations, end_error = _solution(problem, guess)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, states, precision="highest")
     last = jnp.max(jnp.abs(coefficients[:, -2:]), axis=1)
@@ -109,10 +115,23 @@ class _NewtonState(NamedTuple):
     """The largest component of the residual there."""
     step: Float[Array, "E K n"]
     """The full step, to be subtracted next."""
+    before: Float[Array, ""]
+    """The size of the step before it, if that was a full one; else 0."""
     damping: Float[Array, ""]
     """The factor of the step."""
     end_error: Float[Array, ""]
     count: Int[Array, ""]
+
+    def converged(self, size: Float[Array, ""], negligible: Real) -> Bool[Array, ""]:
+        """Whether the error after the next step is negligible, relative to the size of ω₀.
+
+        That step is then small itself, or the one after it would be negligible: with quadratic
+        convergence this is the cube of a step over the square of the one before.
+        """
+        change = jnp.max(jnp.abs(self.step))
+        falls = change < FALLING * self.before
+        expected = change * (change / jnp.where(falls, self.before, 1.0)) ** 2
+        return (change <= CONVERGED * size) | (falls & (expected <= negligible * size))
 
 
 class _Problem(NamedTuple):
@@ -122,6 +141,8 @@ class _Problem(NamedTuple):
     omega0: Float[Array, "3"]
     forward: Float[Array, "E K K"]
     backward: Float[Array, "E K K"]
+    negligible: Float[Array, ""]
+    """The relative size of errors that Newton's method may leave."""
 
     def field(self, y: Array) -> Array:
         return self.equation(0.0, y)
@@ -151,8 +172,9 @@ class _Problem(NamedTuple):
         """Newton's method, its steps halved until the residual falls."""
 
         def unfinished(now: _NewtonState) -> Bool[Array, ""]:
-            change = jnp.max(jnp.abs(now.step))
-            return (change > CONVERGED * size) & (now.count < ITERATIONS) | (now.count == 0)
+            return ~now.converged(size, self.negligible) & (now.count < ITERATIONS) | (
+                now.count == 0
+            )
 
         def iterate(now: _NewtonState) -> _NewtonState:
             new = now.states - now.damping * now.step
@@ -165,13 +187,17 @@ class _Problem(NamedTuple):
                 keep(new, now.states),
                 keep(defect, now.defect),
                 keep(self.newton_step(new, residual), now.step),
+                jnp.where(accept & (now.damping == 1), jnp.max(jnp.abs(now.step)), 0.0),
                 keep(1.0, now.damping / 2),
                 error,
                 now.count + 1,
             )
 
         infinite, one = jnp.asarray(jnp.inf, size.dtype), jnp.ones_like(size)
-        begun = _NewtonState(guess, infinite, 0 * guess, one, infinite, jnp.zeros((), "int32"))
+        zero = jnp.zeros_like(size)
+        begun = _NewtonState(
+            guess, infinite, 0 * guess, zero, one, infinite, jnp.zeros((), "int32")
+        )
         return jax.lax.while_loop(unfinished, iterate, begun)
 
     def newton_step(
@@ -219,7 +245,7 @@ def _solution(problem: _Problem, guess: Float[Array, "E K n"]) -> tuple[Array, .
     """States that solve a problem, whether they do, iterations, and the error at the far end."""
     size = jnp.max(jnp.abs(problem.omega0))
     last = problem.newton(guess, size)
-    converged = jnp.max(jnp.abs(last.step)) <= CONVERGED * size
+    converged = last.converged(size, problem.negligible)
     return last.states - last.step, converged, last.count, last.end_error
 
 

@@ -9,7 +9,7 @@ costs as much as a thousand runs. It needs llvmlite.
 import functools
 import threading
 from concurrent.futures import wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
@@ -106,7 +106,13 @@ class _Functions(NamedTuple):
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
+        begun = step.prepared(begun, *shared, self.solver, self.until)
         return table._replace(lanes=eqx.filter(begun, eqx.is_array))
+
+    def hoisted(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> list[Array] | None:
+        """What lanes hold besides when they are at work."""
+        whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
+        return step.prepared(whole, *shared, self.solver, self.until).hoisted
 
     def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
         whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
@@ -158,6 +164,8 @@ class _Program:
                 y, y, number, number, number, count, count, fields, number, number
             )
             shared = jnp.zeros(()), jnp.zeros((), int)
+            hoisted = jax.tree.map(one_lane, functions.hoisted(lanes, shared))
+            lanes = replace(lanes, hoisted=hoisted)
             omegas = None if finish is None else jnp.zeros((3, 1))
             result = functions.result(lanes, shared)
             return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
@@ -172,9 +180,8 @@ class _Program:
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        return cls(
-            kernels, loop(), rows, (ends[-1], rows.lanes.t1.stop, rows.lanes.status.start), result
-        )
+        at_work = jax.tree.leaves(rows.lanes)[-1].stop
+        return cls(kernels, loop(), rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
     def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.

@@ -7,6 +7,7 @@ any explicit diffrax solver.
 """
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -20,11 +21,13 @@ from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decide
 from .._base.tolerances import Tolerances
 from .._base.types import Equation, Real, State
 from ..equations._common import error_scale_of
+from .hoisting import Hoisted
 from .interface import Limits
 from .step_sizes import error_ratio, first_step, root
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 LARGE, WIDE = 500, 10  # operations and components of a rate beyond which the stages become a loop
+WORTH = 500  # operations from which on it pays to keep their results in memory
 
 
 class LaneState(eqx.Module):
@@ -44,6 +47,8 @@ class LaneState(eqx.Module):
     equation: Any
     atol: Float[Array, "B"]
     t1: Float[Array, "B"]
+    hoisted: list[Array] | None = None
+    """What the steps need of functions of `equation`, `atol` and `t1` alone, see `prepared`."""
 
 
 def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> LaneState:
@@ -61,10 +66,57 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1)
 
 
+def prepared(
+    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
+) -> LaneState:
+    """The state with `hoisted` results, if these save `advance` many operations."""
+    step = _step(state, rtol, max_steps, solver, until)
+    jax.eval_shape(step.once, _fixed(state))  # which counts
+    if step.saved < WORTH:
+        return state
+    return replace(state, hoisted=step.once(_fixed(state)))
+
+
 def advance(
     state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
 ) -> LaneState:
     """Try one step in every lane that is running."""
+    if state.hoisted is None:
+        return _advance(state, rtol, max_steps, solver, until)
+    step = _step(state, rtol, max_steps, solver, until)
+    changed = step.rest(_fixed(state), (_changing(state), rtol, max_steps), state.hoisted)
+    return replace(state, **changed)
+
+
+def _fixed(state: LaneState) -> tuple[Any, Array, Array]:
+    """What is constant during a run."""
+    return eqx.filter(state.equation, eqx.is_array), state.atol, state.t1
+
+
+def _changing(state: LaneState) -> dict[str, Array]:
+    """What a step changes."""
+    names = "y", "f", "t", "compensation", "h", "steps", "status"
+    return {name: getattr(state, name) for name in names}
+
+
+def _step(
+    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
+) -> Hoisted:
+    """`_advance`, divided."""
+    static = eqx.filter(state.equation, eqx.is_array, inverse=True)
+
+    def function(fixed: Any, varying: Any) -> dict[str, Array]:
+        (arrays, atol, t1), (changing, rtol, max_steps) = fixed, varying
+        equation = eqx.combine(arrays, static)
+        given = replace(state, **changing, equation=equation, atol=atol, t1=t1, hoisted=None)
+        return _changing(_advance(given, rtol, max_steps, solver, until))
+
+    return Hoisted(function, _fixed(state), (_changing(state), rtol, max_steps))
+
+
+def _advance(
+    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
+) -> LaneState:
     tolerances = Tolerances(rtol, state.atol)
     running = state.status == RUNNING
     left = state.t1 - state.t - state.compensation

@@ -178,7 +178,7 @@ def _attraction(frame: DipoleFrame, level: Level, excess: Real) -> Attraction:
     y_b is measured in s = `balancing_scale`, so that η = |g| s V₀.
     """
     w = safe_divisor(jnp.abs(frame.w))
-    a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength * w / frame.jd
+    a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength / frame.jd * w
     matrix = line.linear_part(a, b, mu, level)
     s = line.balancing_scale(matrix)
     y = frame.xa / w, jnp.sign(frame.w) * frame.xb / (w * s)

@@ -49,22 +49,23 @@ def linear_part(a: Real, b: Real, mu: Real, level: Level) -> Matrix2:
     both = free[0] * free[1]
     if level is Level.SEMI:
         # (I⊥ − 2μ n×) ℓ = I⊥ℓ₀ + μ(−1 + ℓ₀²)
-        drag, det = mu * (both - 1), a * b + 4 * mu**2
+        drag, inverse = mu * (both - 1), 1 / (a * b + 4 * mu**2)
         up, down = b - 1, 1 - a
         return (
-            (b * drag - 2 * mu * down) / det,
-            (b * up - 2 * mu * drag) / det,
-            (a * down + 2 * mu * drag) / det,
-            (a * drag + 2 * mu * up) / det,
+            (b * drag - 2 * mu * down) * inverse,
+            (b * up - 2 * mu * drag) * inverse,
+            (a * down + 2 * mu * drag) * inverse,
+            (a * drag + 2 * mu * up) * inverse,
         )
+    in_a, in_b = mu * (1 / a), mu * (1 / b)  # 1/a and 1/b depend on the body alone
     l11, l12, l21, l22 = jnp.zeros_like(both), free[0], free[1], jnp.zeros_like(both)
     for _ in range(level.order or 0):
         product, trace = l12 * l21, l11 + l22
         l11, l12, l21, l22 = (
-            mu / a * (l11**2 + product - 1 - 2 * l21),
-            free[0] + mu / a * (l12 * trace - 2 * l22),
-            free[1] + mu / b * (l21 * trace + 2 * l11),
-            mu / b * (l22**2 + product - 1 + 2 * l12),
+            in_a * (l11**2 + product - 1 - 2 * l21),
+            free[0] + in_a * (l12 * trace - 2 * l22),
+            free[1] + in_b * (l21 * trace + 2 * l11),
+            in_b * (l22**2 + product - 1 + 2 * l12),
         )
     return l11, l12, l21, l22
 
@@ -97,11 +98,11 @@ def solve_lyapunov(m: Matrix2, q: Symmetric2) -> Symmetric2:
     m11, m12, m21, m22 = m
     q11, q12, q22 = q
     det = m11 * m22 - m12 * m21
-    divisor = safe_divisor(-2 * (m11 + m22) * det)
+    inverse = 1 / safe_divisor(-2 * (m11 + m22) * det)
     return (
-        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) / divisor,
-        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) / divisor,
-        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) / divisor,
+        ((det + m22**2) * q11 - 2 * m21 * m22 * q12 + m21**2 * q22) * inverse,
+        (-m12 * m22 * q11 + 2 * m11 * m22 * q12 - m11 * m21 * q22) * inverse,
+        (m12**2 * q11 - 2 * m11 * m12 * q12 + (det + m11**2) * q22) * inverse,
     )
 
 
