@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._engines import step
 from dipoletop._base.numpy_programs import CALLS
+from dipoletop._engines import step
 from dipoletop._engines.hoisting import Hoisted
 from dipoletop._engines.interface import Limits
 
