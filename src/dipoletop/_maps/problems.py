@@ -55,31 +55,34 @@ class BlockBuilder:
             points = self.over.points(indices)
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
-            program, structure = self._program(points)
+            program, structure, may_refuse = self._program(points)
             if program is None:
                 return self._vectorised(points)
             leaves = numpy_programs.run(program, jax.tree.leaves(points))
+            if may_refuse and any(
+                np.isnan(leaf).any() for leaf in leaves if leaf.dtype.kind == "f"
+            ):
+                return self._vectorised(points)
             return jax.tree.unflatten(structure, leaves)
 
-    def _program(self, points: PointValues) -> tuple[Any, Any]:
+    def _program(self, points: PointValues) -> tuple[Any, Any, bool]:
         """The traced program of such points, to be run in NumPy; None where JAX must run it.
 
-        That is where the problem cannot be traced, or where it compares numbers of its own: these
-        are refused if they are wrong, but only while they are known.
+        Then the structure of its results, and whether it compares numbers of its own. Wrong ones
+        are refused while they are known, and become NaN in a trace.
         """
         shapes = jax.tree.map(lambda x: (x.shape, x.dtype), points)
         key = jax.tree.structure(points), tuple(jax.tree.leaves(shapes, is_leaf=_is_shape))
         if key not in self._programs:
-            program = structure = None
+            program, structure, may_refuse = None, None, False
             if not self.derivatives and jax.default_backend() == "cpu":
                 # Whatever is wrong shows itself when JAX runs it.
                 with contextlib.suppress(Exception):
                     make = jax.make_jaxpr(self._vectorised, return_shape=True)
                     program, result = make(points)
                     structure = jax.tree.structure(result)
-                    if numpy_programs.asks_known_numbers(program):
-                        program = None
-            self._programs[key] = program, structure
+                    may_refuse = numpy_programs.asks_known_numbers(program)
+            self._programs[key] = program, structure, may_refuse
         return self._programs[key]
 
     def _vectorised(self, points: PointValues) -> Block:
