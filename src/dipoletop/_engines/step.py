@@ -103,7 +103,7 @@ def runge_kutta_step(
 ) -> tuple[State, State, State]:
     """One step of the tableau: the new state, its rate, and the error."""
     tableau: Any = solver.tableau
-    if len(state.y) > WIDE or _operations(equation, state.y) > LARGE:
+    if stages_by_loop(equation, state.y):
         rates = _rates_by_loop(tableau, equation, state, h)
     else:
         rates = [state.f]
@@ -121,6 +121,11 @@ def _weighted_sum(weights: np.ndarray, rates: list[State]) -> State:
     """Σ wᵢ kᵢ without the terms of zero weight."""
     terms = [float(w) * k for w, k in zip(weights, rates, strict=True) if w != 0]
     return functools.reduce(jnp.add, terms)
+
+
+def stages_by_loop(equation: Equation, y: State) -> bool:
+    """Whether the rate is so long that the stages of a step become a loop."""
+    return len(y) > WIDE or _operations(equation, y) > LARGE
 
 
 def _operations(equation: Equation, y: State) -> int:

@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR
 from .._averaging.many import ManyEnds, ends_of_many
@@ -66,9 +66,15 @@ class SlowMotions(NamedTuple):
     is_full: bool
     """Whether the budget counts windows."""
 
-    def ends(self, which: Bool[np.ndarray, "N"]) -> ManyEnds:
-        """How those of the motions end."""
-        return ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
+    def of(self, which: Bool[np.ndarray, "N"]) -> "SlowMotions":
+        """Some of the motions."""
+        return self._replace(
+            inertia=self.inertia[which], dipole=self.dipole[which], omega=self.omega[which]
+        )
+
+    def ends(self) -> ManyEnds:
+        """How the motions end."""
+        return ends_of_many(self.inertia, self.dipole, self.omega)
 
     @property
     def has_law(self) -> Bool[np.ndarray, "N"]:
@@ -90,12 +96,15 @@ class SlowMotions(NamedTuple):
         self, ratio: Float[np.ndarray, "N"] | float, rtol: float, label_only: bool
     ) -> Float[np.ndarray, "N"]:
         """The estimated number of steps of the runs (see above), if L∞/L₀ = ratio."""
-        moments, n, omega = _in_principal_axes(self.inertia, self.dipole, self.omega)
+        same = self.dipole.strides[0] == 0  # one dipole for all, repeated without a copy
+        dipole = self.dipole[:1] if same else self.dipole
+        moments, n, omega = _in_principal_axes(self.inertia, dipole, self.omega)
         order = np.argsort(-np.abs(n), axis=1)  # the dipole's axis c, then a and b
         (jc, ja, jb), (wc, wa, wb) = (
-            np.take_along_axis(values, order, 1).T for values in (moments, omega)
+            (values[:, order[0]] if len(order) == 1 else np.take_along_axis(values, order, 1)).T
+            for values in (moments, omega)
         )
-        kappa = np.sum(self.dipole**2, axis=1)
+        kappa = np.sum(dipole**2, axis=1)
         with np.errstate(all="ignore"):
             momentum = np.sqrt((jc * wc) ** 2 + (ja * wa) ** 2 + (jb * wb) ** 2)
             decay = (jc * (ja + jb) - (ja - jb) ** 2) / (2 * ja**2 * jb**2 * jc)
@@ -185,25 +194,29 @@ def with_predictions(
     """
     rtol, budget, wanted = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1) > 0
 
-    def exceeds(ratio: Any) -> Bool[np.ndarray, "N"]:
+    def exceeds(motions: SlowMotions, ratio: Any) -> Bool[np.ndarray, "N"]:
         return motions.steps(ratio, rtol, label_only) > MARGIN * budget
 
-    waiting = np.ones(len(motions.omega), bool) if every else exceeds(LEAST_RATIO)
+    waiting = np.ones(len(motions.omega), bool) if every else exceeds(motions, LEAST_RATIO)
     runs = run(~waiting)
     unknown = _is_open(runs, label_only) & wanted
     if not every:  # of the runs that were made, those that have exhausted the budget
         unknown &= waiting | (runs.steps >= budget)
     if not unknown.any():
         return with_probability(runs, np)
-    asked = unknown & motions.has_law
-    ends = _scattered(motions.ends(asked), asked)
-    known = asked & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
+    asked = unknown.copy()
+    asked[unknown] = motions.of(unknown).has_law
+    motions = motions.of(asked)  # all that follows concerns few of them
+    found = motions.ends()
+    usable = (found.outcome != Outcome.FAILED) & (found.error <= LARGEST_ERROR)
+    ends, known = _scattered(found, asked), _at(asked, usable)
     if not every:
-        again = unknown & waiting & ~(known & exceeds(ends.ratio))
+        slow = _at(asked, usable & exceeds(motions, found.ratio))
+        again = unknown & waiting & ~slow
         if again.any():
             runs = _where(again, run(again), runs)
             known &= _is_open(runs, label_only)
-    return _filled_in(runs, ends, known, motions)
+    return _filled_in(runs, ends, known, _at(asked, _stops(found, motions)))
 
 
 def with_probability(runs: Classification, xp: Any) -> Classification:
@@ -232,13 +245,23 @@ def _scattered(ends: ManyEnds, which: Bool[np.ndarray, "N"]) -> ManyEnds:
     return whole
 
 
+def _at(which: Bool[np.ndarray, "N"], values: Any) -> Any:
+    """The values at their places among N, 0 elsewhere."""
+    whole = np.zeros(len(which), values.dtype)
+    whole[which] = values
+    return whole
+
+
 def _where(which: Bool[np.ndarray, "N"], new: Any, old: Any) -> Any:
     """Those of the new runs that are marked, else the old ones."""
     return jax.tree.map(lambda a, b: np.where(which, a, b), new, old)
 
 
 def _filled_in(
-    runs: Classification, ends: ManyEnds, known: Bool[np.ndarray, "N"], motions: SlowMotions
+    runs: Classification,
+    ends: ManyEnds,
+    known: Bool[np.ndarray, "N"],
+    stops: Int[np.ndarray, "N"],
 ) -> Classification:
     """What the slow flow knows of runs that lack it; nothing of it is certified."""
     implied = implied_probability(runs.outcome)
@@ -252,7 +275,7 @@ def _filled_in(
         omega_inf=np.where(value, ends.omega_inf, runs.omega_inf),
         omega_inf_error=np.where(value, ends.error * np.abs(ends.omega_inf), runs.omega_inf_error),
         time=np.where(label, np.nan, runs.time),
-        stop=np.where(label, _stops(ends, motions), runs.stop),
+        stop=np.where(label, stops, runs.stop),
         regime=np.where(value, ends.regime, Regime.RESOLVED),
         probability=np.where(label, probability, implied),
     )
@@ -283,10 +306,13 @@ def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
 
 def _in_principal_axes(
     inertia: Float[np.ndarray, "N 3 3"],
-    dipole: Float[np.ndarray, "N 3"],
+    dipole: Float[np.ndarray, "#N 3"],
     omega: Float[np.ndarray, "N 3"],
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Moments, the direction of the dipole, and ω, in principal axes of any order."""
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "#N 3"], Float[np.ndarray, "N 3"]]:
+    """Moments, the direction of the dipole, and ω, in principal axes of any order.
+
+    One dipole may stand for all bodies.
+    """
     moments = np.diagonal(inertia, axis1=1, axis2=2)
     n = dipole / np.linalg.norm(dipole, axis=1, keepdims=True)
     turned = inertia[:, [0, 0, 1], [1, 2, 2]] != 0
@@ -295,4 +321,5 @@ def _in_principal_axes(
     sound = np.asarray(np.isfinite(inertia).all(axis=(1, 2)))
     moments, axes = np.linalg.eigh(np.where(sound[:, None, None], inertia, np.eye(3)))
     moments = np.where(sound[:, None], moments, np.nan)
+    n = np.broadcast_to(n, omega.shape)
     return moments, *(np.einsum("nij,ni->nj", axes, x) for x in (n, omega))
