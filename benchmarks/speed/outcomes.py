@@ -55,7 +55,8 @@ def run(
     def classified() -> dt.Classification:
         equations = dt.TransverseReduced(shapes)
         settings = {"rtol": rtol, "max_steps": max_steps, "engine": engine}
-        return dt.classify_many(equations, starts, value=False, **settings)
+        # No peer predicts what exceeds the budget.
+        return dt.classify_many(equations, starts, value=False, slow_flow=False, **settings)
 
     _, first = measure.timed(classified)
     labels, clocks = measure.timed(classified)

@@ -73,7 +73,7 @@ def test_predictions_of_a_transverse_top_agree_with_integration():
 def test_the_estimate_of_steps_is_near_the_number(resolved):
     lanes = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), dt.Reduced(BODIES))
     motions = slow_motions(lanes, starts(1e-3).T, "auto")
-    ratio = motions.ends(np.ones(16, bool)).ratio
+    ratio = motions.ends().ratio
     factor = motions.steps(ratio, 1e-8, False) / resolved.steps
     factor = factor[resolved.outcome == RESIDUAL]
     assert np.max(np.maximum(factor, 1 / factor)) < 4

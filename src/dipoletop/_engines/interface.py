@@ -103,7 +103,7 @@ def classify_on_device(engine: Engine, finish: Finish[T], queue: Queue, device: 
     return _finished(finish, equation, ends, limits.tolerances)
 
 
-def on_device(queue: Queue, device: Device) -> Queue:
+def on_device(queue: Queue, device: Device) -> Any:
     """The queue with its arrays on a device."""
     arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
     return eqx.combine(jax.device_put(arrays, device), rest)

@@ -103,7 +103,7 @@ def _make_wrapper(what: str, platform: str) -> Any:
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
     equation, omegas, limits, until = queue
-    ends = _integrate(equation, equation.lift(omegas), limits, until, method)
+    ends = _integrate(equation, equation.lift(jnp.asarray(omegas)), limits, until, method)
     return finish(equation, ends, limits.tolerances)
 
 

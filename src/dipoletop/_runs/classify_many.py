@@ -1,5 +1,6 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -36,6 +37,7 @@ from .slow_runs import (
 )
 
 TILE = 16384  # starts handed to an engine at once, at most
+ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
 
 
 def classify_many(
@@ -105,7 +107,7 @@ def classify_many(
     if engines[first].has_own_threads:  # they share one queue
         threads = len(devices)
         return classify_block(*every_run, value, engines[first], first, slow_flow, threads)
-    length = min(TILE, power_of_two(-(-size // len(devices))))
+    length = min(largest_tile(devices), power_of_two(-(-size // len(devices))))
 
     def work(job: int, device: Device) -> Classification:
         tile = runs.tile(job * length, length)
@@ -135,7 +137,7 @@ def classify_block(
     def run(omegas: Any, limits: Limits) -> Classification:
         queue = Queue(deciding, omegas, limits, until)
         runs = engine.classify(classification_of, queue, device, threads)
-        return jax.tree.map(np.asarray, runs)
+        return jax.device_get(runs)  # one transfer
 
     def classified(limits: Limits) -> Classification:
         runs = run(omegas, limits)
@@ -151,6 +153,11 @@ def classify_block(
     if motions is None:
         return with_probability(classified(limits), np)
     return with_predictions(classified_where, motions, limits, value is False, slow_flow is True)
+
+
+def largest_tile(devices: Sequence[Device]) -> int:
+    """How many starts suit all of these devices."""
+    return TILE if any(device.platform == "cpu" for device in devices) else ACCELERATOR_TILE
 
 
 def power_of_two(least: int) -> int:
