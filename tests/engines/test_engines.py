@@ -14,11 +14,12 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.stopping import BROKEN, EXHAUSTED, FINISHED
-from dipoletop._engines import jax_engine
+from dipoletop._engines import jax_engine, one_function
 from dipoletop._engines.branch_engine import BranchEngine
 from dipoletop._engines.interface import Engine, Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
+from dipoletop._engines.one_function import TRIED
 
 RNG = np.random.default_rng(5)
 N = 384  # a multiple of every block width, as the tiles of a sweep are
@@ -251,3 +252,23 @@ def test_threads_share_one_wrapper(monkeypatch):
     with ThreadPoolExecutor(4) as threads:
         wrappers = list(threads.map(jax_engine._jitted, ["classify"] * 4, ["no platform"] * 4))
     assert len(set(map(id, wrappers))) == len(made) == 1
+
+
+@pytest.mark.parametrize("until", ["outcome", "value", "time"])
+@pytest.mark.parametrize("kind", TRIED)
+def test_a_loop_in_one_function_is_that_of_many(kind, until, monkeypatch):
+    """Equal except for rounding; of runs that end at once, too, and of fewer runs than lanes."""
+    for n in (3, N):
+        equation, starts = kind(DELTAS[:n]), STARTS[:, :n].at[:, 0].set(0.0)
+        bounds = limits(starts, t1=20.0)
+        whole = JaxEngine().end_states(equation, starts, bounds, until=until)
+        with monkeypatch.context() as patch:
+            patch.setattr(one_function, "TRIED", ())
+            many = JaxEngine(width=32).end_states(equation, starts, bounds, until=until)
+        assert jnp.array_equal(whole.status, many.status)
+        np.testing.assert_allclose(whole.y, many.y, rtol=1e-6, atol=1e-12)
+
+
+def test_an_equation_that_was_not_tried_is_compiled_as_ever():
+    """Of some, XLA would end the process."""
+    assert not one_function.can_be_one_function(Explosion(jnp.ones(4)))

@@ -21,7 +21,7 @@ from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
 from .interface import EndStates, Finish, Limits, Queue, T, on_device
-from .one_function import can_be_one_function, while_loop_in_one_function
+from .one_function import IS_TRIED_VERSION, can_be_one_function, while_loop_in_one_function
 from .step import LaneState, advance, begin, stages_by_loop
 
 REFILL = 4  # refill when one lane in so many is finished
@@ -32,7 +32,9 @@ IN_ONE_FUNCTION, BY_FUSIONS, ON_ACCELERATOR = 16, 128, 65536
 few lanes as for each of many, and a narrow block has few idle ones; a call of a fusion takes as
 long as ten lanes; and the calls of an accelerator take as long as some ten thousand (not measured).
 """
-CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
+CPU_OPTIONS: dict[str, Any] = {"xla_cpu_prefer_vector_width": 512}  # pays where there are such
+if IS_TRIED_VERSION:  # the older emitters compile faster; later versions may lack them
+    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
 
 @final
