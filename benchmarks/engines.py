@@ -11,7 +11,7 @@ import numpy as np
 from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
-from dipoletop._engines.jax_engine import NARROW, JaxEngine
+from dipoletop._engines.jax_engine import NARROW, ON_PROCESSOR, JaxEngine
 from dipoletop.equations._common import omega_scale_of as omega_scale_of
 
 NAMES = ("native", "jax")
@@ -53,10 +53,9 @@ def block_steps(ends: EndStates) -> np.ndarray:
 
 
 def block_widths(name: str, starts: int) -> list[int]:
-    """Lanes of an engine's wide and narrow blocks; 0 where there is no narrow one."""
+    """Lanes of an engine's wide and narrow blocks on processors; 0: there is none."""
     if name == "native":
         from dipoletop._engines.native_queue import WIDTH
 
         return [WIDTH, 0]
-    width = JaxEngine().width
-    return [min(width, starts), max(width // NARROW, 1)]
+    return [min(ON_PROCESSOR, starts), ON_PROCESSOR // NARROW]

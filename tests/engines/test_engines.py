@@ -233,9 +233,9 @@ def test_a_second_call_with_other_values_compiles_nothing():
 
     run(0.0)
     with jax.log_compiles(), jax.checking_leaks():
-        before = jax_engine._jitted("cpu")._cached._cache_size()
+        before = jax_engine._jitted("integrate", "cpu")._cached._cache_size()
         run(0.01)
-        assert jax_engine._jitted("cpu")._cached._cache_size() == before
+        assert jax_engine._jitted("integrate", "cpu")._cached._cache_size() == before
 
 
 def test_threads_share_one_wrapper(monkeypatch):
@@ -249,5 +249,5 @@ def test_threads_share_one_wrapper(monkeypatch):
 
     monkeypatch.setattr(eqx, "filter_jit", slowly)
     with ThreadPoolExecutor(4) as threads:
-        wrappers = list(threads.map(jax_engine._jitted, ["no platform"] * 4))
+        wrappers = list(threads.map(jax_engine._jitted, ["classify"] * 4, ["no platform"] * 4))
     assert len(set(map(id, wrappers))) == len(made) == 1

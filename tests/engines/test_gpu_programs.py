@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import pytest
 
 import dipoletop as dt
-from dipoletop._base.tolerances import Tolerances
-from dipoletop._engines.interface import Limits
-from dipoletop._engines.jax_engine import JaxEngine, _integrate
+from dipoletop._engines.interface import Limits, Queue
+from dipoletop._engines.jax_engine import ON_ACCELERATOR, _classify, _Method
 from dipoletop._runs.classification import classification_of
 
 N = 256
@@ -32,15 +31,27 @@ QUICK = ("order-1", "semi")
 )
 def test_runs_and_verdicts_are_exported_for_cuda(name):
     limits = Limits(jnp.asarray(1e-8), jnp.zeros(N), jnp.full(N, jnp.inf), jnp.asarray(1000))
-    arrays, static = eqx.partition((EQUATIONS[name], limits), eqx.is_array)
-    engine = JaxEngine(diffrax.Dopri8())
+    queue = Queue(EQUATIONS[name], jnp.ones((3, N)), limits, "value")
+    assert is_exported_without_calls(queue)
 
-    def program(arrays, omegas):
-        equation, limits = eqx.combine(arrays, static)
-        y0 = equation.lift(omegas)
-        ends = _integrate(equation, y0, limits, engine.solver, "value", engine.width)
-        return classification_of(equation, ends, Tolerances(limits.rtol, limits.atol))
 
-    exported = jax.export.export(jax.jit(program), platforms=["cuda"])(arrays, jnp.ones((3, N)))
-    assert exported.platforms == ("cuda",)
-    assert "custom_call" not in exported.mlir_module()
+def test_a_block_that_fills_a_gpu_is_exported_for_cuda():
+    """The width that is chosen there, with more runs than lanes."""
+    n = 2 * ON_ACCELERATOR
+    limits = Limits(jnp.asarray(1e-8), jnp.zeros(n), jnp.full(n, jnp.inf), jnp.asarray(1000))
+    equation = dt.TransverseReduced(jnp.full(n, -0.2))
+    method = _Method(diffrax.Dopri8(), None, "cuda")
+    assert method.width_for(n) == ON_ACCELERATOR
+    assert is_exported_without_calls(Queue(equation, jnp.ones((3, n)), limits, "outcome"))
+
+
+def is_exported_without_calls(queue):
+    """All that `classify` runs: it lifts, integrates and finishes."""
+    arrays, static = eqx.partition(queue, eqx.is_array)
+    method = _Method(diffrax.Dopri8(), None, "cuda")
+
+    def program(arrays):
+        return _classify(classification_of, eqx.combine(arrays, static), method)
+
+    exported = jax.export.export(jax.jit(program), platforms=["cuda"])(arrays)
+    return exported.platforms == ("cuda",) and "custom_call" not in exported.mlir_module()

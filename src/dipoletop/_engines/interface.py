@@ -110,10 +110,15 @@ class Engine(Protocol):
 
 def classify_on_device(engine: Engine, finish: Finish[T], queue: Queue, device: Device) -> T:
     """`Engine.classify` of an engine whose `end_states` is a program of JAX."""
-    arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
-    equation, omegas, limits, until = eqx.combine(jax.device_put(arrays, device), rest)
+    equation, omegas, limits, until = on_device(queue, device)
     ends = engine.end_states(equation, lifted(equation, omegas), limits, until=until)
     return _finished(finish, equation, ends, limits.tolerances)
+
+
+def on_device(queue: Queue, device: Device) -> Any:
+    """The queue with its arrays on a device."""
+    arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
+    return eqx.combine(jax.device_put(arrays, device), rest)
 
 
 @eqx.filter_jit

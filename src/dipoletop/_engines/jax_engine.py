@@ -9,7 +9,8 @@ the end states.
 import functools
 import threading
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from importlib.metadata import version
+from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import diffrax
 import equinox as eqx
@@ -20,12 +21,18 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
-from .interface import EndStates, Finish, Limits, Queue, T, classify_on_device
+from .interface import EndStates, Finish, Limits, Queue, T, on_device
 from .step import LaneState, advance, begin
 
-REFILL = 6  # refill when one lane in so many is finished
-NARROW = 8  # the last lanes end in a block narrower by this factor
-CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # pays on CPUs that have such vectors
+REFILL = 4  # refill when one lane in so many is finished
+NARROW = 8  # the last lanes of a wide block end in one that is narrower by this factor
+WIDE = 32  # lanes from which a block is wide
+ON_PROCESSOR, ON_ACCELERATOR = 128, 65536
+"""Lanes of a block: a call of one operation takes as long as ten lanes of a processor, and as some
+ten thousand of an accelerator (not measured)."""
+CPU_OPTIONS: dict[str, Any] = {"xla_cpu_prefer_vector_width": 512}  # pays where there are such
+if version("jaxlib").startswith("0.10."):  # the older emitters compile in half the time
+    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
 
 @final
@@ -35,45 +42,66 @@ class JaxEngine:
 
     Attributes:
         solver: any explicit Runge–Kutta solver of diffrax.
-        width: lanes stepped together.
+        width: lanes stepped together; None: as many as suit the device.
     """
 
     name: ClassVar[str] = "jax"
     has_own_threads: ClassVar[bool] = False
     compiles_for_size: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
-    width: int = 128
+    width: int | None = None
 
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
         """See `Engine`; the runs are on the device of `y0`."""
         platform = next(iter(y0.devices())).platform
-        width = min(self.width, y0.shape[1])
-        return _jitted(platform)(equation, y0, limits, self.solver, until, width)
+        method = _Method(self.solver, self.width, platform)
+        return _jitted("integrate", platform)(equation, y0, limits, until, method)
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
-        """See `Engine`."""
-        return classify_on_device(self, finish, queue, device)
+        """See `Engine`; one program lifts, integrates and finishes."""
+        method = _Method(self.solver, self.width, device.platform)
+        return _jitted("classify", device.platform)(finish, on_device(queue, device), method)
+
+
+class _Method(NamedTuple):
+    """How runs are integrated, all of it known when the program is compiled."""
+
+    solver: diffrax.AbstractERK
+    width: int | None
+    platform: str
+
+    def width_for(self, runs: int) -> int:
+        """How many lanes a block has."""
+        width = ON_PROCESSOR if self.platform == "cpu" else ON_ACCELERATOR
+        return min(self.width or width, runs)
 
 
 _wrapper_lock = threading.Lock()
 
 
-def _jitted(platform: str) -> Any:
-    """`_integrate` under `jit`, the same wrapper for all threads.
+def _jitted(what: Literal["integrate", "classify"], platform: str) -> Any:
+    """`_integrate` or `_classify` under `jit`, the same wrapper for all threads.
 
     Of one wrapper JAX compiles a program once, even if several threads call it at once. Without the
     lock `functools.cache` lets two threads make a wrapper each, which compile the program twice.
     """
     with _wrapper_lock:
-        return _make_wrapper(platform)
+        return _make_wrapper(what, platform)
 
 
 @functools.cache
-def _make_wrapper(platform: str) -> Any:
+def _make_wrapper(what: str, platform: str) -> Any:
     jit: Any = eqx.filter_jit
-    return jit(_integrate, compiler_options=CPU_OPTIONS) if platform == "cpu" else jit(_integrate)
+    function = _integrate if what == "integrate" else _classify
+    return jit(function, compiler_options=CPU_OPTIONS) if platform == "cpu" else jit(function)
+
+
+def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
+    equation, omegas, limits, until = queue
+    ends = _integrate(equation, equation.lift(jnp.asarray(omegas)), limits, until, method)
+    return finish(equation, ends, limits.tolerances)
 
 
 class _Block(eqx.Module):
@@ -86,57 +114,68 @@ class _Block(eqx.Module):
     def running(self) -> Bool[Array, "B"]:
         return self.lanes.status == RUNNING
 
+    def at(self, lanes: Int[Array, "K"]) -> "_Block":
+        """Some of the runs."""
+        return jax.tree.map(lambda x: x.at[..., lanes].get(mode="promise_in_bounds"), self)
+
     def part(self, first: Any, width: int) -> "_Block":
         """So many neighbours."""
         return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
 
 def _integrate(
-    equation: Equation,
-    y0: Float[Array, "n N"],
-    limits: Limits,
-    solver: diffrax.AbstractERK,
-    until: Until,
-    width: int,
+    equation: Equation, y0: Float[Array, "n N"], limits: Limits, until: Until, method: _Method
 ) -> EndStates:
     size = y0.shape[1]
-    narrow = max(width // NARROW, 1)
-    begun = begin(equation, y0, limits, int(solver.order(None) or 0), until)
+    width = method.width_for(size)
+    narrow = width // NARROW if width >= WIDE else 0
+    begun = begin(equation, y0, limits, int(method.solver.order(None) or 0), until)
     queue, many = _queue(begun, width)
+
+    def step(carry: Any) -> Any:
+        block, count = carry
+        lanes = advance(block.lanes, limits.rtol, limits.max_steps, method.solver, until)
+        return _Block(block.slot, lanes), count + 1
 
     def work(carry: Any) -> Any:
         block, taken, written, out, steps = carry
-        block, count = _idle_first(block)
-        out = _write(out, block, written)  # of running lanes, too: the next results cover these
-        fresh, here = queue.part(taken, width), jnp.arange(width) < count
-        block = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, block)
+        idle = ~block.running
+        rank = jnp.cumsum(idle)
+        count = rank[-1]
+        out = _write(out, _in_front(block, rank), written)
+        fresh = queue.at(taken + rank - 1)
+        block = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, block)
         taken = taken + count
         least = jnp.where(taken < many, width - width // REFILL, narrow + 1)
-        block, more = _advance_while(block, least, limits, solver, until)
-        return block, taken, written + count, out, steps + more
+        block, steps = jax.lax.while_loop(_busy(least), step, (block, steps))
+        return block, taken, written + count, out, steps
 
     def unfinished(carry: Any) -> Bool[Array, ""]:
         return (carry[1] < many) | (jnp.sum(carry[0].running) > narrow)
 
-    room = size + 4 * width  # idle lanes are written too, at both ends
+    room = size + 3 * width
     out = jax.tree.map(lambda x: jnp.zeros((*x.shape[:-1], room), x.dtype), _result(queue))
     zero = jnp.zeros((), int)
     carry = queue.part(size, width), zero, zero, (jnp.full(room, size), *out[1:]), zero
     block, _, written, out, wide = jax.lax.while_loop(unfinished, work, carry)
-
-    # The slowest lanes end in a narrow block, where a step costs less.
-    block, count = _idle_first(block)
-    out = _write(out, block, written)
-    block = block.part(width - narrow, narrow)
-    block = eqx.tree_at(lambda b: b.slot, block, jnp.where(block.running, block.slot, size))
-    block, last = _advance_while(block, 1, limits, solver, until)
-    slot, *late = _write(out, block, written + count)
+    rank = jnp.cumsum(~block.running)
+    out, last = _write(out, _in_front(block, rank), written), zero
+    if narrow:  # The slowest lanes end in a narrow block, where a step costs less.
+        block = _in_front(block, jnp.cumsum(block.running)).part(0, narrow)
+        block, last = jax.lax.while_loop(_busy(1), step, (block, zero))
+        out = _write(out, block, written + rank[-1])
+    slot, *late = out
 
     place = jnp.full(size, -1).at[slot].set(jnp.arange(room), mode="drop")
     _, *early = _result(_Block(slot, begun))
     pairs = zip(late, early, strict=True)
     y, t, steps, status = (jnp.where(place >= 0, x[..., place], at_once) for x, at_once in pairs)
     return EndStates(y, t, steps, status, jnp.stack([wide, last]))
+
+
+def _busy(least: Any) -> Any:
+    """Whether at least so many lanes are running."""
+    return lambda carry: jnp.sum(carry[0].running) >= least
 
 
 def _queue(begun: LaneState, width: int) -> tuple[_Block, Array]:
@@ -150,10 +189,19 @@ def _queue(begun: LaneState, width: int) -> tuple[_Block, Array]:
     return _Block(jnp.where(idle, size, padded), lanes), count
 
 
-def _idle_first(block: _Block) -> tuple[_Block, Array]:
-    """The block with its idle lanes in front, and how many they are."""
-    order, count = _partition_order(~block.running)
-    return jax.tree.map(lambda x: x[..., order], block), count
+def _in_front(block: _Block, rank: Int[Array, "B"]) -> _Block:
+    """The chosen lanes in front, others without a slot; `rank` counts the chosen up to each lane.
+
+    Found by bisection, since XLA:CPU scatters one number after another.
+    """
+    wanted = jnp.arange(1, rank.size + 1)
+    if rank.size < WIDE:
+        place = jnp.sum(rank[None, :] < wanted[:, None], axis=1)
+    else:
+        place = jnp.searchsorted(rank, wanted, method="scan_unrolled")
+    moved = block.at(jnp.minimum(place, rank.size - 1))
+    nowhere = jnp.iinfo(moved.slot.dtype).max
+    return _Block(jnp.where(wanted <= rank[-1], moved.slot, nowhere), moved.lanes)
 
 
 def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
@@ -164,22 +212,6 @@ def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
     # A scatter: XLA:CPU takes thirty times as long to sort.
     order = jnp.zeros(chosen.size, int).at[place].set(every, unique_indices=True)
     return order, count
-
-
-def _advance_while(
-    block: _Block, least: Any, limits: Limits, solver: diffrax.AbstractERK, until: Until
-) -> tuple[_Block, Array]:
-    """Step while at least so many lanes are running; how many steps."""
-
-    def step(carry: Any) -> Any:
-        block, count = carry
-        lanes = advance(block.lanes, limits.rtol, limits.max_steps, solver, until)
-        return _Block(block.slot, lanes), count + 1
-
-    def busy(carry: Any) -> Bool[Array, ""]:
-        return jnp.sum(carry[0].running) >= least
-
-    return jax.lax.while_loop(busy, step, (block, jnp.zeros((), int)))
 
 
 def _result(block: _Block) -> tuple[Array, ...]:

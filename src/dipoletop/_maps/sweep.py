@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .._base.checks import check_verdict
-from .._base.parallel import in_parallel, worker_devices
+from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
 from .._runs.classification import Value, ended, stopping_rule
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from .basin import Basin
 from .grids import Grid, Points, Sample
-from .problems import BlockBuilder, Problem
-from .sweep_plan import Plan, Rules, derivative_names
+from .problems import Block, BlockBuilder, Problem
+from .sweep_plan import Columns, Plan, Rules, derivative_names
 from .sweep_stores import MemoryStore, ZarrStore
 
 
@@ -132,6 +132,12 @@ def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | 
         disable=None if progress is None else not progress,
         file=sys.stderr,
     ) as bar:
-        for tile, (columns, block) in in_parallel(plan.compute, tiles, plan.devices):
-            store.write(tile, columns, block)
-            bar.update(plan.tiling.length(tile))
+        queues = plan.queues(tiles)
+
+        def work(queue: int, device: Device) -> list[tuple[int, tuple[Columns, Block]]]:
+            return plan.compute(queues[queue], device)
+
+        for _, results in in_parallel(work, range(len(queues)), plan.devices):
+            for tile, (columns, block) in results:
+                store.write(tile, columns, block)
+                bar.update(plan.tiling.length(tile))

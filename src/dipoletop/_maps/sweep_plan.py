@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,7 +19,7 @@ from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
 from .._runs.blocks import classify_block
 from .._runs.classification import Value
-from .._runs.classify_many import TILE
+from .._runs.classify_many import TILE, largest_tile
 from .._runs.slow_runs import SlowFlow
 from ..equations.levels import level_of
 from .columns import DERIVATIVE_PREFIX, columns_of_runs
@@ -122,16 +124,36 @@ class Plan:
         """Equations and starts of a tile; the last tile is filled up to full length."""
         return self.blocks(self.tiling.padded_indices(tile))
 
-    def compute(self, tile: int, device: Device) -> tuple[Columns, Block]:
-        """The columns of a tile, and the equations and starts that they belong to."""
-        block, is_real = self.block(tile), self.tiling.is_real(tile)
+    def queues(self, tiles: Sequence[int]) -> list[Sequence[int]]:
+        """The tiles that are computed in one queue; several on accelerators.
+
+        A store keeps its tiles whatever the device, and no run sees its neighbours.
+        """
+        starts = largest_tile(self.devices)
+        shared = -(-len(tiles) // len(self.devices))  # every device has work
+        length = min(starts // self.tiling.tile_size, shared) if starts > TILE else 1
+        length = max(length, 1)
+        return [tiles[i : i + length] for i in range(0, len(tiles), length)]
+
+    def compute(
+        self, tiles: Sequence[int], device: Device
+    ) -> list[tuple[int, tuple[Columns, Block]]]:
+        """The columns of each tile, and the equations and starts that they belong to."""
+        blocks = [self.block(tile) for tile in tiles]
+        is_real = np.concatenate([self.tiling.is_real(tile) for tile in tiles])
+        queue = _joined(blocks)
         columns, *confirming = [
-            self._columns(block, is_real, rtol, device, loosely=number == 0)
+            self._columns(queue, is_real, rtol, device, loosely=number == 0)
             for number, rtol in enumerate(self.rules.rtols)
         ]
         for other in confirming:
             columns["changed"] = columns["outcome"] != other["outcome"]
-        return {name: values[is_real] for name, values in columns.items()}, block
+        results = []
+        for i, (tile, block) in enumerate(zip(tiles, blocks, strict=True)):
+            first = i * self.tiling.tile_size
+            lanes = slice(first, first + self.tiling.length(tile))
+            results.append((tile, ({name: x[lanes] for name, x in columns.items()}, block)))
+        return results
 
     def _columns(
         self,
@@ -154,6 +176,19 @@ class Plan:
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns
+
+
+def _joined(blocks: Sequence[Any]) -> Any:
+    """One block of the lanes of several."""
+    if len(blocks) == 1:
+        return blocks[0]
+    arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
+    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *arrays)
+    return eqx.combine(joined, rest[0])
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 @functools.cache  # it reads files

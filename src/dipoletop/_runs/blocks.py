@@ -107,8 +107,8 @@ class Block:
     def run(self, limits: Limits) -> Any:
         """All runs, `Ended` in NumPy."""
         queue = Queue(self.equation, self.omegas, limits, self.until)
-        found = self.engine.classify(ended, queue, self.device, self.threads)
-        return jax.tree.map(np.asarray, found)
+        # In one transfer.
+        return jax.device_get(self.engine.classify(ended, queue, self.device, self.threads))
 
     def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
         """Some of the runs, from their own starts or from others.

@@ -1,5 +1,6 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,6 +28,7 @@ from .classification import Classification, Value, ended, stopping_rule
 from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
+ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
 
 
 def classify_many(
@@ -96,7 +98,7 @@ def classify_many(
     if engines[first].has_own_threads:  # they share one queue
         threads = len(devices)
         return classify_block(*every_run, value, engines[first], first, slow_flow, threads)
-    length = min(TILE, power_of_two(-(-size // len(devices))))
+    length = min(largest_tile(devices), power_of_two(-(-size // len(devices))))
 
     def work(job: int, device: Device) -> Classification:
         tile = runs.tile(job * length, length)
@@ -105,6 +107,11 @@ def classify_many(
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1)[..., :size], *tiles)
+
+
+def largest_tile(devices: Sequence[Device]) -> int:
+    """How many starts suit all of these devices."""
+    return TILE if any(device.platform == "cpu" for device in devices) else ACCELERATOR_TILE
 
 
 class _Runs(NamedTuple):

@@ -9,6 +9,7 @@ from store_helpers import GRID, files, flip, numbers, reduced
 
 import dipoletop as dt
 from dipoletop._maps.store.tiles import Tiles
+from dipoletop._maps.sweep_plan import Plan
 
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
@@ -34,6 +35,23 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert files(place) == files(tmp_path / "whole.zarr")
     assert numbers(dt.sweep(reduced, grid, store=place)) == whole
     assert sorted(made) == [0, 3, 7]
+
+
+@pytest.mark.parametrize("engine", ["jax", "native"])
+def test_tiles_that_share_a_queue_are_stored_as_ever(tmp_path, monkeypatch, engine):
+    """As on an accelerator, which takes several at once: the same bytes, whatever it has done."""
+    grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
+    settings = {"engine": engine, "confirm": 1e-6, "devices": jax.devices()[:1]}
+    dt.sweep(reduced, grid, store=tmp_path / "one.zarr", **settings)
+    tiles = []
+    compute = Plan.compute
+    monkeypatch.setattr(Plan, "compute", lambda *a: (tiles.append(len(a[1])), compute(*a))[1])
+    monkeypatch.setattr("dipoletop._maps.sweep_plan.TILE", 128)
+    monkeypatch.setattr("dipoletop._maps.sweep_plan.largest_tile", lambda devices: 400)
+    dt.sweep(reduced, grid, store=tmp_path / "several.zarr", **settings)
+    assert max(tiles) == 3
+    assert sum(tiles) == 8
+    assert files(tmp_path / "several.zarr") == files(tmp_path / "one.zarr")
 
 
 @pytest.mark.parametrize(
