@@ -18,6 +18,7 @@ from .._base.stopping import RUNNING
 from .machine_code import MachineCode, machine_code
 
 WIDTH = 8  # lanes stepped together
+CLAIM = 64  # runs that a thread takes at once; a line of memory is then written by one alone
 LONG, DOUBLE = ir.IntType(64), ir.DoubleType()
 KINDS = {"float64": DOUBLE, "int64": LONG, "int32": ir.IntType(32), "bool": ir.IntType(8)}
 """Types of numbers in arrays; a kind is a position in this table."""
@@ -93,8 +94,9 @@ def _write_loop(code: "_Code", arguments: Any) -> None:
     job = Job(*(code.load(arguments, i) for i in range(len(Job._fields))))
     fresh, block, ended = (code.pointer(x) for x in (job.fresh, job.block, job.ended))
     slot, slots = code.array(WIDTH), code.array(WIDTH)  # the runs in `block` and in `ended`
-    # The runs in `fresh` that no lane has taken yet are those from `following` to `last`.
-    first, following, last = code.variable(), code.variable(), code.variable()
+    # The runs in `fresh` that no lane has taken yet are those from `following` to `last`; those up
+    # to `claimed` are this thread's, too.
+    first, following, last, claimed = (code.variable() for _ in range(4))
     count, steps = code.variable(), code.variable()
     running, waits = code.variable(1), code.variable()
     with code.each(WIDTH) as lane:
@@ -124,10 +126,11 @@ def _write_loop(code: "_Code", arguments: Any) -> None:
         count.value = 0
 
     def take_runs() -> None:
-        with code.when(following.value, "<", job.size):
-            following.value = code.minimum(code.claim(job.queue, WIDTH), job.size)
+        with code.when(following.value, "==", claimed.value):
+            following.value = code.minimum(code.claim(job.queue, CLAIM), job.size)
+            claimed.value = code.minimum(code.add(following.value, CLAIM), job.size)
         first.value = following.value
-        last.value = code.minimum(code.add(following.value, WIDTH), job.size)
+        last.value = code.minimum(code.add(following.value, WIDTH), claimed.value)
         with code.when(following.value, "<", last.value):
             with (
                 code.each_transfer(job.inputs, job.input_count) as (row, address, stride, _),

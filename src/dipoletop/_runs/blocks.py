@@ -40,9 +40,9 @@ from .lanes import Lanes, part_of, put_back
 from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probability
 
 LOOSE = 1e-4  # relative tolerance of the first pass
-BRIEF = 64  # steps of a run in the first pass
+BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
 DOUBT = 1.0  # the formula above; measured: no wrong label beyond a tenth of it
-FADED = 1e-8  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
+FADED = 1e-6  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
 
 
 def classify_block(

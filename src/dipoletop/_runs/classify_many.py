@@ -28,6 +28,7 @@ from .classification import Classification, Value, ended, stopping_rule
 from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
+PIECE = 65536  # the same where no program is compiled for a number of starts
 ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
 
 
@@ -95,10 +96,14 @@ def classify_many(
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, ended)
     first = devices[0]
-    if engines[first].has_own_threads:  # they share one queue
-        threads = len(devices)
+    threads = len(devices)
+    # Few runs share a queue, so that no thread waits for the longest runs of another.
+    if engines[first].has_own_threads and size <= PIECE * threads:
         return classify_block(*every_run, value, engines[first], first, slow_flow, threads)
-    length = min(largest_tile(devices), power_of_two(-(-size // len(devices))))
+    if engines[first].compiles_for_size:
+        length = min(largest_tile(devices), power_of_two(-(-size // threads)))
+    else:  # as many pieces for every thread
+        length = -(-size // (threads * -(-size // (threads * PIECE))))
 
     def work(job: int, device: Device) -> Classification:
         tile = runs.tile(job * length, length)
