@@ -82,7 +82,8 @@ def test_steps_with_hoisted_results_are_the_same(equation):
 
     @jax.jit
     def with_hoisted(state):
-        return step.advance(step.prepared(state, *numbers, *method), *numbers, *method)
+        by = step.divided(state, *numbers, *method)
+        return step.advance_by(by, step.prepared(state, by), *numbers)
 
     one, other = with_hoisted(begun), jax.jit(lambda s: step.advance(s, *numbers, *method))(begun)
     assert one.hoisted is not None
@@ -97,10 +98,12 @@ def test_a_step_of_a_body_loses_what_depends_on_the_body_alone():
     begun, numbers = _state(dt.Reduced(BODY))
     method = diffrax.Dopri8(), "value"
 
-    def advance(state):
-        return step.advance(state, *numbers, *method)
+    by = step.divided(begun, *numbers, *method)
 
-    prepared = step.prepared(begun, *numbers, *method)
+    def advance(state):
+        return step.advance_by(by, state, *numbers)
+
+    prepared = step.prepared(begun, by)
     names = list(_names(jax.make_jaxpr(advance)(begun).jaxpr))
     left = list(_names(jax.make_jaxpr(advance)(prepared).jaxpr))
     assert {"atan2", "sin", "cos", "tan"} <= set(names)
@@ -111,4 +114,5 @@ def test_a_step_of_a_body_loses_what_depends_on_the_body_alone():
 def test_short_verdicts_are_left_alone():
     """Their few results would take longer to load than to compute."""
     begun, numbers = _state(dt.TransverseReduced(-0.2))
-    assert step.prepared(begun, *numbers, diffrax.Dopri8(), "value").hoisted is None
+    by = step.divided(begun, *numbers, diffrax.Dopri8(), "value")
+    assert step.prepared(begun, by).hoisted is None

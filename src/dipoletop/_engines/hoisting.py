@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 from jaxtyping import Array
 
 from .._base.numpy_programs import CALLS
@@ -65,8 +65,11 @@ class Hoisted:
         self._run([*given, *(_Value(_VARYING, None) for _ in range(missing))], use, _VARYING)
         return kept
 
-    def rest(self, fixed: Any, varying: Any, kept: list[Array]) -> Any:
-        """What the function gives, by means of the results of `once`."""
+    def rest(self, fixed: Any, varying: Any, kept: list[Array] | None) -> Any:
+        """What the function gives, by means of the results of `once`; without them all anew."""
+        if kept is None:
+            arguments = jax.tree.leaves((fixed, varying))
+            return jax.tree.unflatten(self._structure, jaxpr_as_fun(self._closed)(*arguments))
         following: Iterator[Array] = iter(kept)
 
         def use(value: _Value) -> None:

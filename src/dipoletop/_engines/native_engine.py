@@ -25,6 +25,7 @@ from .._base.stopping import Until
 from .._base.tolerances import Tolerances
 from .._base.types import Equation
 from . import step
+from .hoisting import Hoisted
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
 from .machine_code import MachineCode
@@ -106,17 +107,21 @@ class _Functions(NamedTuple):
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
-        begun = step.prepared(begun, *shared, self.solver, self.until)
+        begun = step.prepared(begun, self.divided(begun, shared))
         return table._replace(lanes=eqx.filter(begun, eqx.is_array))
 
     def hoisted(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> list[Array] | None:
         """What lanes hold besides when they are at work."""
-        whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
-        return step.prepared(whole, *shared, self.solver, self.until).hoisted
+        whole = replace(lanes, equation=self.equation(lanes))
+        return step.prepared(whole, self.divided(whole, shared)).hoisted
 
     def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
-        whole = eqx.tree_at(lambda lanes: lanes.equation, lanes, self.equation(lanes))
-        return eqx.filter(step.advance(whole, *shared, self.solver, self.until), eqx.is_array)
+        whole = replace(lanes, equation=self.equation(lanes))
+        advanced = step.advance_by(self.divided(whole, shared), whole, *shared)
+        return eqx.filter(advanced, eqx.is_array)
+
+    def divided(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Hoisted:
+        return step.divided(lanes, *shared, self.solver, self.until)
 
     def result(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Any:
         ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)

@@ -66,24 +66,39 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1)
 
 
-def prepared(
+def divided(
     state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
-) -> LaneState:
-    """The state with `hoisted` results, if these save `advance` many operations."""
-    step = _step(state, rtol, max_steps, solver, until)
+) -> Hoisted:
+    """`advance` for such states, traced once and divided into what is constant during a run."""
+    leaves, structure = jax.tree.flatten((replace(state, hoisted=None), rtol, max_steps))
+    kinds = tuple((x.shape, jnp.dtype(x.dtype)) for x in leaves)
+    return _divided(structure, kinds, solver, until)
+
+
+@functools.lru_cache(maxsize=16)
+def _divided(structure: Any, kinds: Any, solver: diffrax.AbstractERK, until: Until) -> Hoisted:
+    shapes = (jax.ShapeDtypeStruct(*kind) for kind in kinds)
+    state, *numbers = jax.tree.unflatten(structure, shapes)
+    arrays, static = eqx.partition(state.equation, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+
+    def function(fixed: Any, varying: Any) -> dict[str, Any]:
+        (arrays, atol, t1), (changing, rtol, max_steps) = fixed, varying
+        equation = eqx.combine(arrays, static)
+        given = replace(state, **changing, equation=equation, atol=atol, t1=t1)
+        return _changing(advance(given, rtol, max_steps, solver, until))
+
+    fixed = arrays, state.atol, state.t1
+    return Hoisted(function, fixed, (_changing(state), *numbers))
+
+
+def prepared(state: LaneState, step: Hoisted) -> LaneState:
+    """The state with `hoisted` results, if these save a step many operations."""
     jax.eval_shape(step.once, _fixed(state))  # which counts
-    if step.saved < WORTH:
-        return state
-    return replace(state, hoisted=step.once(_fixed(state)))
+    return replace(state, hoisted=step.once(_fixed(state)) if step.saved >= WORTH else None)
 
 
-def advance(
-    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
-) -> LaneState:
-    """Try one step in every lane that is running."""
-    if state.hoisted is None:
-        return _advance(state, rtol, max_steps, solver, until)
-    step = _step(state, rtol, max_steps, solver, until)
+def advance_by(step: Hoisted, state: LaneState, rtol: Real, max_steps: Array) -> LaneState:
+    """The same as `advance`, by its `divided` program, for a state that is `prepared` or not."""
     changed = step.rest(_fixed(state), (_changing(state), rtol, max_steps), state.hoisted)
     return replace(state, **changed)
 
@@ -93,30 +108,16 @@ def _fixed(state: LaneState) -> tuple[Any, Array, Array]:
     return eqx.filter(state.equation, eqx.is_array), state.atol, state.t1
 
 
-def _changing(state: LaneState) -> dict[str, Array]:
+def _changing(state: LaneState) -> dict[str, Any]:
     """What a step changes."""
     names = "y", "f", "t", "compensation", "h", "steps", "status"
     return {name: getattr(state, name) for name in names}
 
 
-def _step(
-    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
-) -> Hoisted:
-    """`_advance`, divided."""
-    static = eqx.filter(state.equation, eqx.is_array, inverse=True)
-
-    def function(fixed: Any, varying: Any) -> dict[str, Array]:
-        (arrays, atol, t1), (changing, rtol, max_steps) = fixed, varying
-        equation = eqx.combine(arrays, static)
-        given = replace(state, **changing, equation=equation, atol=atol, t1=t1, hoisted=None)
-        return _changing(_advance(given, rtol, max_steps, solver, until))
-
-    return Hoisted(function, _fixed(state), (_changing(state), rtol, max_steps))
-
-
-def _advance(
+def advance(
     state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
 ) -> LaneState:
+    """Try one step in every lane that is running."""
     tolerances = Tolerances(rtol, state.atol)
     running = state.status == RUNNING
     left = state.t1 - state.t - state.compensation
