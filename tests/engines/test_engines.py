@@ -251,3 +251,18 @@ def test_threads_share_one_wrapper(monkeypatch):
     with ThreadPoolExecutor(4) as threads:
         wrappers = list(threads.map(jax_engine._jitted, ["classify"] * 4, ["no platform"] * 4))
     assert len(set(map(id, wrappers))) == len(made) == 1
+
+
+def test_threads_follow_branches_at_the_same_time():
+    """Their dense systems are solved by LAPACK, whose batched calls would wait for each other."""
+    equation = dt.TransverseFull(jnp.full(4, -0.2))
+    y0 = equation.lift(0.2 * jnp.eye(3, 4) + 0.1)
+    bounds = limits(y0[:3], t1=30.0)
+
+    def run(_):
+        return BranchEngine().end_states(equation, y0, bounds, until="outcome")
+
+    alone = run(0)
+    with ThreadPoolExecutor(6) as threads:
+        for together in threads.map(run, range(24)):
+            np.testing.assert_array_equal(together.y, alone.y)

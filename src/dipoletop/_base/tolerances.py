@@ -43,7 +43,7 @@ def step_tolerances(
 ) -> Tolerances:
     """The tolerances of a run from ω₀; see `absolute` for what atol = None means."""
     rtol = tolerance("rtol", rtol)
-    return Tolerances(rtol, absolute(atol, rtol, omega0, label_only=label_only))
+    return Tolerances(rtol, jnp.asarray(absolute(atol, rtol, omega0, label_only=label_only)))
 
 
 def tolerance(name: str, value: Any) -> Float[Array, ""]:
@@ -65,12 +65,14 @@ def absolute(
     omega0: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"],
     *,
     label_only: bool = False,
-) -> Float[Array, "*n"]:
+) -> Float[Array, "*n"] | Float[np.ndarray, "*n"]:
     """The absolute tolerance; None means 0, since errors are measured by the present |ω|.
 
     An outcome does not depend on how exact a motion is once it has become slow: with `label_only`
     None means rtol·|ω₀|.
     """
+    if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol):
+        return _default_atol_in_numpy(rtol, omega0, label_only)
     if atol is None:
         return _default_atol(rtol, omega0, label_only)
     shape = omega0.shape[1:]
@@ -94,6 +96,21 @@ def _default_atol(
     size = length(omega0)
     # A top at rest stays at rest; any positive tolerance serves it.
     return rtol * jnp.where(size > 0, size if label_only else 0.0, 1.0)
+
+
+def _default_atol_in_numpy(
+    rtol: Any, omega0: Float[np.ndarray, "3 *n"], label_only: bool
+) -> Float[np.ndarray, "*n"]:
+    """The same for known starts, for which JAX would compile a program for every number of them."""
+    with np.errstate(all="ignore"):
+        size = np.sqrt(np.einsum("i...,i...->...", omega0, omega0))
+    least = float(np.finfo(size.dtype).tiny) ** 0.5
+    if not np.all(size > least):  # squares may have underflowed
+        most = np.max(np.abs(omega0), axis=0)
+        unit = np.where(most > 0, most, 1.0)
+        size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
+    scale = np.where(size > 0, size if label_only else 0.0, 1.0)
+    return (float(rtol) * scale).astype(omega0.dtype)
 
 
 def budget(name: str, value: Any) -> int:

@@ -1,6 +1,5 @@
 """The branch engine: full equations along their physical branch, one run after another."""
 
-import threading
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -32,17 +31,11 @@ class BranchEngine:
 
         Outcomes are looked for only where elements of a window end.
         """
-        with _one_at_a_time:
-            return jax.block_until_ready(_integrate(equation, y0, limits, until))
+        return _integrate(equation, y0, limits, until)
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`."""
         return classify_on_device(self, finish, queue, device)
-
-
-# Two such programs at once waited for each other as long as they made batched calls of LAPACK, see
-# `_base/dense`. The lock is kept for caution: without it 60 calls by 4 threads return today.
-_one_at_a_time = threading.Lock()
 
 
 @eqx.filter_jit

@@ -235,13 +235,16 @@ def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
         wait(parts)
 
 
+_KIND_NUMBERS = {np.dtype(name): number for number, name in enumerate(KINDS)}
+
+
 def _transfers(rows: Any, arrays: Any) -> np.ndarray:
     """Transfers between rows and arrays of N lanes, two equal pytrees; see `native_queue`."""
     transfers = []
     for place, values in zip(*map(jax.tree.leaves, (rows, arrays)), strict=True):
         values = values.reshape(-1, values.shape[-1])
         first, (down, along) = values.ctypes.data, values.strides
-        kind = list(KINDS).index(values.dtype.name)
+        kind = _KIND_NUMBERS[values.dtype]
         transfers += [(place.start + i, first + i * down, along, kind) for i in range(len(values))]
     return np.array(transfers, np.int64)
 
