@@ -74,6 +74,9 @@ def sweep(
     | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about 1/3 |
     | False | the outcome is certain | infinite, and ω∞ NaN, where it was integrated | least |
 
+    With `value=False` starts are run at rtol = 1e-4 first, and again at `rtol` where that leaves
+    the outcome in doubt, as near a boundary; `confirm` runs every start at its own tolerance.
+
     With a `store` a grid of any size needs little memory, and an interrupted sweep is resumed when
     it is called again. Finished tiles are read first; the equations and starts that they were
     computed from are compared bit by bit with those of this call. On another kind of processor

@@ -60,6 +60,9 @@ def classify_many(
         max_steps: largest number of steps of a run; a run that needs more is predicted, or
             UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
+            With False, runs of the tops and bodies of this library are made at rtol = 1e-4 first,
+            and again at `rtol` where that leaves a doubt; `time` and `steps` are those of the
+            last run of a start.
         engine: "jax"; "native" (machine code, for float64 on processors; it needs llvmlite); or
             "auto", the fastest one that can run here.
         slow_flow: whether runs that would take more than `max_steps` are predicted, as by
