@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._engines import interface
+from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.columns import COLUMNS
 from dipoletop._runs import classify_many as outcomes
@@ -81,11 +81,11 @@ def digest(found):
 
 
 def watched(run, together):
-    """What a run finds, and the device of each tile: in JAX that which its end states lie on.
+    """What a run finds, and the device of each tile: in JAX that which its results lie on.
 
     So many tiles at a time wait for each other, so no device can do the work of another.
     """
-    in_machine_code, finished = NativeEngine.classify, interface._finished
+    in_machine_code, by_jax = NativeEngine.classify, JaxEngine.classify
     meeting, used = threading.Barrier(together), []
 
     def met(devices):
@@ -96,13 +96,14 @@ def watched(run, together):
         met([device])
         return in_machine_code(engine, finish, queue, device, threads)
 
-    def in_jax(finish, equation, ends, tolerances):
-        met(ends.y.devices())
-        return finished(finish, equation, ends, tolerances)
+    def in_jax(engine, finish, queue, device, threads=1):
+        found = by_jax(engine, finish, queue, device, threads)
+        met(jax.tree.leaves(found)[0].devices())
+        return found
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NativeEngine, "classify", native)
-        patch.setattr(interface, "_finished", in_jax)
+        patch.setattr(JaxEngine, "classify", in_jax)
         return digest(run()), sorted(used)
 
 

@@ -104,11 +104,11 @@ def _default_atol_in_numpy(
     """The same for known starts, for which JAX would compile a program for every number of them."""
     with np.errstate(all="ignore"):
         size = np.sqrt(np.einsum("i...,i...->...", omega0, omega0))
-    least = float(np.finfo(size.dtype).tiny) ** 0.5
-    if not np.all(size > least):  # squares may have underflowed
-        most = np.max(np.abs(omega0), axis=0)
-        unit = np.where(most > 0, most, 1.0)
-        size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
+        least = float(np.finfo(size.dtype).tiny) ** 0.5
+        if not np.all(size > least):  # squares may have underflowed
+            most = np.max(np.abs(omega0), axis=0)
+            unit = np.where(most > 0, most, 1.0)
+            size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
     scale = np.where(size > 0, size if label_only else 0.0, 1.0)
     return (float(rtol) * scale).astype(omega0.dtype)
 

@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.parallel import Device
 from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided
+from .._base.tolerances import Tolerances
 from .._branch.march import advance_window, start_march
 from ..equations.tangent import Tangent
-from .interface import EndStates, Finish, Limits, Queue, T, classify_on_device
+from .interface import EndStates, Finish, Limits, Queue, T, lifted, on_device
 
 
 @final
@@ -35,7 +36,14 @@ class BranchEngine:
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """See `Engine`."""
-        return classify_on_device(self, finish, queue, device)
+        equation, omegas, limits, until = on_device(queue, device)
+        ends = self.end_states(equation, lifted(equation, omegas), limits, until=until)
+        return _finished(finish, equation, ends, limits.tolerances)
+
+
+@eqx.filter_jit
+def _finished(finish: Finish[T], equation: Any, ends: EndStates, tolerances: Tolerances) -> T:
+    return finish(equation, ends, tolerances)
 
 
 @eqx.filter_jit

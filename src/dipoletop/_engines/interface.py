@@ -1,7 +1,4 @@
-"""What an engine is: it integrates many runs of one equation and returns their end states.
-
-`classify_on_device` is `Engine.classify` of the engines that are written in JAX.
-"""
+"""What an engine is: it integrates many runs of one equation and returns their end states."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -108,13 +105,6 @@ class Engine(Protocol):
         ...
 
 
-def classify_on_device(engine: Engine, finish: Finish[T], queue: Queue, device: Device) -> T:
-    """`Engine.classify` of an engine whose `end_states` is a program of JAX."""
-    equation, omegas, limits, until = on_device(queue, device)
-    ends = engine.end_states(equation, lifted(equation, omegas), limits, until=until)
-    return _finished(finish, equation, ends, limits.tolerances)
-
-
 def on_device(queue: Queue, device: Device) -> Any:
     """The queue with its arrays on a device."""
     arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
@@ -125,8 +115,3 @@ def on_device(queue: Queue, device: Device) -> Any:
 def lifted(equation: Equation, omegas: Float[Array, "3 N"]) -> Float[Array, "n N"]:
     """The states that start at these angular velocities."""
     return equation.lift(omegas)
-
-
-@eqx.filter_jit
-def _finished(finish: Finish[T], equation: Any, ends: EndStates, tolerances: Tolerances) -> T:
-    return finish(equation, ends, tolerances)

@@ -142,7 +142,8 @@ def outcomes(block: Block, limits: Limits) -> Classification:
     runs = replace(runs, omega_inf=omega_inf, omega_inf_error=error)
     starts = np.asarray(block.omegas)
     least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps, dtype=float), FADED)
-    again = square <= least * np.einsum("in,in->n", starts, starts)
+    with np.errstate(all="ignore"):  # of starts that are not finite
+        again = square <= least * np.einsum("in,in->n", starts, starts)
     again |= runs.outcome <= Outcome.UNDECIDED
     again &= np.asarray(limits.t1) > 0
     lanes = np.flatnonzero(again)
