@@ -3,8 +3,14 @@
 An engine is named "native" (machine code, needs llvmlite) or "jax".
 """
 
-from typing import Any
+import contextlib
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+from unittest.mock import patch
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,6 +18,9 @@ from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
 from dipoletop._engines.jax_engine import NARROW, ON_PROCESSOR, JaxEngine
+from dipoletop._runs import blocks
+from dipoletop._runs.blocks import DOUBT as DOUBT
+from dipoletop._runs.blocks import LOOSE as LOOSE
 from dipoletop.equations._common import omega_scale_of as omega_scale_of
 
 NAMES = ("native", "jax")
@@ -59,3 +68,56 @@ def block_widths(name: str, starts: int) -> list[int]:
 
         return [WIDTH, 0]
     return [min(ON_PROCESSOR, starts), ON_PROCESSOR // NARROW]
+
+
+class Pass(NamedTuple):
+    """What one call of an engine did."""
+
+    runs: int
+    """How many were integrated."""
+    ended: Any
+    """What is kept of each, in NumPy: `runs`, a classification, and `square`, ω² at the end."""
+
+
+class _Recorder:
+    """An engine that also keeps what its calls gave."""
+
+    def __init__(self, engine: Engine, passes: list[Pass]) -> None:
+        self.engine, self.passes = engine, passes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.engine, name)
+
+    def classify(self, finish: Any, queue: Any, device: Any, threads: int = 1) -> Any:
+        ended = self.engine.classify(finish, queue, device, threads)
+        # Copies: the second pass writes its results into those of the first.
+        kept = jax.tree.map(np.array, jax.device_get(ended))
+        self.passes.append(Pass(int(np.sum(np.asarray(queue.limits.t1) > 0)), kept))
+        return ended
+
+
+@contextlib.contextmanager
+def driven(
+    *, method: Any = None, once: bool = False, passes: list[Pass] | None = None
+) -> Iterator[None]:
+    """Within it `classify_many` is driven in another way.
+
+    Args:
+        method: the solver of diffrax that its engine uses; None: its own.
+        once: outcomes are found in one pass at the tolerance that is asked for.
+        passes: to which a `Pass` is added for each call of the engine.
+    """
+    module = importlib.import_module("dipoletop._runs.classify_many")  # a function has its name
+    select = module.select_engines
+
+    def selected(*args: Any) -> dict[Any, Any]:
+        engines: dict[Any, Any] = select(*args)
+        if method is not None:
+            engines = {device: replace(engine, solver=method) for device, engine in engines.items()}
+        if passes is not None:
+            engines = {device: _Recorder(engine, passes) for device, engine in engines.items()}
+        return engines
+
+    loose = 0.0 if once else LOOSE
+    with patch.object(module, "select_engines", selected), patch.object(blocks, "LOOSE", loose):
+        yield

@@ -24,6 +24,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     from benchmarks.speed import (
         default_map,
         derivative_costs,
+        fresh_outcomes,
         importing,
         outcomes,
         precision,
@@ -50,6 +51,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
     # Fresh processes first, while this one is small.
     import_times = importing.compare(1 if small else 15)
     cold_start = importing.cold_start(1, 16) if small else importing.cold_start(9)
+    fresh_processes = fresh_outcomes.compare(64, 1) if small else fresh_outcomes.compare(4096, 5)
     maps = [
         default_map.measured(level, n, engine)
         for n, level, engine in itertools.product(points, default_map.LEVELS, engines.NAMES)
@@ -59,6 +61,7 @@ def measure_all(small: bool, large: bool) -> dict[str, Any]:
         "machine": measure.machine(),
         "import": import_times,
         "cold_start": cold_start,
+        "fresh_outcomes": fresh_processes,
         "maps": maps,
         "precision": precision.alone(**precision_sizes),
         "basin": outcomes.compare(sizes),

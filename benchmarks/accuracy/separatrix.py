@@ -1,6 +1,6 @@
 """The separatrix of order 1 by Taylor series in 80-bit numbers, without any certificate."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,3 +64,26 @@ def separatrix(delta: float, rounds: int) -> tuple[Any, Any]:
         last = np.flatnonzero(np.diff(outcomes(delta, starts_at(phi))))[0]
         low, high = phi[last], phi[last + 1]
     return low, high
+
+
+class Wall(NamedTuple):
+    """Starts on both sides of the separatrix."""
+
+    edge: Any
+    """The angle φ of the separatrix."""
+    between: float
+    """How exactly it is known."""
+    starts: np.ndarray  # (3, N)
+    truth: np.ndarray
+    """Their outcomes, (N,)."""
+    distance: np.ndarray
+    """Their distances from the separatrix, in φ, (N,)."""
+
+
+def wall(delta: float, distances: np.ndarray, rounds: int) -> Wall:
+    """Starts at these distances in φ from the separatrix, on either side."""
+    low, high = separatrix(delta, rounds)
+    edge, far = (low + high) / 2, distances.astype(np.longdouble)
+    starts = starts_at(np.concatenate([edge - far, edge + far])).astype(float)
+    truth = outcomes(delta, starts)  # of the rounded starts
+    return Wall(edge, float(high - low), starts, truth, np.concatenate([far, far]).astype(float))

@@ -21,8 +21,7 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks import engines
-from benchmarks.accuracy import long_runs
-from benchmarks.accuracy.separatrix import outcomes, separatrix, starts_at
+from benchmarks.accuracy import long_runs, separatrix
 from benchmarks.problems.random_bodies import Starts
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
@@ -31,6 +30,7 @@ PIECE = 5000  # starts integrated together
 BLOCKS = ("mixed", "slow", "tiny")
 BUDGETS = {"mixed": (20_000, 60_000), "slow": (5000, 20_000), "tiny": (300, 1000)}
 RTOLS = tuple(10.0**-k for k in range(4, 13))
+DELTA = -0.2  # shape of the tops at the wall
 NEAREST, FARTHEST = 1e-14, 1e-2  # distances of the wall's starts from the separatrix, in φ
 Row = dict[str, Any]
 
@@ -90,21 +90,17 @@ def _contrary(sample: Starts, outcome: np.ndarray) -> np.ndarray:
 
 def wall(small: bool) -> Row:
     """Labels of starts on both sides of the separatrix, at every tolerance."""
-    delta = -0.2
-    low, high = separatrix(delta, 5 if small else 10)
-    edge = (low + high) / 2
     each = 20 if small else 400
-    far = np.geomspace(FARTHEST, 1e-8 if small else NEAREST, each).astype(np.longdouble)
-    starts = starts_at(np.concatenate([edge - far, edge + far])).astype(float)
-    truth = outcomes(delta, starts)  # of the rounded starts
-    distance = np.concatenate([far, far]).astype(float)
-    result: Row = {"edge": str(edge), "between": float(high - low), "starts": 2 * each, "rows": []}
+    distances = np.geomspace(FARTHEST, 1e-8 if small else NEAREST, each)
+    near = separatrix.wall(DELTA, distances, 5 if small else 10)
+    about = {"edge": str(near.edge), "between": near.between, "starts": 2 * each}
+    result: Row = about | {"rows": []}
     for engine in ("native", "jax"):
         before = None
         for rtol in (1e-3, *RTOLS, 1e-13, 1e-14):
             settings: Any = {"rtol": rtol, "engine": engine, "value": False}
-            run = dt.classify_many(dt.TransverseReduced(delta), starts.T, **settings)
-            wrong = (run.outcome > 0) & (run.outcome != truth)
+            run = dt.classify_many(dt.TransverseReduced(DELTA), near.starts.T, **settings)
+            wrong = (run.outcome > 0) & (run.outcome != near.truth)
             hidden = wrong & (before == run.outcome) if before is not None else wrong & False
             result["rows"].append(
                 {
@@ -112,8 +108,8 @@ def wall(small: bool) -> Row:
                     "rtol": rtol,
                     "undecided": int(np.sum(run.outcome <= 0)),
                     "wrong": int(np.sum(wrong)),
-                    "farthest": float(np.max(distance[wrong], initial=0)),
-                    "farthest_hidden": float(np.max(distance[hidden], initial=0)),
+                    "farthest": float(np.max(near.distance[wrong], initial=0)),
+                    "farthest_hidden": float(np.max(near.distance[hidden], initial=0)),
                     "largest_steps": int(run.steps.max()),
                 }
             )

@@ -15,6 +15,7 @@ from benchmarks.reporting import (
     derivative_costs,
     derivatives,
     directions,
+    label_precision,
     labels,
     precision,
     residual,
@@ -32,6 +33,7 @@ RESULTS = HERE / "results"
 PAGES: dict[str, tuple[ModuleType, ...]] = {
     "speed": (speed, precision, scaling, derivative_costs, savings),
     "labels": (labels,),
+    "label_precision": (label_precision,),
     "residual": (residual,),
     "derivatives": (derivatives,),
     "directions": (directions,),
@@ -62,6 +64,8 @@ def save(name: str, numbers: Any) -> None:
     (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     if name == "speed":
         precision.figure(numbers["precision"], RESULTS / "work_precision.png")
+    if name == "label_precision":
+        label_precision.figure(numbers, RESULTS / "label_precision.png")
     write(name)
 
 

@@ -42,6 +42,13 @@ from benchmarks.reporting.tables import CLOCKS, Table, layout, megabytes, number
 OURS = "dipoletop, native engine"
 BASE = "import jax, diffrax, equinox"
 COLD_BASE = "import jax, diffrax, equinox, matplotlib.pyplot, xarray, zarr"
+FRESH = {
+    "native": OURS,
+    "jax": "dipoletop, JAX engine",
+    "heyoka": "heyoka batch",
+    "diffrax": "diffrax vmap repacked, tuple",
+}
+"""The integrators of `speed.fresh_outcomes`."""
 FIRST_MAP, LATER_MAP = "dipoletop map, the first time ever", "dipoletop map, later"
 
 
@@ -51,6 +58,8 @@ def body(results: dict[str, Any]) -> str:
     parts += [_compilations(results["maps"]), _import(results["import"])]
     if "cold_start" in results:  # older numbers are without
         parts.append(_cold_start(results["cold_start"]))
+    if "fresh_outcomes" in results:
+        parts.append(_fresh_outcomes(results["fresh_outcomes"]))
     return "\n\n".join(parts)
 
 
@@ -155,6 +164,23 @@ def _cold_start(times: dict[str, Any]) -> str:
             "time ever the cache of machine code is empty; later it is not.",
             _clock_table(times, [FIRST_MAP, LATER_MAP, COLD_BASE]),
             f"Median ratio of neighbouring runs to `{COLD_BASE}`: {'; '.join(ratios)}.",
+        ]
+    )
+
+
+def _fresh_outcomes(scene: dict[str, Any]) -> str:
+    head = ["", "the first time ever, wall s", "later, wall s, min / median"]
+    table = [[*head, "later, processor s, min / median", "peak memory, MB"]]
+    for row in scene["rows"]:
+        clocks = [number(row["first_seconds"]), *(pair(row[clock].values()) for clock in CLOCKS)]
+        table.append([FRESH[row["name"]], *clocks, megabytes(row["peak_bytes"])])
+    return "\n\n".join(
+        [
+            f"## The outcomes of {scene['starts']} starts, in fresh processes",
+            "A process imports one integrator, compiles, and labels so many starts of the mixed "
+            "basin. The first time ever no cache is on the disk. heyoka's memory is that of all "
+            "its processes.",
+            layout(table),
         ]
     )
 

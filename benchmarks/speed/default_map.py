@@ -7,7 +7,6 @@ python -m benchmarks.speed.default_map memory 512 native 0    memory of one swee
 
 import argparse
 import json
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ import jax.numpy as jnp
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.reporting import measure
+from benchmarks.reporting.memory import peak_memory
 
 LEVELS = ("order-1", "semi")
 REPEATS = 3
@@ -118,24 +118,6 @@ def _compiled(task: Callable[[], Any]) -> int:
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
     return seen.count(COMPILED) + seen.count(engines.COMPILING)
-
-
-def peak_memory() -> int | None:
-    """The largest resident memory of this process, bytes; None where the system does not report it.
-
-    Linux's own counter first: getrusage counts the process that started this one, too.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
-        if "VmHWM" in lines:
-            return 1024 * int(lines["VmHWM"].split()[0])
-    try:
-        import resource
-    except ImportError:
-        return None
-    unit = 1 if sys.platform == "darwin" else 1024
-    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 if __name__ == "__main__":

@@ -3,9 +3,12 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from benchmarks.reporting import pages, summary
+from benchmarks.accuracy import label_doubt
+from benchmarks.reporting import pages, speed, summary
+from dipoletop._runs import blocks
 
 
 @pytest.mark.parametrize("name", pages.PAGES)
@@ -19,6 +22,35 @@ def test_readme_is_short_and_its_table_that_of_the_numbers():
     text = (pages.HERE / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 120
     assert summary.body({name: pages.read(name) for name in pages.PAGES}) in text
+
+
+def test_older_numbers_and_those_of_fresh_processes_are_shown():
+    numbers = pages.read("speed")
+    clock = {"min": 1.5, "median": 2.0}
+    clocks = {"first_seconds": 4.0, "seconds": clock, "processor_seconds": clock}
+    rows = [{"name": name, "peak_bytes": 3e8, **clocks} for name in ("native", "heyoka")]
+    rows[1] |= {"first_seconds": 10.0, "peak_bytes": 1.5e8}
+    numbers["fresh_outcomes"] = {"starts": 4096, "rows": rows}
+    others: dict = {name: [] for name in pages.PAGES}
+    lines = summary.body(others | {"speed": numbers}).splitlines()
+    assert any("4.00 / 2.00" in line and "2.50 / 1.00" in line for line in lines)
+    assert any("batches: 150" in line and "0.500" in line for line in lines)
+    assert "in fresh processes" in speed.body(numbers)
+    del numbers["fresh_outcomes"]
+    assert "A fresh process" not in summary.body(others | {"speed": numbers})
+
+
+def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
+    rng = np.random.default_rng(0)
+    case = label_doubt.tops("1", "tops, −½ < δ < 0", 4096, rng)
+    middles, truth = list(label_doubt.closing_in(case, rng))[-1]
+    kept = label_doubt.judged(middles, truth)
+    monkeypatch.setattr(blocks, "DOUBT", 0.0)
+    doubtless = label_doubt.judged(middles, truth)
+    assert kept["wrong_once"] == doubtless["wrong_once"] == 0
+    assert kept["wrong_first"] == doubtless["wrong_first"] == doubtless["lost"] > kept["lost"]
+    assert kept["again"] > doubtless["again"]  # without doubt only what did not end
+    assert len(doubtless["lost_starts"]) == min(doubtless["lost"], label_doubt.SHOWN)
 
 
 @pytest.mark.parametrize("script", ["run.py", "bench_device.py"])

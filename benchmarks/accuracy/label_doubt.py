@@ -1,0 +1,201 @@
+"""Wrong labels of the first pass: how many there are, and how doubtful each of them is.
+
+For every level and kind of body there are starts at random, and starts that close in on the
+boundary between the outcomes: the middles of a bisection from one start to another with the
+other outcome.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+import dipoletop as dt
+from benchmarks import engines
+from benchmarks.accuracy import separatrix
+from benchmarks.accuracy.label_costs import METHODS, RTOL, TRUTH
+from benchmarks.problems import random_bodies
+from benchmarks.reporting.label_precision import DEFAULT
+
+MAX_STEPS = 4000
+BATCH = 65_536  # starts in one call: they are one block, so that its passes can be told apart
+PAIRS = 16_384  # starts from which bisections begin, at most
+ROUNDS = 20  # of a bisection: the last start is 1e-6 of the first distance from the boundary
+SHOWN = 3  # starts of each block whose label only the default has wrong that are kept
+DELTA = -0.2  # of the tops at the separatrix
+NEAREST, FARTHEST = 1e-14, 1e-2  # distances from it
+TOPS = {
+    "tops, any δ": (-0.99, 0.99, 1.0),
+    "tops, −½ < δ < 0": (-0.5, 0.0, 1.0),
+    "tops, nearly spherical": (-0.05, 0.05, 1.0),
+    "tops, slow needles": (0.7532, 0.99, 0.05),
+}
+"""For each kind of top: bounds of δ, and the largest |ω₀|."""
+BODIES = random_bodies.FAMILIES[:-1]
+Row = dict[str, Any]
+
+
+class Sizes(NamedTuple):
+    """Starts at random of each kind, by the level."""
+
+    tops: dict[str, int]
+    bodies: dict[str, int]
+    wall: int = 400
+    """Starts on each side of the separatrix."""
+
+
+FULL = Sizes(
+    tops={"1": 262_144, "2": 32_768, "3": 32_768, "4": 32_768, "semi": 262_144},
+    bodies={"1": 8192, "semi": 8192},
+)
+FEW = Sizes(tops={"1": 4096, "semi": 4096}, bodies={}, wall=20)
+
+
+class Case(NamedTuple):
+    """Tops or bodies, each with a start."""
+
+    equations: Any
+    omegas: Float[np.ndarray, "n 3"]
+
+    def some(self, which: Any) -> "Case":
+        """Some of them."""
+        part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[which]), self.equations)
+        return Case(part, self.omegas[which])
+
+    def labels(self, rtol: float, **way: Any) -> Int[np.ndarray, " n"]:
+        """Outcomes, in the way that `engines.driven` tells."""
+        settings: Any = {"rtol": rtol, "max_steps": MAX_STEPS, "value": False, "slow_flow": False}
+        with engines.driven(**way):
+            return np.asarray(dt.classify_many(self.equations, self.omegas, **settings).outcome)
+
+
+def _directions(n: int, rng: np.random.Generator) -> np.ndarray:
+    way = rng.normal(size=(n, 3))
+    return way / np.linalg.norm(way, axis=1)[:, None]
+
+
+def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
+    """Tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
+    low, high, most = TOPS[kind]
+    order = random_bodies.LEVELS[level]
+    most = most if order in (1, None) else min(most, 0.2)  # beyond, the higher orders diverge
+    delta = jnp.asarray(rng.uniform(low, high, n))
+    size = most * 10 ** rng.uniform(-2.5, 0, n)
+    equations = dt.TransverseSemi(delta) if order is None else dt.TransverseReduced(delta, order)
+    return Case(equations, size[:, None] * _directions(n, rng))
+
+
+def bodies(level: str, family: str, n: int, number: int) -> Case:
+    """Bodies of one family of `random_bodies`."""
+    sample = random_bodies.starts(family, level, n, (1, number))
+    trailing = random_bodies.equations(level, sample.inertia, sample.dipole)
+    equations = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), trailing)
+    return Case(equations, sample.omega)
+
+
+def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
+    """Wrong labels of the first pass, of one pass at the tolerance, and of the default.
+
+    `lost` are those of the default that one pass has right.
+    """
+    if truth is None:
+        truth = case.labels(TRUTH, once=True)
+    passes: list[engines.Pass] = []
+    default = case.labels(RTOL, passes=passes)
+    once = case.labels(RTOL, once=True)
+    first, *again = passes
+    runs = first.ended.runs
+
+    def wrong(labels: np.ndarray) -> np.ndarray:
+        return (labels > 0) & (truth > 0) & (labels != truth)
+
+    missed, failing = wrong(runs.outcome), wrong(default)
+    scale = engines.LOOSE * np.square(runs.steps, dtype=float) * np.sum(case.omegas**2, axis=1)
+    lost = np.flatnonzero(failing & ~wrong(once))
+    return {
+        "starts": len(truth),
+        "decided": int(np.sum(truth > 0)),
+        "again": sum(done.runs for done in again),
+        "wrong_first": int(np.sum(missed)),
+        "wrong_once": int(np.sum(wrong(once))),
+        "wrong": int(np.sum(failing)),
+        "lost": len(lost),
+        "margin": float(np.max(first.ended.square[missed] / scale[missed], initial=0.0)),
+        "lost_starts": [_shown(case.some([lane]), int(truth[lane])) for lane in lost[:SHOWN]],
+    }
+
+
+def _shown(case: Case, truth: int) -> Row:
+    leaves = [np.ravel(leaf).tolist() for leaf in jax.tree.leaves(case.equations)]
+    return {"equation": leaves, "omega": case.omegas[0].tolist(), "truth": truth}
+
+
+def closing_in(
+    case: Case, rng: np.random.Generator
+) -> Iterator[tuple[Case, Int[np.ndarray, " n"]]]:
+    """Starts nearer and nearer to the boundary, with their outcomes, round by round."""
+    case = case.some(slice(PAIRS))
+    low, n = case.omegas, len(case.omegas)
+    high = np.linalg.norm(low, axis=1)[:, None] * _directions(n, rng)
+    label = case.labels(TRUTH, once=True)
+    other = case._replace(omegas=high).labels(TRUTH, once=True)
+    between = np.flatnonzero((label > 0) & (other > 0) & (label != other))
+    case, low, high, label = case.some(between), low[between], high[between], label[between]
+    for _ in range(ROUNDS if len(between) else 0):
+        middle = case._replace(omegas=(low + high) / 2)
+        truth = middle.labels(TRUTH, once=True)
+        yield middle, truth
+        same = (truth == label)[:, None]
+        low, high = np.where(same, middle.omegas, low), np.where(same, high, middle.omegas)
+
+
+def merged(rows: list[Row]) -> Row:
+    """The sum of counts, the largest margin, all the starts that are shown."""
+    if not rows:
+        return {}
+    total = {
+        name: max(row[name] for row in rows) if name == "margin" else sum(row[name] for row in rows)
+        for name in rows[0]
+        if name != "lost_starts"
+    }
+    return total | {"lost_starts": [start for row in rows for start in row["lost_starts"]]}
+
+
+def compare(sizes: Sizes, seed: int = 0) -> list[Row]:
+    """A row for each level and kind of body: starts at random, and those that close in."""
+    kinds = [(level, kind, n) for level, n in sizes.tops.items() for kind in TOPS]
+    kinds += [(level, kind, n) for level, n in sizes.bodies.items() for kind in BODIES]
+    rows = []
+    for row_number, (level, kind, n) in enumerate(kinds):
+        rng = np.random.default_rng([seed, row_number])
+        at_random, near, case = [], [], None
+        for number, first in enumerate(range(0, n, BATCH)):
+            size = min(BATCH, n - first)
+            made = tops(level, kind, size, rng) if kind in TOPS else None
+            case = made or bodies(level, kind, size, number)
+            at_random.append(judged(case))
+        if case is not None:
+            near = [judged(*round_) for round_ in closing_in(case, rng)]
+        row = {"level": level, "kind": kind, "top": kind in TOPS}
+        rows.append(row | {"random": merged(at_random), "near": merged(near)})
+    return rows
+
+
+def wall(each: int, tolerances: tuple[float, ...]) -> Row:
+    """Labels of starts on both sides of the separatrix, by one pass and by default."""
+    near = separatrix.wall(DELTA, np.geomspace(FARTHEST, NEAREST, each), 10)
+    case = Case(dt.TransverseReduced(DELTA), near.starts.T)
+    ways: list[tuple[str, float, Row]] = [(DEFAULT, RTOL, {})]
+    for name, method in METHODS.items():
+        ways += [(name, rtol, {"method": method, "once": True}) for rtol in tolerances]
+    rows = []
+    for name, rtol, way in ways:
+        labels = case.labels(rtol, **way)
+        wrong = (labels > 0) & (labels != near.truth)
+        farthest = float(np.max(near.distance[wrong], initial=0))
+        counts = {"wrong": int(np.sum(wrong)), "undecided": int(np.sum(labels <= 0))}
+        rows.append({"name": name, "rtol": rtol, **counts, "farthest": farthest})
+    return {"starts": 2 * each, "span": [NEAREST, FARTHEST], "edge": str(near.edge), "rows": rows}
