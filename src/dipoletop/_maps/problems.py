@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from .._base import numpy_programs
 from .._base.checks import check_equation, instance, real, refuse
+from .._base.dependence import dependence
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
 from .._base.parallel import as_worker
@@ -75,7 +76,7 @@ class BlockBuilder:
         key = jax.tree.structure(points), tuple(jax.tree.leaves(shapes, is_leaf=_is_shape))
         if key not in self._programs:
             program, structure, may_refuse = None, None, False
-            if not self.derivatives and jax.default_backend() == "cpu":
+            if jax.default_backend() == "cpu":
                 # Whatever is wrong shows itself when JAX runs it.
                 with contextlib.suppress(Exception):
                     make = jax.make_jaxpr(self._vectorised, return_shape=True)
@@ -111,7 +112,10 @@ class BlockBuilder:
         (arrays, omega0), push_forward, rest = jax.linearize(varied, values, has_aux=True)
         units = tuple(jnp.eye(len(values)))
         parameters, starts = jax.vmap(push_forward)(units)
-        return Tangent(eqx.combine(arrays, rest), parameters, starts, length(omega0)), omega0
+        varying = dependence(lambda *changes: push_forward(changes)[0], *values)
+        equation = eqx.combine(arrays, rest)
+        tangent = Tangent(equation, parameters, starts, length(omega0), varying=tuple(varying))
+        return tangent, omega0
 
     def program_digests(self) -> dict[str, bytes]:
         """Digests of every function that is computed for a point, by its role."""

@@ -11,10 +11,11 @@ small amplitude ω⊥² falls there as fast as the distance from the boundary gr
 of a run is a measure of how near it has been. The error is a phase that grows with the number of
 turns, as its rate is off by about the same. So a label is in doubt where
 
-    (|ω|/|ω₀|)² ≤ DOUBT · rtol · n²,      n the number of steps.
+    (|ω|/|ω₀|)² ≤ DOUBT · rtol · n²,      n the number of steps,
 
-`benchmarks/accuracy/label_precision.py` measures how far on either side of this the wrong labels
-lie, for every level and for bodies of every kind.
+or where a small displacement of the last state changes the verdict (`Ended.shaky`).
+`benchmarks/accuracy/label_precision.py` looks for labels that are lost nevertheless, at every level
+and for bodies of every kind, among random starts and among those that close in on the boundary.
 """
 
 from dataclasses import dataclass, replace
@@ -41,7 +42,7 @@ from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probabil
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
-DOUBT = 1.0  # the formula above; measured: no wrong label beyond a tenth of it
+DOUBT = 1.0  # the formula above; wrong labels that are not shaky were found up to half of it
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
 
 
@@ -132,7 +133,7 @@ def outcomes(block: Block, limits: Limits) -> Classification:
     if factor <= 1 or bounded is None:
         return block.run(limits).runs
     brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
-    runs, square = block.run(brief)
+    runs, square, shaky = block.run(brief)
     # Of a run that has made no step ω∞ is known to its error, which may be above the tolerance.
     allowed = float(limits.rtol) * np.abs(runs.omega_inf) + np.asarray(limits.atol)
     unknown = ~(runs.omega_inf_error <= allowed)
@@ -144,7 +145,7 @@ def outcomes(block: Block, limits: Limits) -> Classification:
     least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps, dtype=float), FADED)
     with np.errstate(all="ignore"):  # of starts that are not finite
         again = square <= least * np.einsum("in,in->n", starts, starts)
-    again |= runs.outcome <= Outcome.UNDECIDED
+    again |= (shaky & bounded) | (runs.outcome <= Outcome.UNDECIDED)
     again &= np.asarray(limits.t1) > 0
     lanes = np.flatnonzero(again)
     return put_back(runs, lanes, block.run_some(lanes, limits)) if lanes.size else runs

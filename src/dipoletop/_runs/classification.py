@@ -1,7 +1,7 @@
 """Classification: from the state that ended a run to its outcome, ω∞ and the error of ω∞."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,11 +10,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, refuse
+from .._base.guards import safe_divisor
+from .._base.linalg import length, scale
 from .._base.stopping import BROKEN, Until, settled, slopes_settled
 from .._base.summaries import with_error
 from .._base.tolerances import Tolerances
-from .._base.types import DecidingEquation, Equation, Outcome, Real, Regime, Stop, Verdict
+from .._base.types import DecidingEquation, Equation, Outcome, Real, Regime, Stop, Vector, Verdict
 from .._engines.interface import EndStates
+from ..equations._common import has_body_field
 from ..equations.tangent import Tangent
 
 UNCHECKED = "unchecked"
@@ -125,12 +128,38 @@ class Ended(NamedTuple):
     runs: Classification
     square: Float[Array, "*n"] | Float[np.ndarray, "*n"]
     """ω² at the end."""
+    shaky: Bool[Array, "*n"] | Bool[np.ndarray, "*n"]
+    """Whether the error of the state that ended a run may have decided its outcome."""
+
+
+SHAKY = 20.0  # displacement that must change no outcome, in units of the tolerance
 
 
 def ended(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
-    """What is kept of runs, by the states that ended them; see `classification_of`."""
-    w1, w2, w3 = equation.omega(jnp.asarray(ends.y))
-    return Ended(classification_of(equation, ends, tolerances), w1**2 + w2**2 + w3**2)
+    """What is kept of runs, by the states that ended them; see `classification_of`.
+
+    The region of residual rotation reaches up to the boundary at order 1, so that a small error may
+    carry a state into it. Outside of it ω has a smaller component along the dipole.
+    """
+    y = jnp.asarray(ends.y)
+    omega, runs = equation.omega(y), classification_of(equation, ends, tolerances)
+    square = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
+    if omega is not y:
+        return Ended(runs, square, jnp.zeros_like(square, bool))
+    error = tolerances.rtol + tolerances.atol / safe_divisor(jnp.sqrt(square))
+    axis = _dipole_axis(equation)
+    along = omega[0] * axis[0] + omega[1] * axis[1] + omega[2] * axis[2]
+    moved = omega - (SHAKY * error * along)[None] * axis
+    outcome = Verdict(*equation.verdict(moved)).outcome
+    return Ended(runs, square, (outcome != runs.outcome) & (runs.outcome == Outcome.RESIDUAL))
+
+
+def _dipole_axis(equation: Any) -> Vector:
+    """The direction of the dipole of each lane; axis 1 of an equation without a body of its own."""
+    if not has_body_field(equation):
+        return jnp.array([[1.0], [0.0], [0.0]])
+    dipole = equation.body.dipole
+    return scale(1 / safe_divisor(length(dipole)), dipole)
 
 
 def classification_of(

@@ -25,6 +25,7 @@ from .._base.checks import (
     real,
     where_valid,
 )
+from .._base.dependence import dependence
 from .._base.forward_mode import forward_differentiable
 from .._base.linalg import dot, length, scale
 from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, Tolerances, budget, step_tolerances
@@ -133,7 +134,9 @@ class _Runs:
         _, push = jax.linearize(leaves_of, x)
         parameters, starts = jax.tree.unflatten(self.structure, jax.vmap(push)(jnp.eye(x.size)))
         variations = eqx.combine(arrays, self.rest), parameters, starts, length(start)
-        equation = Tangent(*variations, basis=True, tangent_slack=TANGENT_SLACK_ALONE)
+        (varies,) = dependence(push, x)  # of ω₀, too, the last leaf
+        options = {"tangent_slack": TANGENT_SLACK_ALONE, "varying": (varies[:-1],) * x.size}
+        equation = Tangent(*variations, basis=True, **options)
         run = self._classified(equation, start, tolerances, UNCHECKED)
         slopes = jnp.where(jnp.isinf(run.slopes), _infinities(x), run.slopes)
         by_start = run.slopes[-3:]  # ω₀ is always the last of what varies

@@ -39,6 +39,9 @@ class Tangent(eqx.Module):
             variations written out one by one are faster.
         tangent_slack: how much larger, relative to its largest component, the error of a
             variation may be than that of the state.
+        varying: for each variation, which leaves of `parameter_variations` are not 0 throughout;
+            None: any may differ from 0. The terms of the others are left out, up to a quarter of
+            the operations.
     """
 
     equation: DecidingEquation
@@ -47,6 +50,7 @@ class Tangent(eqx.Module):
     start_size: Real
     basis: bool = eqx.field(static=True, default=False)
     tangent_slack: float = eqx.field(static=True, default=TANGENT_SLACK)
+    varying: tuple[tuple[bool, ...], ...] | None = eqx.field(static=True, default=None)
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
         """The rates of the state and of its variations."""
@@ -159,7 +163,9 @@ class Tangent(eqx.Module):
             return constraints(equation.body, equation.omega(y), level)
 
         _, moved = self._linearised(constrained, state, variations)
-        sizes = self._of_variations(functools.partial(_sizes, self.equation, state), variations)
+        sizes = self._of_variations(
+            lambda _, *varied: _sizes(self.equation, state, *varied), variations
+        )
         broken = [
             (_exceeds(lean, body), _exceeds(away, body + omega))
             for (lean, away), (body, omega) in zip(moved, sizes, strict=True)
@@ -183,24 +189,55 @@ class Tangent(eqx.Module):
     ) -> tuple[Any, list[Any]]:
         """function(equation, point): its value and its variations."""
         arrays, rest = eqx.partition(self.equation, eqx.is_inexact_array)
+        masks = self._masks(arrays)
 
-        def varied(arrays: Any, point: Array) -> Any:
-            return function(eqx.combine(arrays, rest), point)
+        @functools.cache  # variations of the same arrays share one linear map
+        def linearised(mask: tuple[bool, ...]) -> tuple[Any, Any]:
+            moving, fixed = eqx.partition(arrays, _unflatten(mask, arrays))
 
-        value, linear = jax.linearize(varied, arrays, point)
-        return value, self._of_variations(linear, variations)
+            def varied(moving: Any, point: Array) -> Any:
+                return function(eqx.combine(moving, fixed, rest), point)
+
+            return jax.linearize(varied, moving, point)
+
+        def change(k: int, parameters: Any, variation: Array) -> Any:
+            _, linear = linearised(masks[k])
+            return linear(eqx.filter(parameters, _unflatten(masks[k], arrays)), variation)
+
+        value, _ = linearised(masks[0])
+        return value, self._of_variations(change, variations)
+
+    def _masks(self, arrays: Any) -> list[tuple[bool, ...]]:
+        """For each variation, which arrays of the equation vary; the same for all of a `basis`."""
+        every = (True,) * len(jax.tree.leaves(arrays))
+        masks = list(self.varying or [every] * self.m)
+        if self.basis:
+            masks = [tuple(map(any, zip(*masks, strict=True)))] * self.m
+        return masks
 
     def _of_variations(
-        self, function: Callable[[Any, Array], Any], variations: list[Array]
+        self, function: Callable[[int, Any, Array], Any], variations: list[Array]
     ) -> list[Any]:
-        """function(parameter variation, variation of a point) for each of the m variations."""
+        """function(k, parameter variation, variation of a point), k from 0 to m − 1.
+
+        Of a `basis`, for which the function is the same for every k, all at once.
+        """
         if self.basis:
-            images = jax.vmap(function)(self.parameter_variations, jnp.stack(variations))
+            images = jax.vmap(functools.partial(function, 0))(
+                self.parameter_variations, jnp.stack(variations)
+            )
             return [jax.tree.map(lambda x, k=k: x[k], images) for k in range(self.m)]
         parameters = [
             jax.tree.map(lambda p, k=k: p[k], self.parameter_variations) for k in range(self.m)
         ]
-        return [function(*pair) for pair in zip(parameters, variations, strict=True)]
+        return [
+            function(k, *pair) for k, pair in enumerate(zip(parameters, variations, strict=True))
+        ]
+
+
+def _unflatten(mask: tuple[bool, ...], arrays: Any) -> Any:
+    """The mask as a pytree like `arrays`."""
+    return jax.tree.unflatten(jax.tree.structure(arrays), mask)
 
 
 def _sizes(equation: Any, state: State, varied: Any, change: State) -> tuple[Real, Real]:

@@ -1,0 +1,25 @@
+"""Which results of a function depend on which of its arguments, as its traced program shows."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from jax.extend.core import Literal
+
+
+def dependence(function: Callable[..., Any], *arguments: Any) -> list[tuple[bool, ...]]:
+    """For each argument, an array, whether each leaf of the result may depend on it.
+
+    An operation depends on all its operands, so a result may be said to depend on an argument of
+    which it does not. The converse does not happen.
+    """
+    jaxpr = jax.make_jaxpr(lambda *x: jax.tree.leaves(function(*x)))(*arguments).jaxpr
+    sources = {variable: {i} for i, variable in enumerate(jaxpr.invars)}
+
+    def of(atom: Any) -> set[int]:
+        return set() if isinstance(atom, Literal) else sources.get(atom, set())
+
+    for eqn in jaxpr.eqns:
+        common = set().union(*map(of, eqn.invars))
+        sources |= dict.fromkeys(eqn.outvars, common)
+    return [tuple(i in of(atom) for atom in jaxpr.outvars) for i in range(len(arguments))]
