@@ -76,6 +76,22 @@ def test_labels_of_needles_are_made_again_where_they_are_in_doubt(in_one_pass, m
     assert np.count_nonzero(careless.outcome != expected.outcome) > 5
 
 
+def test_labels_near_the_saddle_of_order_one_are_made_again(in_one_pass):
+    """There the certified region reaches up to the boundary: the first pass calls these RESIDUAL."""
+    deltas = jnp.array([-0.3651519689503034, -0.3651519689503034, -0.3596201725360392])
+    starts = [
+        [0.20633353, -0.08095769, -0.05530201],
+        [0.20633613, -0.08095425, -0.05530234],
+        [0.14813305504109403, -0.05973932319140029, -0.028698311776049926],
+    ]
+    equation = dt.TransverseReduced(deltas)
+    assert np.any(
+        dt.classify_many(equation, starts, value=False, rtol=1e-4).outcome != Outcome.STOP
+    )
+    assert np.all(dt.classify_many(equation, starts, value=False).outcome == Outcome.STOP)
+    assert np.all(in_one_pass(equation, starts).outcome == Outcome.STOP)
+
+
 @pytest.mark.parametrize("kind", [dt.SemiReduced, dt.Reduced])
 def test_labels_of_bodies_are_those_of_one_pass(kind, in_one_pass):
     _, starts = tops(600, (0, 1), (0.05, 0.5))

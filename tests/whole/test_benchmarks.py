@@ -45,7 +45,9 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     case = label_doubt.tops("1", "tops, −½ < δ < 0", 4096, rng)
     middles, truth = list(label_doubt.closing_in(case, rng))[-1]
     kept = label_doubt.judged(middles, truth)
+    run = blocks.Block.run
     monkeypatch.setattr(blocks, "DOUBT", 0.0)
+    monkeypatch.setattr(blocks.Block, "run", lambda *a: run(*a)._replace(shaky=np.array(False)))
     doubtless = label_doubt.judged(middles, truth)
     assert kept["wrong_once"] == doubtless["wrong_once"] == 0
     assert kept["wrong_first"] == doubtless["wrong_first"] == doubtless["lost"] > kept["lost"]
