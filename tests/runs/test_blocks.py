@@ -77,7 +77,7 @@ def test_labels_of_needles_are_made_again_where_they_are_in_doubt(in_one_pass, m
 
 
 def test_labels_near_the_saddle_of_order_one_are_made_again(in_one_pass):
-    """There the certified region reaches up to the boundary: the first pass calls these RESIDUAL."""
+    """The certified region reaches up to the boundary: the first pass calls these RESIDUAL."""
     deltas = jnp.array([-0.3651519689503034, -0.3651519689503034, -0.3596201725360392])
     starts = [
         [0.20633353, -0.08095769, -0.05530201],
