@@ -42,7 +42,7 @@ from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probabil
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
-DOUBT = 1.0  # the formula above; wrong labels that are not shaky were found up to half of it
+DOUBT = 1.0  # the formula above; no wrong label that is not shaky was found beyond half of it
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
 
 
