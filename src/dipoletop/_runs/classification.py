@@ -150,7 +150,7 @@ def ended(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -
     axis = _dipole_axis(equation)
     along = omega[0] * axis[0] + omega[1] * axis[1] + omega[2] * axis[2]
     moved = omega - (SHAKY * error * along)[None] * axis
-    outcome = Verdict(*equation.verdict(moved)).outcome
+    outcome = jnp.asarray(Verdict(*equation.verdict(moved)).outcome, int)
     return Ended(runs, square, (outcome != runs.outcome) & (runs.outcome == Outcome.RESIDUAL))
 
 
