@@ -13,7 +13,7 @@ from .._base.checks import check_verdict
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
-from .._runs.classification import Value, ended, stopping_rule
+from .._runs.classification import Value, finish_of, stopping_rule
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from .basin import Basin
 from .grids import Grid, Points, Sample
@@ -111,7 +111,8 @@ def sweep(
     equation, _ = blocks(np.zeros(1, int))
     check_verdict(equation)
     check_slow_flow(slow_flow, equation)
-    engines = select_engines(engine, equation, devices, stopping_rule(equation, value), ended)
+    until, finish = stopping_rule(equation, value), finish_of(value)
+    engines = select_engines(engine, equation, devices, until, finish)
     # compute
     rules = Rules(rtols, atol, max_steps, value, slow_flow)
     plan = Plan(blocks, equation, rules, devices, engines)

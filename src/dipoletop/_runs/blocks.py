@@ -29,13 +29,13 @@ from .._base.checks import subnormal
 from .._base.parallel import Device
 from .._base.stopping import Until
 from .._base.types import DecidingEquation, Equation, Outcome
-from .._engines.interface import Engine, Limits, Queue
+from .._engines.interface import Engine, Finish, Limits, Queue
 from ..equations._common import omega_scale_of, physical
 from ..equations._verdicts.transverse import has_boundary
 from ..equations.levels import Level
 from ..equations.rigid import Reduced, SemiReduced
 from ..equations.transverse import TransverseReduced, TransverseSemi
-from .classification import Classification, Value, ended, stopping_rule
+from .classification import Classification, Ended, Value, finish_of, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
 from .lanes import Lanes, part_of, put_back
 from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probability
@@ -64,7 +64,8 @@ def classify_block(
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
         omegas = np.where(lost, np.nan, omegas)
     deciding: DecidingEquation = physical(equation)
-    block = Block(deciding, omegas, stopping_rule(equation, value), engine, device, threads)
+    rule, finish = stopping_rule(equation, value), finish_of(value)
+    block = Block(deciding, omegas, rule, finish, engine, device, threads)
 
     def classified(limits: Limits) -> Classification:
         if value is False and loosely:
@@ -93,6 +94,7 @@ class Block:
         equation: the equation to integrate; its array fields have a trailing axis of N lanes.
         omegas: the starts ω₀.
         until: when a run is finished.
+        finish: what is made of the states that ended the runs.
         engine: what integrates them.
         device: where.
         threads: how many share the queue, of an engine that has its own.
@@ -101,6 +103,7 @@ class Block:
     equation: DecidingEquation
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"]
     until: Until
+    finish: Finish[Ended]
     engine: Engine
     device: Device
     threads: int = 1
@@ -109,7 +112,7 @@ class Block:
         """All runs, `Ended` in NumPy."""
         queue = Queue(self.equation, self.omegas, limits, self.until)
         # In one transfer.
-        return jax.device_get(self.engine.classify(ended, queue, self.device, self.threads))
+        return jax.device_get(self.engine.classify(self.finish, queue, self.device, self.threads))
 
     def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
         """Some of the runs, from their own starts or from others.

@@ -16,7 +16,7 @@ from .._base.stopping import BROKEN, Until, settled, slopes_settled
 from .._base.summaries import with_error
 from .._base.tolerances import Tolerances
 from .._base.types import DecidingEquation, Equation, Outcome, Real, Regime, Stop, Vector, Verdict
-from .._engines.interface import EndStates
+from .._engines.interface import EndStates, Finish
 from ..equations._common import has_body_field
 from ..equations.tangent import Tangent
 
@@ -123,28 +123,39 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
 
 
 class Ended(NamedTuple):
-    """What is kept of runs that have ended."""
+    """What is kept of runs that have ended; only where no more than labels is wanted, all of it."""
 
     runs: Classification
-    square: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    square: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
     """ω² at the end."""
-    shaky: Bool[Array, "*n"] | Bool[np.ndarray, "*n"]
-    """Whether the error of the state that ended a run may have decided its outcome."""
+    shaky: Bool[Array, "*n"] | Bool[np.ndarray, "*n"] | None = None
+    """Whether the error of the last state may have decided that the outcome is RESIDUAL."""
 
 
-SHAKY = 20.0  # displacement that must change no outcome, in units of the tolerance
+SHAKY = 20.0  # displacement of the last state that must not change the outcome, in tolerances
 
 
-def ended(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
-    """What is kept of runs, by the states that ended them; see `classification_of`.
+def finish_of(value: Value) -> Finish[Ended]:
+    """What an engine does with the states that ended its runs."""
+    return ended_with_label if value is False else ended_with_value
 
-    The region of residual rotation reaches up to the boundary at order 1, so that a small error may
-    carry a state into it. Outside of it ω has a smaller component along the dipole.
+
+def ended_with_value(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
+    """See `classification_of`."""
+    return Ended(classification_of(equation, ends, tolerances))
+
+
+def ended_with_label(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
+    """The same, with what tells whether the outcome is in doubt.
+
+    At order 1 the region of residual rotation reaches up to the basin boundary, so an error of the
+    state may carry it into the region. The verdict is therefore asked once more for a state whose
+    ω has a smaller component along the dipole, which lies nearer to the boundary.
     """
     y = jnp.asarray(ends.y)
     omega, runs = equation.omega(y), classification_of(equation, ends, tolerances)
     square = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
-    if omega is not y:
+    if omega is not y:  # no equation whose runs are made twice
         return Ended(runs, square, jnp.zeros_like(square, bool))
     error = tolerances.rtol + tolerances.atol / safe_divisor(jnp.sqrt(square))
     axis = _dipole_axis(equation)

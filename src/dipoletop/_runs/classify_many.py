@@ -24,7 +24,7 @@ from .._base.types import Equation
 from .._engines.interface import Limits, power_of_two
 from .._engines.select import select_engines
 from .blocks import classify_block
-from .classification import Classification, Value, ended, stopping_rule
+from .classification import Classification, Value, finish_of, stopping_rule
 from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
@@ -97,7 +97,7 @@ def classify_many(
     runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
-    engines = select_engines(engine, every_run[0], devices, until, ended)
+    engines = select_engines(engine, every_run[0], devices, until, finish_of(value))
     first = devices[0]
     threads = len(devices)
     # Few runs share a queue, so that no thread waits for the longest runs of another.
