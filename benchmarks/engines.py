@@ -19,8 +19,7 @@ from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
 from dipoletop._engines.jax_engine import NARROW, ON_PROCESSOR, JaxEngine
 from dipoletop._runs import blocks
-from dipoletop._runs.blocks import DOUBT as DOUBT
-from dipoletop._runs.blocks import LOOSE as LOOSE
+from dipoletop._runs.blocks import LOOSE
 from dipoletop.equations._common import omega_scale_of as omega_scale_of
 
 NAMES = ("native", "jax")
@@ -76,7 +75,7 @@ class Pass(NamedTuple):
     runs: int
     """How many were integrated."""
     ended: Any
-    """What is kept of each, in NumPy: `runs`, a classification, and `square`, ω² at the end."""
+    """What is kept of each, in NumPy: `runs`, a classification, and the `doubt` of its label."""
 
 
 class _Recorder:

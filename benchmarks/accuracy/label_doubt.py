@@ -113,7 +113,6 @@ def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
         return (labels > 0) & (truth > 0) & (labels != truth)
 
     missed, failing = wrong(runs.outcome), wrong(default)
-    scale = engines.LOOSE * np.square(runs.steps, dtype=float) * np.sum(case.omegas**2, axis=1)
     lost = np.flatnonzero(failing & ~wrong(once))
     return {
         "starts": len(truth),
@@ -123,7 +122,7 @@ def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
         "wrong_once": int(np.sum(wrong(once))),
         "wrong": int(np.sum(failing)),
         "lost": len(lost),
-        "margin": float(np.max(first.ended.square[missed] / scale[missed], initial=0.0)),
+        "margin": float(np.max(1 / first.ended.doubt[missed], initial=0.0)),
         "lost_starts": [_shown(case.some([lane]), int(truth[lane])) for lane in lost[:SHOWN]],
     }
 

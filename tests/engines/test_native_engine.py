@@ -12,7 +12,7 @@ from dipoletop._engines import native_engine
 from dipoletop._engines.interface import Limits, Queue
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._runs.classification import classification_of
+from dipoletop._runs.doubt import finish_of
 
 RNG = np.random.default_rng(11)
 
@@ -80,7 +80,7 @@ def test_threads_share_the_queue():
 
     def found(threads):
         queue = Queue(equation, starts, limits, "value")
-        return NativeEngine().classify(classification_of, queue, jax.devices()[0], threads)
+        return NativeEngine().classify(finish_of(True), queue, jax.devices()[0], threads)
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
 

@@ -4,11 +4,14 @@ Points just inside must be decided as the formula says, points just outside must
 """
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop
+from dipoletop.equations._common import planar_rates
 
 N = 128  # points on every border, so that each level compiles once
 NEAR = 1e-7  # of the border, relative
@@ -51,11 +54,50 @@ def test_residual_cone_of_order_one(low, high, face):
         across = width * (side if face == "width" else inner)
         along = height * (side if face == "height" else part)
         w1, w2 = one * np.sqrt(u * (1 - across)), two * np.sqrt(u * across)
-        outcome, certified, _ = verdict(
-            dt.TransverseReduced, delta, (w1, w2, one * two * along * u)
-        )
-        assert np.all((outcome == Outcome.RESIDUAL) == expected)
+        omega = w1, w2, one * two * along * u
+        outcome, certified, _ = verdict(dt.TransverseReduced, delta, omega)
+        # With δ > 0 outside the cone only ω∞ is not known.
+        error = np.asarray(dt.TransverseReduced(delta).verdict(jnp.stack(omega)).error)
+        assert np.all(np.isfinite(error) == expected)
+        assert np.all((outcome == Outcome.RESIDUAL) == (expected or low > 0))
         assert np.all(certified[outcome == Outcome.RESIDUAL])
+
+
+def test_at_order_one_almost_every_prolate_start_is_residual():
+    """Labels are certain at once; the same starts followed up to the cone keep rotating, too."""
+    delta, phi, u, (one, _), rng = random_states(11, 0.1, 0.95)
+    starts = [np.sqrt(u) * np.cos(phi), np.sqrt(u) * np.sin(phi), one * rng.uniform(0, 30, N) * u]
+    equation, starts = dt.TransverseReduced(delta), np.stack(starts, axis=1)
+    labels = dt.classify_many(equation, starts, value=False)
+    assert np.all(labels.outcome == Outcome.RESIDUAL) & np.all(labels.certified)
+    assert not np.any(labels.steps)
+    assert np.all(np.isnan(labels.omega_inf))
+    followed = dt.classify_many(equation, starts, value="unchecked", slow_flow=False)
+    captured = np.isfinite(followed.omega_inf)
+    assert np.mean(captured) > 0.95
+    assert np.any(followed.steps[captured] > 100)
+    assert np.all(followed.omega_inf[captured] != 0)
+    assert np.all(followed.outcome == Outcome.RESIDUAL)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 0.1), (0, 0.1, 0)])
+def test_prolate_tops_on_an_axis_stop_at_order_one(axis):
+    run = dt.classify_many(dt.TransverseReduced(0.3), [axis], value=False)
+    assert (run.outcome, run.stop) == (Outcome.STOP, Stop.AXIS)
+    assert run.certified
+
+
+def test_areas_divided_by_z_squared_grow_along_planar_motions_of_prolate_tops():
+    """div(z⁻²F) = 3δ cos²φ z⁻²/(1−δ) at order 1, on which the proof rests."""
+
+    def weighted(y, delta):
+        return planar_rates(delta, 0.0, y) / y[1] ** 2
+
+    rng = np.random.default_rng(12)
+    for delta, phi, z in rng.uniform((0.01, 0, 0.1), (0.99, 2 * np.pi, 9), (9, 3)):
+        growth = jnp.trace(jax.jacfwd(weighted)(jnp.array([phi, z]), jnp.asarray(delta)))
+        expected = 3 * delta * np.cos(phi) ** 2 / (1 - delta) / z**2
+        np.testing.assert_allclose(growth, expected, rtol=1e-11)
 
 
 def turning(swing, bound):

@@ -145,8 +145,9 @@ def test_chance_is_a_probability(delta, probability, error):
 
 def test_order_one_has_no_law_of_capture():
     found = dt.classify_many(dt.TransverseReduced(0.4), [[1e-12, 3e-12, 5e-12]], slow_flow=True)
-    assert (found.outcome[0], found.regime[0]) == (UNDECIDED, Regime.RESOLVED)
-    assert np.isnan(found.probability[0])
+    assert (found.outcome[0], found.regime[0]) == (Outcome.RESIDUAL, Regime.RESOLVED)
+    assert found.probability[0] == 1
+    assert np.isnan(found.omega_inf[0])
 
 
 def test_one_start_is_predicted_as_many_are():

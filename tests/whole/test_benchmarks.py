@@ -46,8 +46,12 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     middles, truth = list(label_doubt.closing_in(case, rng))[-1]
     kept = label_doubt.judged(middles, truth)
     run = blocks.Block.run
-    monkeypatch.setattr(blocks, "DOUBT", 0.0)
-    monkeypatch.setattr(blocks.Block, "run", lambda *a: run(*a)._replace(shaky=np.array(False)))
+
+    def without_doubt(block, limits):
+        runs, doubt = run(block, limits)
+        return blocks.Ended(runs, np.where(runs.outcome > 0, 0.0, doubt))
+
+    monkeypatch.setattr(blocks.Block, "run", without_doubt)
     doubtless = label_doubt.judged(middles, truth)
     assert kept["wrong_once"] == doubtless["wrong_once"] == 0
     assert kept["wrong_first"] == doubtless["wrong_first"] == doubtless["lost"] > kept["lost"]

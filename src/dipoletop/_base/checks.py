@@ -73,11 +73,12 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
 
 
 def real(
-    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
-) -> Float[Array, "..."]:
+    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True, xp: Any = jnp
+) -> Any:
     """`value` as a float array of the natural `shape`, or (if `batch`) one more axis in front.
 
-    A length of -1 in `shape` stands for any length.
+    A length of -1 in `shape` stands for any length. `xp` is `jax.numpy`, or NumPy where the value
+    is known, which copies nothing that is an array of floats already.
     """
     refuse_orphan()  # here, since every computation checks its numbers first
     wanted = str(shape).replace("-1", "n")
@@ -85,7 +86,7 @@ def real(
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
         refuse(name, kind, f"is {value!r}")
     try:
-        array = jnp.asarray(value)
+        array = xp.asarray(value)
     except (TypeError, ValueError, OverflowError):
         refuse(name, kind, f"is {value!r}")
     if array.dtype == bool or not (
@@ -98,7 +99,7 @@ def real(
     ):
         also = ", or one batch axis in front" if batch else ""
         refuse(name, f"have shape {wanted}{also}", f"has shape {array.shape}")
-    return array.astype(jnp.result_type(float))
+    return array.astype(jnp.result_type(float), copy=False)
 
 
 def or_nan(value: Any, valid: Any) -> Any:
@@ -156,7 +157,8 @@ def subnormal(array: Any) -> np.ndarray:
     start *exactly* on it.
     """
     values = np.asarray(array)
-    return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
+    small = np.abs(values) < np.finfo(values.dtype).tiny
+    return small & (values != 0) if small.any() else small
 
 
 def check_equation(equation: Any, name: str = "equation") -> None:
@@ -165,14 +167,19 @@ def check_equation(equation: Any, name: str = "equation") -> None:
     if isinstance(equation, type) or not callable(equation):
         refuse(name, must, described(equation))
     for method in ("lift", "omega"):
-        if not callable(getattr(equation, method, None)):
+        if not _has_method(equation, method):
             refuse(name, must, f"{described(equation)}, which has no `{method}`")
+
+
+def _has_method(value: Any, name: str) -> bool:
+    """Whether the class has it, which is looked up sooner than in the object itself, or that."""
+    return callable(getattr(type(value), name, None)) or callable(getattr(value, name, None))
 
 
 def check_verdict(equation: Any, name: str = "equation") -> None:
     """Refuse a value that is no equation, or an equation without a `verdict`."""
     check_equation(equation, name)
-    if not callable(getattr(equation, "verdict", None)):
+    if not _has_method(equation, "verdict"):
         refuse(
             name,
             "have a method `verdict(y)`, which says how its runs end",

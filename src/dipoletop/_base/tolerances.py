@@ -46,9 +46,9 @@ def step_tolerances(
     return Tolerances(rtol, jnp.asarray(absolute(atol, rtol, omega0, label_only=label_only)))
 
 
-def tolerance(name: str, value: Any) -> Float[Array, ""]:
-    """A relative tolerance that the floating-point type in use can meet."""
-    array = real(name, value)
+def tolerance(name: str, value: Any, xp: Any = jnp) -> Any:
+    """A relative tolerance that the floating-point type in use can meet; for `xp` see `real`."""
+    array = real(name, value, xp=xp)
     least = 20 * float(jnp.finfo(array.dtype).eps)
     if concrete(array) and not (array.ndim == 0 and least <= float(array) < 1):
         hint = ""
@@ -61,7 +61,7 @@ def tolerance(name: str, value: Any) -> Float[Array, ""]:
 
 def absolute(
     atol: Any,
-    rtol: Float[Array, ""],
+    rtol: Float[Array, ""] | Float[np.ndarray, ""],
     omega0: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"],
     *,
     label_only: bool = False,
@@ -74,7 +74,7 @@ def absolute(
     if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol):
         return _default_atol_in_numpy(rtol, omega0, label_only)
     if atol is None:
-        return _default_atol(rtol, omega0, label_only)
+        return _default_atol(jnp.asarray(rtol), omega0, label_only)
     shape = omega0.shape[1:]
     return jnp.broadcast_to(check_atol(atol, shape), shape)
 
@@ -105,12 +105,15 @@ def _default_atol_in_numpy(
     with np.errstate(all="ignore"):
         size = np.sqrt(np.einsum("i...,i...->...", omega0, omega0))
         least = float(np.finfo(size.dtype).tiny) ** 0.5
-        if not np.all(size > least):  # squares may have underflowed
+        regular = bool(np.all(size > least))
+        if not regular:  # squares may have underflowed
             most = np.max(np.abs(omega0), axis=0)
             unit = np.where(most > 0, most, 1.0)
             size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
-    scale = np.where(size > 0, size if label_only else 0.0, 1.0)
-    return (float(rtol) * scale).astype(omega0.dtype)
+    scale = size if label_only else np.zeros_like(size)
+    if not regular:
+        scale = np.where(size > 0, scale, 1.0)
+    return (float(rtol) * scale).astype(omega0.dtype, copy=False)
 
 
 def budget(name: str, value: Any) -> int:

@@ -38,12 +38,14 @@ class BranchEngine:
         """See `Engine`."""
         equation, omegas, limits, until = on_device(queue, device)
         ends = self.end_states(equation, lifted(equation, omegas), limits, until=until)
-        return _finished(finish, equation, ends, limits.tolerances)
+        return _finished(finish, equation, omegas, ends, limits.tolerances)
 
 
 @eqx.filter_jit
-def _finished(finish: Finish[T], equation: Any, ends: EndStates, tolerances: Tolerances) -> T:
-    return finish(equation, ends, tolerances)
+def _finished(
+    finish: Finish[T], equation: Any, omegas: Array, ends: EndStates, tolerances: Tolerances
+) -> T:
+    return finish(equation, omegas, ends, tolerances)
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from .._base.parallel import Device
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
-from .._base.types import DecidingEquation, Equation
+from .._base.types import DecidingEquation, Equation, Vector
 
 T = TypeVar("T")
 
@@ -63,8 +63,10 @@ class Queue(NamedTuple):
     until: Until
 
 
-Finish = Callable[[DecidingEquation, EndStates, Tolerances], T]
-"""A pure function from equation, end states and tolerances to a pytree of arrays, lanes behind."""
+Finish = Callable[[DecidingEquation, Vector, EndStates, Tolerances], T]
+"""A pure function from equation, ω₀, end states and tolerances to a pytree of arrays.
+
+The lanes are on the trailing axis of everything."""
 
 
 def power_of_two(least: int) -> int:

@@ -99,9 +99,10 @@ def _make_wrapper(what: str, platform: str) -> Any:
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
-    equation, omegas, limits, until = queue
-    ends = _integrate(equation, equation.lift(jnp.asarray(omegas)), limits, until, method)
-    return finish(equation, ends, limits.tolerances)
+    equation, starts, limits, until = queue
+    omegas = jnp.asarray(starts)
+    ends = _integrate(equation, equation.lift(omegas), limits, until, method)
+    return finish(equation, omegas, ends, limits.tolerances)
 
 
 class _Block(eqx.Module):

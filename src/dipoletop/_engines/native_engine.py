@@ -123,14 +123,14 @@ class _Functions(NamedTuple):
     def divided(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Hoisted:
         return step.divided(lanes, *shared, self.solver, self.until)
 
-    def result(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Any:
+    def result(self, lanes: step.LaneState, omegas: Any, shared: tuple[Array, Array]) -> Any:
         ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
         if self.apply is None:
             return ends
-        return self.apply(self.equation(lanes), ends, Tolerances(shared[0], lanes.atol))
+        return self.apply(self.equation(lanes), omegas, ends, Tolerances(shared[0], lanes.atol))
 
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
-        return table._replace(result=self.result(table.lanes, shared))
+        return table._replace(result=self.result(table.lanes, table.omegas, shared))
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class _Program:
     rows: Any
     """A `_Table` with a slice in the place of every array: the rows that hold it."""
     sizes: tuple[int, int, int]
-    """The number of rows, that of the rows of a lane at work, and the row of its status."""
+    """The number of rows, that of the rows of a run at work, and the row of its status."""
     result: Any
     """Shapes and types of what `Finish` gives for one lane."""
 
@@ -172,7 +172,7 @@ class _Program:
             hoisted = jax.tree.map(one_lane, functions.hoisted(lanes, shared))
             lanes = replace(lanes, hoisted=hoisted)
             omegas = None if finish is None else jnp.zeros((3, 1))
-            result = functions.result(lanes, shared)
+            result = functions.result(lanes, omegas, shared)
             return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
 
         # Shapes and types only: JAX would compile what makes zeros.
@@ -185,7 +185,7 @@ class _Program:
         leaves, structure = jax.tree.flatten(table)
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
-        at_work = jax.tree.leaves(rows.lanes)[-1].stop
+        at_work = jax.tree.leaves((rows.lanes, rows.omegas))[-1].stop
         return cls(kernels, loop(), rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
     def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:

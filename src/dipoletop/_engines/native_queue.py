@@ -35,7 +35,7 @@ class Job(NamedTuple):
     size: int
     """The number of runs."""
     lane_rows: int
-    """The number of rows of a lane at work."""
+    """The number of rows of a run at work."""
     status: int
     """The row of its status."""
     queue: int

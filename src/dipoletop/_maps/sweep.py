@@ -13,7 +13,8 @@ from .._base.checks import check_verdict
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
-from .._runs.classification import Value, finish_of, stopping_rule
+from .._runs.classification import Value, stopping_rule
+from .._runs.doubt import finish_of
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from .basin import Basin
 from .grids import Grid, Points, Sample
@@ -72,10 +73,11 @@ def sweep(
     |---|---|---|---|
     | True | ω∞ is known | from three neighbouring starts | 1 |
     | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about 1/3 |
-    | False | the outcome is certain | infinite, and ω∞ NaN, where it was integrated | least |
+    | False | the outcome is certain | infinite, and ω∞ NaN, unless ω₁ is constant | least |
 
-    With `value=False` starts are run at rtol = 1e-4 first, and again at `rtol` where that leaves
-    the outcome in doubt, as near a boundary; `confirm` runs every start at its own tolerance.
+    With `value=False` the native engine runs starts at rtol = 1e-4 first, and again at `rtol` where
+    that leaves the outcome in doubt, as near a boundary; `confirm` runs every start at its own
+    tolerance.
 
     With a `store` a grid of any size needs little memory, and an interrupted sweep is resumed when
     it is called again. Finished tiles are read first; the equations and starts that they were

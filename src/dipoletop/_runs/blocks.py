@@ -3,19 +3,7 @@
 An outcome is certain long before a motion is known exactly, and almost every start lies far from
 the boundary between outcomes. So runs that are asked for no more than their outcome are made
 loosely and briefly at first. Made again at the tolerance that was asked for are those that did not
-end by then, and those that may lie so near to the boundary that their label is in doubt.
-
-A motion near the boundary comes near to a motion on it, which loses all its angular velocity. At
-small amplitude ω⊥² falls there as fast as the distance from the boundary grows: at the saddle of
-`planar` the two rates are equal, at order 1 and at the consistent levels. So (|ω|/|ω₀|)² at the end
-of a run is a measure of how near it has been. The error is a phase that grows with the number of
-turns, as its rate is off by about the same. So a label is in doubt where
-
-    (|ω|/|ω₀|)² ≤ DOUBT · rtol · n²,      n the number of steps,
-
-or where a small displacement of the last state changes the verdict (`Ended.shaky`).
-`benchmarks/accuracy/label_precision.py` looks for labels that are lost nevertheless, at every level
-and for bodies of every kind, among random starts and among those that close in on the boundary.
+end by then, and those whose label is in doubt (`doubt`).
 """
 
 from dataclasses import dataclass, replace
@@ -28,22 +16,17 @@ from jaxtyping import Array, Bool, Float
 from .._base.checks import subnormal
 from .._base.parallel import Device
 from .._base.stopping import Until
-from .._base.types import DecidingEquation, Equation, Outcome
+from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Finish, Limits, Queue
 from ..equations._common import omega_scale_of, physical
-from ..equations._verdicts.transverse import has_boundary
-from ..equations.levels import Level
-from ..equations.rigid import Reduced, SemiReduced
-from ..equations.transverse import TransverseReduced, TransverseSemi
-from .classification import Classification, Ended, Value, finish_of, stopping_rule
+from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
+from .doubt import CERTAIN, Ended, finish_of, made_twice
 from .lanes import Lanes, part_of, put_back
-from .slow_runs import SlowFlow, is_predictable, with_predictions, with_probability
+from .slow_runs import SlowFlow, is_predictable, with_predictions
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
-DOUBT = 1.0  # the formula above; no wrong label that is not shaky was found beyond half of it
-FADED = 1e-6  # (|ω|/|ω₀|)² below which a run is made again although no boundary exists
 
 
 def classify_block(
@@ -59,7 +42,7 @@ def classify_block(
 ) -> Classification:
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
 
-    With `loosely` runs of which only the outcome is wanted are made in two passes.
+    With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
     """
     if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
         omegas = np.where(lost, np.nan, omegas)
@@ -69,19 +52,21 @@ def classify_block(
 
     def classified(limits: Limits) -> Classification:
         if value is False and loosely:
-            return without_error_estimates(outcomes(block, limits), value, np)
+            return outcomes(block, limits)
         runs = block.run(limits).runs
         if value is True:
             scales = omega_scale_of(deciding)
             return with_error_estimates(runs, block.run_some, omegas, limits, scales)
-        return without_error_estimates(runs, value, np)
+        return runs if value is False else without_error_estimates(runs, value, np)
 
     def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
+        if followed.all():
+            return classified(limits)
         t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
         return classified(limits._replace(t1=t1))
 
     if slow_flow is False or not is_predictable(equation):
-        return with_probability(classified(limits), np)
+        return classified(limits)
     every, label_only = slow_flow is True, value is False
     return with_predictions(classified_where, (equation, omegas), limits, label_only, every)
 
@@ -130,36 +115,15 @@ class Block:
 
 
 def outcomes(block: Block, limits: Limits) -> Classification:
-    """The classifications of runs of which no more than the outcome is wanted, in two passes."""
+    """The classifications of runs of which no more than the outcome is wanted.
+
+    In two passes, unless the second one would cost as much as if it were alone.
+    """
     factor = LOOSE / float(limits.rtol)
-    bounded = _bounded(block.equation)
-    if factor <= 1 or bounded is None:
+    if factor <= 1 or block.engine.compiles_for_size or not made_twice(block.equation):
         return block.run(limits).runs
     brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
-    runs, square, shaky = block.run(brief)
-    # Of a run that has made no step ω∞ is known to its error, which may be above the tolerance.
-    allowed = float(limits.rtol) * np.abs(runs.omega_inf) + np.asarray(limits.atol)
-    unknown = ~(runs.omega_inf_error <= allowed)
-    omega_inf, error = (
-        np.where(unknown, np.nan, x) for x in (runs.omega_inf, runs.omega_inf_error)
-    )
-    runs = replace(runs, omega_inf=omega_inf, omega_inf_error=error)
-    starts = np.asarray(block.omegas)
-    least = np.where(bounded, DOUBT * LOOSE * np.square(runs.steps, dtype=float), FADED)
-    with np.errstate(all="ignore"):  # of starts that are not finite
-        again = square <= least * np.einsum("in,in->n", starts, starts)
-    again |= (shaky & bounded) | (runs.outcome <= Outcome.UNDECIDED)
-    again &= np.asarray(limits.t1) > 0
-    lanes = np.flatnonzero(again)
+    runs, doubt = block.run(brief)
+    lanes = np.flatnonzero(doubt >= CERTAIN)
+    lanes = lanes[np.asarray(limits.t1)[lanes] > 0]
     return put_back(runs, lanes, block.run_some(lanes, limits)) if lanes.size else runs
-
-
-def _bounded(equation: Any) -> Bool[np.ndarray, "N"] | Bool[np.ndarray, ""] | None:
-    """Whether there is a boundary between outcomes; None of equations that this is not known of."""
-    if type(equation) in (TransverseReduced, TransverseSemi):
-        order = getattr(equation, "order", None)
-        level = Level.SEMI if order is None else Level.of_order(order)
-        return np.asarray(has_boundary(equation.delta, level))
-    if type(equation) in (Reduced, SemiReduced):
-        return np.asarray(True)
-    return None

@@ -1,7 +1,7 @@
 """Classification: from the state that ended a run to its outcome, ω∞ and the error of ω∞."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -10,14 +10,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, refuse
-from .._base.guards import safe_divisor
-from .._base.linalg import length, scale
 from .._base.stopping import BROKEN, Until, settled, slopes_settled
 from .._base.summaries import with_error
 from .._base.tolerances import Tolerances
-from .._base.types import DecidingEquation, Equation, Outcome, Real, Regime, Stop, Vector, Verdict
-from .._engines.interface import EndStates, Finish
-from ..equations._common import has_body_field
+from .._base.types import (
+    DecidingEquation,
+    Equation,
+    Outcome,
+    Real,
+    Regime,
+    Stop,
+    Verdict,
+    implied_probability,
+)
+from .._engines.interface import EndStates
 from ..equations.tangent import Tangent
 
 UNCHECKED = "unchecked"
@@ -122,57 +128,6 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
     return "slope" if isinstance(equation, Tangent) else "value"
 
 
-class Ended(NamedTuple):
-    """What is kept of runs that have ended; only where no more than labels is wanted, all of it."""
-
-    runs: Classification
-    square: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
-    """ω² at the end."""
-    shaky: Bool[Array, "*n"] | Bool[np.ndarray, "*n"] | None = None
-    """Whether the error of the last state may have decided that the outcome is RESIDUAL."""
-
-
-SHAKY = 20.0  # displacement of the last state that must not change the outcome, in tolerances
-
-
-def finish_of(value: Value) -> Finish[Ended]:
-    """What an engine does with the states that ended its runs."""
-    return ended_with_label if value is False else ended_with_value
-
-
-def ended_with_value(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
-    """See `classification_of`."""
-    return Ended(classification_of(equation, ends, tolerances))
-
-
-def ended_with_label(equation: DecidingEquation, ends: EndStates, tolerances: Tolerances) -> Ended:
-    """The same, with what tells whether the outcome is in doubt.
-
-    At order 1 the region of residual rotation reaches up to the basin boundary, so an error of the
-    state may carry it into the region. The verdict is therefore asked once more for a state whose
-    ω has a smaller component along the dipole, which lies nearer to the boundary.
-    """
-    y = jnp.asarray(ends.y)
-    omega, runs = equation.omega(y), classification_of(equation, ends, tolerances)
-    square = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
-    if omega is not y:  # no equation whose runs are made twice
-        return Ended(runs, square, jnp.zeros_like(square, bool))
-    error = tolerances.rtol + tolerances.atol / safe_divisor(jnp.sqrt(square))
-    axis = _dipole_axis(equation)
-    along = omega[0] * axis[0] + omega[1] * axis[1] + omega[2] * axis[2]
-    moved = omega - (SHAKY * error * along)[None] * axis
-    outcome = jnp.asarray(Verdict(*equation.verdict(moved)).outcome, int)
-    return Ended(runs, square, (outcome != runs.outcome) & (runs.outcome == Outcome.RESIDUAL))
-
-
-def _dipole_axis(equation: Any) -> Vector:
-    """The direction of the dipole of each lane; axis 1 of an equation without a body of its own."""
-    if not has_body_field(equation):
-        return jnp.array([[1.0], [0.0], [0.0]])
-    dipole = equation.body.dipole
-    return scale(1 / safe_divisor(length(dipole)), dipole)
-
-
 def classification_of(
     equation: DecidingEquation, ends: EndStates, tolerances: Tolerances
 ) -> Classification:
@@ -197,8 +152,9 @@ def classification_of(
         stops = verdict.outcome == Outcome.STOP
         certain &= ~(stops & equation.may_cross_boundary(y, tolerances.rtol))
         slopes = jnp.where(certain[None], equation.omega_inf_tangents(y), jnp.nan)
+    outcome = jnp.where(decided, verdict.outcome, without_outcome).astype(int)
     return Classification(
-        jnp.where(decided, verdict.outcome, without_outcome).astype(int),
+        outcome,
         jnp.where(known, verdict.omega_inf, jnp.nan),
         jnp.where(known, _error_of_formula(equation, verdict), jnp.nan),
         ends.t,
@@ -206,6 +162,8 @@ def classification_of(
         decided & verdict.certified_for(equation),
         jnp.where(decided, verdict.stop, Stop.NONE).astype(int),
         slopes,
+        jnp.full_like(outcome, Regime.RESOLVED),
+        implied_probability(outcome, jnp),
     )
 
 

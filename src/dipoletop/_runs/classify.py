@@ -34,7 +34,6 @@ from .slow_runs import (
     check_slow_flow,
     is_predictable,
     with_predictions,
-    with_probability,
 )
 
 
@@ -109,7 +108,7 @@ def classify(
     why_not = why_not or ("the start is a whole state" if is_whole_state(omega0) else "")
     check_slow_flow(slow_flow, equation, why_not)
     if slow_flow is False or why_not:
-        run = with_probability(classify_with_tangents(*constant, **settings), jnp)
+        run = classify_with_tangents(*constant, **settings)
     else:
         run = _classify_or_predict(constant, slow_flow, settings)
     zero = _zero_without_derivative(jax.tree.leaves(arrays))
@@ -124,7 +123,7 @@ def _classify_or_predict(
     check_verdict(equation)
     check_single(equation)
     if not is_predictable(equation):
-        return with_probability(classify_with_tangents(equation, omega0, **settings), jnp)
+        return classify_with_tangents(equation, omega0, **settings)
     start = real("omega0", omega0, (3,), batch=False)
     lanes, starts = jax.tree.map(lambda x: np.asarray(x)[..., None], (equation, start))
 

@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .._base.checks import (
     ArrayLike,
@@ -24,7 +23,8 @@ from .._base.types import Equation
 from .._engines.interface import Limits, power_of_two
 from .._engines.select import select_engines
 from .blocks import classify_block
-from .classification import Classification, Value, finish_of, stopping_rule
+from .classification import Classification, Value, stopping_rule
+from .doubt import finish_of
 from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
@@ -60,9 +60,9 @@ def classify_many(
         max_steps: largest number of steps of a run; a run that needs more is predicted, or
             UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
-            With False, runs of the tops and bodies of this library are made at rtol = 1e-4 first,
-            and again at `rtol` where that leaves a doubt; `time` and `steps` are those of the
-            last run of a start.
+            With False, the native engine makes runs of the tops and bodies of this library at
+            rtol = 1e-4 first, and again at `rtol` where that leaves a doubt; `time` and `steps`
+            are those of the last run of a start.
         engine: "jax"; "native" (machine code, for float64 on processors; it needs llvmlite); or
             "auto", the fastest one that can run here.
         slow_flow: whether runs that would take more than `max_steps` are predicted, as by
@@ -83,25 +83,26 @@ def classify_many(
     check_verdict(equations, "equations")
     if not concrete(equations, omegas):
         refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
-    starts = np.asarray(real("omegas", omegas, (-1, 3), batch=False))
+    starts = real("omegas", omegas, (-1, 3), batch=False, xp=np)
     size = starts.shape[0]
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
-    rtol = tolerance("rtol", rtol)
-    atol = absolute(atol, rtol, starts.T, label_only=value is False)
-    steps = jnp.asarray(budget("max_steps", max_steps))
+    relative = tolerance("rtol", rtol, xp=np)
+    atol = absolute(atol, relative, starts.T, label_only=value is False)
+    steps = np.asarray(budget("max_steps", max_steps))
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
     check_slow_flow(slow_flow, equations)
-    runs = _Runs(equations, single, starts, np.asarray(atol), rtol, steps)
+    runs = _Runs(equations, single, starts, np.asarray(atol), relative, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, finish_of(value))
     first = devices[0]
     threads = len(devices)
-    # Few runs share a queue, so that no thread waits for the longest runs of another.
-    if engines[first].has_own_threads and size <= PIECE * threads:
+    # Few runs share a queue, so that no thread waits for the longest runs of another. So do labels,
+    # for which hardly anything is left to do outside the engine.
+    if engines[first].has_own_threads and (value is False or size <= PIECE * threads):
         return classify_block(*every_run, value, engines[first], first, slow_flow, threads)
     if engines[first].compiles_for_size:
         length = min(largest_tile(devices), power_of_two(-(-size // threads)))
@@ -130,8 +131,9 @@ class _Runs(NamedTuple):
     """Whether it is one equation for all runs, rather than a batch."""
     starts: Float[np.ndarray, "N 3"]
     atol: Float[np.ndarray, "N"]
-    rtol: Float[Array, ""]
-    max_steps: Int[Array, ""]
+    rtol: Any
+    """In NumPy, as is the next."""
+    max_steps: Any
 
     def tile(self, first: int, length: int) -> tuple[Any, Float[np.ndarray, "3 tile"], Limits]:
         """Some runs: the equation with its lanes behind, starts, limits.

@@ -173,14 +173,16 @@ def run_with_error_estimate(
 def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) -> Classification:
     """Classifications whose ω∞ has an unknown error, unless no integration has part in it.
 
-    Without `value` such an ω∞ is NaN. `xp` is NumPy or its counterpart in JAX.
+    Without `value` ω∞ is NaN unless it is constant. `xp` is NumPy or its counterpart in JAX.
     """
-    integrated = is_integrated(runs)
-    omega_inf = runs.omega_inf
-    if not value:
-        omega_inf = xp.where(integrated, xp.nan, omega_inf)
-    error = xp.where(integrated, xp.inf, runs.omega_inf_error)
-    return replace(runs, omega_inf=omega_inf, omega_inf_error=error)
+    if value:
+        unknown, omega_inf = is_integrated(runs), runs.omega_inf
+    else:
+        unknown = (runs.outcome == Outcome.RESIDUAL) & (runs.omega_inf_error != 0)
+        omega_inf = xp.where(unknown, xp.nan, runs.omega_inf)
+    return replace(
+        runs, omega_inf=omega_inf, omega_inf_error=xp.where(unknown, xp.inf, runs.omega_inf_error)
+    )
 
 
 def is_integrated(runs: Classification) -> Any:

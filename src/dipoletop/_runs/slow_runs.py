@@ -233,12 +233,15 @@ def with_predictions(
     budget = MARGIN * most
     waiting = ~np.zeros_like(wanted) if every else _long_runs(*begin, budget, rtol, label_only)
     runs = run(~waiting)
-    unknown = _is_open(runs, label_only) & wanted
+    unknown = _is_open(runs, label_only)
+    if not unknown.any():
+        return runs
+    unknown &= wanted
     if not every:  # of the runs that were made, those that have exhausted the budget
         unknown &= waiting | (runs.steps >= most)
     lanes = np.flatnonzero(unknown)
     if not lanes.size:
-        return with_probability(runs, np)
+        return runs
     motions = slow_motions(*part_of(begin, lanes, unknown.size))
     law = motions.has_law
     ends = _scattered(motions.ends(law), law) if law.any() else _unknown_ends(law.size)
@@ -250,18 +253,8 @@ def with_predictions(
         if again.any():
             runs = _where(again, run(again), runs)
             known &= _is_open(runs, label_only)[lanes]
-    runs = with_probability(runs, np)
     filled = _filled_in(part_of(runs, lanes, unknown.size), ends, known, motions)
     return put_back(runs, lanes, filled)
-
-
-def with_probability(runs: Classification, xp: Any) -> Classification:
-    """Classifications with the regime RESOLVED and the probability that their outcomes imply."""
-    return replace(
-        runs,
-        regime=xp.full_like(runs.outcome, Regime.RESOLVED),
-        probability=implied_probability(runs.outcome, xp),
-    )
 
 
 def _is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:

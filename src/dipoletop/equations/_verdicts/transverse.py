@@ -9,7 +9,8 @@ them there are three kinds of region, in the letters
 Residual. The line ω₂ = ω₃ = 0 attracts a neighbourhood, a cone at order 1 and an ellipse in (T, Z)
 at the semi-reduced level. Order 1 is proven for every amplitude; semi-reduced, the ellipse is
 proven by interval branch and bound for v ≤ 10 and δ in [−1, −0.01] or [0.02, 0.99], and tested on
-grids elsewhere.
+grids elsewhere. At order 1 with δ > 0 almost every start is residual (`almost_every_start`), so
+outside the cone the outcome is certain, too, but ω∞ has no series there.
 
 Rotating stop, δ < 0. Precession is so fast that the angle φ = atan2(ω₂, ω₁) turns for ever: q > S,
 and ln q + S/q, at the semi-reduced level with a correction, is above a bound. Proven at order 1,
@@ -117,6 +118,31 @@ def _on_axis(axis: Flag, d: Real, w: Vector, series: Series, plane: Flag | bool 
     )
 
 
+def almost_every_start(delta: Real, w: Vector) -> Flag:
+    """Starts at order 1 with 0 < δ < 1 that are residual, but for a set of measure 0.
+
+    With A = ω² + δ(1+δ)ω₃² and B = (ω² + δ(2ω₁² − ω₂²))/(1−δ), which are positive,
+
+        u′ = −2A sin²φ u,   ω₃′ = −Bω₃,   φ′ = −δω₃ − ½A sin 2φ.
+
+    Both u and |ω₃| fall. If u has a limit above 0, then ω₃ → 0 and ω₂ → 0: the start is residual.
+    Let now u → 0, off the invariant axes. Then ω₃ → 0, too, as ω₃′ ≤ −ω₃³/(1−δ) for ω₃ > 0.
+
+    1. z = |ω₃|/u stays bounded. Where z is large, φ turns fast, and ln z, but for the small term
+       −A sin 2φ/(2δω₃) and another one, falls like −∫A dτ times a positive number: averaged over φ
+       (ln z)′ is −(1−δ)⁻¹(3δu/2 + δ³ω₃²), and ∫A dτ diverges.
+    2. So ω₃²/u ≤ z²u → 0, and with dσ = u dτ the motion is, up to O(u), that of `planar` at order
+       1, F = (φ_σ, z_σ). Near (φ, z) = (π/2, 0) both eigenvalues are 1, so it leaves that place for
+       ever; where z is small elsewhere, it would enter the cone. So z stays above a number.
+    3. There z⁻² has a finite integral, and it increases along the planar motion:
+       div(z⁻²F) = 3δ cos²φ z⁻²/(1−δ). The measure u^(κ−1)·exp(κχ)·z⁻² du dφ dz, κ > 0 small and
+       χ(φ, z) smooth with F·∇χ > 2 around φ = π/2, increases at a positive rate for small u. A set
+       of finite measure that is carried into itself cannot grow: its measure is 0.
+    """
+    w1, w2, w3 = w
+    return (delta > 0) & ((w1 != 0) | ((w2 != 0) & (w3 != 0)))
+
+
 def first_order(delta: Real, w: Vector) -> Verdict:
     """Order 1, (4.2)–(4.4): every region is proven, for any amplitude."""
     d = delta
@@ -133,7 +159,7 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     height = jnp.sqrt(jnp.where(d >= 0, 1.0, jnp.maximum(above, 0.0) * (1 - d)))  # λ = height/below
     # Unsquared, and not where squares underflow: 0 ≤ 0 would certify anything.
     flat = (below * jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
-    residual = (d > -0.5) & (w1 != 0) & (below * w2**2 <= above * u) & flat
+    cone = (d > -0.5) & (w1 != 0) & (below * w2**2 <= above * u) & flat
 
     fast = (1 + d + d**2) * w3**2
     q, s = _q_and_s(d, w, u)
@@ -141,11 +167,14 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     precesses = (q > s) & (q > 0) & (measure > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
     rotating = (d < 0) & ~constant & (precesses | (d <= -0.5))
 
-    omega_inf, error, slope = _where_constant(constant, w1, residual_series.first_order(d, w))
+    pairs = zip(residual_series.first_order(d, w), (jnp.nan, jnp.inf, jnp.inf), strict=True)
+    value, error, slope = (jnp.where(cone, inside, outside) for inside, outside in pairs)
+    omega_inf, error, slope = _where_constant(constant, w1, (value, error, slope))
     off = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
     omega_inf = piecewise_conserved(omega_inf, off)
     series = _on_axis(axis, d, w, (omega_inf, error, slope), w3 == 0)
-    stop, residual = (axis | rotating) & finite, (residual | constant) & finite
+    residual = cone | almost_every_start(d, w) | constant
+    stop, residual = (axis | rotating) & finite, residual & finite
     kind = jnp.where(axis, Stop.AXIS, Stop.ROTATING)
     return _decided(residual, stop, kind, stop | residual, series)
 

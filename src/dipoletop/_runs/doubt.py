@@ -1,0 +1,108 @@
+"""How much a label is in doubt, and so which runs that were made loosely are to be made again.
+
+A motion near the boundary between outcomes comes near to a motion on it, which loses all its
+angular velocity. At small amplitude ω⊥² falls there as fast as the distance from the boundary
+grows: at the saddle of `planar` the two rates are equal, at order 1 and at the consistent levels.
+So (|ω|/|ω₀|)² at the end of a run is a measure of how near it has been. The error is a phase that
+grows with the number of turns, as its rate is off by about the same. So the doubt of a label is
+
+    rtol · n² / (|ω|/|ω₀|)²,      n the number of steps,
+
+or infinite where a small displacement of the last state changes the verdict: at order 1 the region
+of residual rotation reaches up to the basin boundary, so that an error may carry a state into it.
+`benchmarks/accuracy/label_precision.py` looks for labels that are lost nevertheless, at every level
+and for bodies of every kind, among random starts and among those that close in on the boundary.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._base.guards import safe_divisor
+from .._base.linalg import length, scale
+from .._base.tolerances import Tolerances
+from .._base.types import DecidingEquation, Flag, Outcome, Real, Vector, Verdict
+from .._engines.interface import EndStates, Finish
+from ..equations._common import has_body_field
+from ..equations._verdicts.transverse import has_boundary
+from ..equations.levels import Level
+from ..equations.rigid import Reduced, SemiReduced
+from ..equations.transverse import TransverseReduced, TransverseSemi
+from .classification import Classification, Value, classification_of
+from .conditioning import without_error_estimates
+
+CERTAIN = 1.0  # a label with less doubt is certain: no wrong one was found that had less than 2
+FADED = 1e-6  # (|ω|/|ω₀|)² below which a label is in doubt although no boundary exists
+SHAKY = 20.0  # displacement of the last state that must not change the outcome, in tolerances
+
+
+class Ended(NamedTuple):
+    """What is kept of runs that have ended."""
+
+    runs: Classification
+    doubt: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
+    """Where no more than labels is wanted: that of each, see above; infinite if there is none."""
+
+
+def finish_of(value: Value) -> Finish[Ended]:
+    """What an engine does with the states that ended its runs."""
+    return ended_with_label if value is False else ended_with_value
+
+
+def ended_with_value(
+    equation: DecidingEquation, _omegas: Vector, ends: EndStates, tolerances: Tolerances
+) -> Ended:
+    """See `classification_of`."""
+    return Ended(classification_of(equation, ends, tolerances))
+
+
+def ended_with_label(
+    equation: DecidingEquation, omegas: Vector, ends: EndStates, tolerances: Tolerances
+) -> Ended:
+    """The same without ω∞, unless that is constant, and the doubt of the outcome."""
+    runs = classification_of(equation, ends, tolerances)
+    labels = without_error_estimates(runs, False, jnp)
+    if not made_twice(equation):
+        return Ended(labels)
+    omega = jnp.asarray(ends.y)
+    square, first = (w[0] ** 2 + w[1] ** 2 + w[2] ** 2 for w in (omega, omegas))
+    bounded = _is_bounded(equation)
+    steps = runs.steps.astype(square.dtype)
+    doubt = jnp.where(bounded, tolerances.rtol * steps**2, FADED) * first / square
+    error = tolerances.rtol + tolerances.atol / safe_divisor(jnp.sqrt(square))
+    unknown = runs.outcome <= Outcome.UNDECIDED
+    unknown |= bounded & _is_shaky(equation, omega, error, runs)
+    return Ended(labels, jnp.where(unknown, jnp.inf, doubt))
+
+
+def _is_shaky(equation: Any, omega: Vector, error: Real, runs: Classification) -> Flag:
+    """Whether a state with a smaller component along the dipole is no longer residual."""
+    axis = _dipole_axis(equation)
+    along = omega[0] * axis[0] + omega[1] * axis[1] + omega[2] * axis[2]
+    moved = omega - (SHAKY * error * along)[None] * axis
+    outcome = jnp.asarray(Verdict(*equation.verdict(moved)).outcome, int)
+    return (outcome != runs.outcome) & (runs.outcome == Outcome.RESIDUAL)
+
+
+def _dipole_axis(equation: Any) -> Vector:
+    """The direction of the dipole of each lane; axis 1 of an equation without a body of its own."""
+    if not has_body_field(equation):
+        return jnp.array([[1.0], [0.0], [0.0]])
+    dipole = equation.body.dipole
+    return scale(1 / safe_divisor(length(dipole)), dipole)
+
+
+def made_twice(equation: Any) -> bool:
+    """Whether the formula of this module is known to hold for an equation."""
+    return type(equation) in (TransverseReduced, TransverseSemi, Reduced, SemiReduced)
+
+
+def _is_bounded(equation: Any) -> Any:
+    """Whether there is a boundary between outcomes."""
+    if type(equation) not in (TransverseReduced, TransverseSemi):
+        return True
+    order = getattr(equation, "order", None)
+    level = Level.SEMI if order is None else Level.of_order(order)
+    return has_boundary(equation.delta, level)
