@@ -157,8 +157,7 @@ def subnormal(array: Any) -> np.ndarray:
     start *exactly* on it.
     """
     values = np.asarray(array)
-    small = np.abs(values) < np.finfo(values.dtype).tiny
-    return small & (values != 0) if small.any() else small
+    return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
 
 
 def check_equation(equation: Any, name: str = "equation") -> None:

@@ -103,17 +103,17 @@ def _default_atol_in_numpy(
 ) -> Float[np.ndarray, "*n"]:
     """The same for known starts, for which JAX would compile a program for every number of them."""
     with np.errstate(all="ignore"):
-        size = np.sqrt(np.einsum("i...,i...->...", omega0, omega0))
-        least = float(np.finfo(size.dtype).tiny) ** 0.5
-        regular = bool(np.all(size > least))
-        if not regular:  # squares may have underflowed
-            most = np.max(np.abs(omega0), axis=0)
-            unit = np.where(most > 0, most, 1.0)
-            size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
-    scale = size if label_only else np.zeros_like(size)
-    if not regular:
-        scale = np.where(size > 0, scale, 1.0)
-    return (float(rtol) * scale).astype(omega0.dtype, copy=False)
+        # In place: to get memory from the system takes longer than to compute.
+        atol = np.asarray(np.einsum("i...,i...->...", omega0, omega0))
+        if np.all(atol > np.finfo(atol.dtype).tiny):
+            if not label_only:
+                return np.zeros_like(atol)
+            return np.multiply(np.sqrt(atol, out=atol), float(rtol), out=atol)
+        most = np.max(np.abs(omega0), axis=0)  # squares may have underflowed
+        unit = np.where(most > 0, most, 1.0)
+        size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
+    scale = np.where(size > 0, size if label_only else 0.0, 1.0)
+    return np.asarray(float(rtol) * scale, omega0.dtype)
 
 
 def budget(name: str, value: Any) -> int:

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._base.checks import subnormal
 from .._base.parallel import Device
 from .._base.stopping import Until
 from .._base.tolerances import Tolerances
@@ -59,6 +60,7 @@ class Queue(NamedTuple):
 
     equation: DecidingEquation
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"]
+    """On processors a start with a subnormal component is taken for one that is not a number."""
     limits: Limits
     until: Until
 
@@ -108,7 +110,9 @@ class Engine(Protocol):
 
 
 def on_device(queue: Queue, device: Device) -> Any:
-    """The queue with its arrays on a device."""
+    """The queue with its arrays on a device, for JAX."""
+    if device.platform == "cpu" and np.any(lost := subnormal(queue.omegas)):
+        queue = queue._replace(omegas=np.where(lost, np.nan, queue.omegas))
     arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
     return eqx.combine(jax.device_put(arrays, device), rest)
 

@@ -7,6 +7,7 @@ costs as much as a thousand runs. It needs llvmlite.
 """
 
 import functools
+import math
 import threading
 from concurrent.futures import wait
 from dataclasses import dataclass, field, replace
@@ -32,6 +33,7 @@ from .machine_code import MachineCode
 from .native_queue import KINDS, WIDTH, Job, Loop, loop
 
 SHARE = 256  # runs from which on a thread of its own pays
+LINE = 64  # bytes of a line of memory
 
 
 @final
@@ -103,7 +105,7 @@ class _Functions(NamedTuple):
 
     def begin(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
         lanes, omegas, _ = table
-        y = lanes.y if omegas is None else self.equation(lanes).lift(omegas)
+        y = lanes.y if omegas is None else self.equation(lanes).lift(_without_subnormal(omegas))
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
@@ -131,6 +133,11 @@ class _Functions(NamedTuple):
 
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
         return table._replace(result=self.result(table.lanes, table.omegas, shared))
+
+
+def _without_subnormal(x: Array) -> Array:
+    """NaN in the place of subnormal numbers, as other engines have it on processors."""
+    return jnp.where((x != 0) & (jnp.abs(x) < jnp.finfo(x.dtype).tiny), jnp.nan, x)
 
 
 @dataclass(frozen=True)
@@ -205,7 +212,7 @@ class _Program:
         into = lanes.y if omegas is None else omegas, lanes.atol, lanes.t1, lanes.equation
         given = starts, limits.atol, limits.t1, eqx.filter(equation, _is_array)
         given = jax.tree.map(lambda x: np.asarray(x, float).reshape(-1, size), given)
-        out = jax.tree.map(lambda x: np.empty((*x.shape[:-1], size), x.dtype), self.result)
+        out = _empty(self.result, size)
         inputs, outputs = _transfers(into, given), _transfers(result, out)
         rows, *places = self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
@@ -223,6 +230,21 @@ class _Program:
         threads = min(threads, -(-size // SHARE))
         steps = _in_threads(work, threads, queue, size) if threads > 1 else work()
         return out, steps
+
+
+def _empty(result: Any, size: int) -> Any:
+    """Arrays for the results of so many runs, all in one piece of memory.
+
+    A large piece is made of large pages; to get many small ones takes as long as a step.
+    """
+    leaves, structure = jax.tree.flatten(result)
+    lengths = [size * math.prod(leaf.shape[:-1]) * leaf.dtype.itemsize for leaf in leaves]
+    places = np.cumsum([0, *(-(-length // LINE) * LINE for length in lengths)])
+    block, arrays = np.empty(places[-1], np.uint8), []
+    for first, length, leaf in zip(places[:-1], lengths, leaves, strict=True):
+        part = block[first : first + length].view(leaf.dtype)
+        arrays.append(part.reshape(*leaf.shape[:-1], size))
+    return jax.tree.unflatten(structure, arrays)
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:

@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.checks import subnormal
 from .._base.parallel import Device
 from .._base.stopping import Until
 from .._base.types import DecidingEquation, Equation
@@ -44,8 +43,6 @@ def classify_block(
 
     With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
     """
-    if device.platform == "cpu" and np.any(lost := subnormal(omegas)):
-        omegas = np.where(lost, np.nan, omegas)
     deciding: DecidingEquation = physical(equation)
     rule, finish = stopping_rule(equation, value), finish_of(value)
     block = Block(deciding, omegas, rule, finish, engine, device, threads)

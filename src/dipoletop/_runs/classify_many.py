@@ -142,9 +142,10 @@ class _Runs(NamedTuple):
         full, since JAX would take as long as the machine code that works on it.
         """
         size, end = len(self.starts), first + length
-        t1 = np.full(length, np.inf, self.starts.dtype)
-        t1[max(size - first, 0) :] = 0.0
         full = end <= size
+        t1 = np.broadcast_to(np.array(np.inf, self.starts.dtype), length)
+        if not full:
+            t1 = np.where(np.arange(length) < size - first, t1, np.zeros_like(t1))
         runs: Any = slice(first, end) if full else np.minimum(np.arange(first, end), size - 1)
 
         def lanewise(leaf: Array) -> np.ndarray:
