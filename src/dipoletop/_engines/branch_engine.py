@@ -85,7 +85,8 @@ def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: U
         times = state.time + jnp.append(0.0, window.times[:, -1])
         done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= accepted)
         which = jnp.where(jnp.any(done), jnp.argmax(done), accepted)
-        status = jnp.where(new.windows < limits.max_steps, RUNNING, EXHAUSTED)
+        most = limits.max_steps.astype(new.windows.dtype)
+        status = jnp.where(new.windows < most, RUNNING, EXHAUSTED)
         status = jnp.where(new.failed, BROKEN, status)
         status = jnp.where(jnp.any(done), FINISHED, status).astype("int32")
         return new, states[which], times[which], status
