@@ -167,13 +167,14 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     precesses = (q > s) & (q > 0) & (measure > jnp.where(fast <= 0.8 * u, 1.0, 1.1))
     rotating = (d < 0) & ~constant & (precesses | (d <= -0.5))
 
+    beyond = almost_every_start(d, w) & ~cone & ~constant
     pairs = zip(residual_series.first_order(d, w), (jnp.nan, jnp.inf, jnp.inf), strict=True)
-    value, error, slope = (jnp.where(cone, inside, outside) for inside, outside in pairs)
+    value, error, slope = (jnp.where(beyond, unknown, known) for known, unknown in pairs)
     omega_inf, error, slope = _where_constant(constant, w1, (value, error, slope))
     off = jnp.where((d <= -0.5) & (w3 == 0), w3, 0.0)  # all neighbours with ω₃ ≠ 0 stop
     omega_inf = piecewise_conserved(omega_inf, off)
     series = _on_axis(axis, d, w, (omega_inf, error, slope), w3 == 0)
-    residual = cone | almost_every_start(d, w) | constant
+    residual = cone | beyond | constant
     stop, residual = (axis | rotating) & finite, residual & finite
     kind = jnp.where(axis, Stop.AXIS, Stop.ROTATING)
     return _decided(residual, stop, kind, stop | residual, series)
