@@ -1,8 +1,9 @@
 """Sweeps: the outcomes of a problem on a grid, points or a sample, tile by tile, on all devices."""
 
+import contextlib
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .._base.checks import check_verdict
-from .._base.parallel import Device, in_parallel, worker_devices
+from .._base.parallel import Crew, Device, worker_devices
 from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
 from .._engines.select import select_engines
 from .._runs.classification import Value, stopping_rule
@@ -18,9 +19,11 @@ from .._runs.doubt import finish_of
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from .basin import Basin
 from .grids import Grid, Points, Sample
-from .problems import Block, BlockBuilder, Problem
-from .sweep_plan import Columns, Plan, Rules, derivative_names
+from .problems import BlockBuilder, Problem
+from .sweep_plan import ComputedTile, Plan, Rules, derivative_names
 from .sweep_stores import MemoryStore, ZarrStore
+
+POLL = 0.2  # seconds until the tiles of other processes are looked for again
 
 
 def sweep(
@@ -110,7 +113,7 @@ def sweep(
         rtols.append(tolerance("confirm", confirm))
     max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
     # check
-    equation, _ = blocks(np.zeros(1, int))
+    equation, _ = blocks(over.points(np.zeros(1, int)))
     check_verdict(equation)
     check_slow_flow(slow_flow, equation)
     until, finish = stopping_rule(equation, value), finish_of(value)
@@ -119,12 +122,13 @@ def sweep(
     rules = Rules(rtols, atol, max_steps, value, slow_flow)
     plan = Plan(blocks, equation, rules, devices, engines)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
-    _compute(plan, columns, progress)
+    with contextlib.closing(columns):
+        _compute(plan, columns, progress)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)
 
 
 def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | None) -> None:
-    """Compute every unfinished tile, with a progress bar."""
+    """Compute every unfinished tile that no other process computes, with a progress bar."""
     from tqdm import tqdm
 
     tiles = store.unfinished()
@@ -138,12 +142,42 @@ def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | 
         disable=None if progress is None else not progress,
         file=sys.stderr,
     ) as bar:
-        queues = plan.queues(tiles)
-
-        def work(queue: int, device: Device) -> list[tuple[int, tuple[Columns, Block]]]:
-            return plan.compute(queues[queue], device)
-
-        for _, results in in_parallel(work, range(len(queues)), plan.devices):
-            for tile, (columns, block) in results:
-                store.write(tile, columns, block)
+        waiting = set(tiles)
+        while waiting:
+            for tile in _compute_once(plan, store, sorted(waiting)):
                 bar.update(plan.tiling.length(tile))
+                waiting.discard(tile)
+            if waiting:
+                time.sleep(POLL)
+
+
+def _compute_once(
+    plan: Plan, store: MemoryStore | ZarrStore, tiles: Sequence[int]
+) -> Iterator[int]:
+    """Yield the tiles as they are finished, here or by other processes; some may be left over.
+
+    After an interruption, the tiles in hand are kept if they do not take much longer.
+    """
+    queues, unwritten = plan.queues(tiles), []
+
+    def work(queue: int, device: Device) -> list[ComputedTile]:
+        claimed = [tile for tile in queues[queue] if store.claim(tile)]
+        return plan.compute(claimed, device) if claimed else []
+
+    crew = Crew(work, range(len(queues)), plan.devices)
+    try:
+        for queue, results in crew.results():
+            unwritten += results
+            while unwritten:
+                store.write(unwritten[0])
+                unwritten.pop(0)
+            yield from (tile for tile in queues[queue] if store.is_finished(tile))
+    except KeyboardInterrupt:
+        for _, results in crew.rest(store.patience):
+            unwritten += results
+        for computed in unwritten:
+            store.write(computed)
+        raise
+    except BaseException:
+        crew.wait()
+        raise

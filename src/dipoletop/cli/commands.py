@@ -20,7 +20,8 @@ from ..equations.transverse import equation_at
 from . import maps, quantities, tables
 from .atlas_command import atlas_command
 from .files import FORMATS, output_paths
-from .parameters import Number, Size
+from .interruption import interruptible
+from .parameters import Duration, Number, Size
 from .predict_command import predict_command
 from .refusals import Refusal, computing
 from .store_commands import store
@@ -131,6 +132,12 @@ main.add_command(atlas_command)
     help="Keep the data in OUTPUT-LEVEL.zarr; the same command resumes a stopped sweep.",
 )
 @click.option("--repair", is_flag=True, help="Recompute damaged data of the store.")
+@click.option(
+    "--time-limit",
+    type=Duration(),
+    help="Stop after this time, as 90s, 30m, 2h or 1:30:00, with exit status 124; finished tiles "
+    "are kept.",
+)
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @computing
 def map_command(**options: Any) -> None:
@@ -154,16 +161,11 @@ def map_command(**options: Any) -> None:
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")
     runs = []
-    try:
+    with interruptible(keeps_tiles=options["store"], time_limit=options["time_limit"]):
         for level in levels:
             place = base.with_name(f"{base.name}-{level}.zarr") if options["store"] else None
             progress = level.value if show else False
             runs.append(maps.run_level(level, grid, place, progress=progress, **settings))
-    except KeyboardInterrupt:
-        kept = "finished tiles are kept, and the same command goes on from there"
-        nothing = "nothing is kept without a store"
-        click.echo(f"Stopped: {kept if options['store'] else nothing}.", err=True)
-        raise SystemExit(130) from None
     _draw([run.basin for run in runs], axes, picture)
     click.echo(tables.maps(runs))
     if levels == [Level.ORDER_1]:

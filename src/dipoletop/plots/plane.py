@@ -76,8 +76,8 @@ def plane_of(
         extend: whether to unfold a symmetry cell to the whole plane.
         axes: the names along x and y; None means the usual one.
     """
-    if not basin.coords:
-        refuse("basin", "be over a grid", "is over a sample, which has no axes to map")
+    if any(name not in basin.coords for name in basin.dims):
+        refuse("basin", "be over a grid", "is over single starts, which have no axes to map")
     long = [name for name, n in zip(basin.dims, basin.shape, strict=True) if n > 1]
     if len(long) != 2 or any(basin.coords[name].ndim > 1 for name in long):
         refuse(
@@ -123,7 +123,7 @@ def _title(basin: Basin) -> str:
     fixed = [
         f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values))}"
         for name, values in basin.coords.items()
-        if len(values) == 1
+        if name not in basin.dims or len(values) == 1
     ]
     share = float(np.mean(basin.certified))
     words = {0.0: "no outcome", 1.0: "all outcomes"}
