@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import described, instance, refuse
+from .._base.checks import described, flag, instance, refuse
 from .._base.statistics import Share, share_of
 from .._base.types import Outcome, Regime, implied_probability
 from .columns import (
     CONVENTIONS,
     DERIVATIVE_PREFIX,
+    MISSING,
     START,
     BasinParts,
     component_dims,
@@ -182,10 +183,11 @@ class Basin:
         """Share of every outcome that occurs, with 95 % intervals (Wilson).
 
         The intervals are those of independent random starts; on a regular grid they overstate the
-        error.
+        error. Of an unfinished sweep the shares are of what is computed already.
         """
-        values, counts = np.unique(self.outcome, return_counts=True)
-        size = int(np.prod(self.shape))
+        outcome = self.outcome
+        values, counts = np.unique(outcome[outcome != MISSING["int8"]], return_counts=True)
+        size = int(np.sum(counts))
         return {
             Outcome(value).name: share_of(count, size)
             for value, count in zip(values.tolist(), counts.tolist(), strict=True)
@@ -292,18 +294,20 @@ class Basin:
         contents.save(self._parts, path)
 
     @staticmethod
-    def load(path: str | bytes | PathLike[Any]) -> "Basin":
+    def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Basin":
         """A basin from disk: one that was saved, or a sweep's `store`.
 
         Args:
             path: the folder.
+            unfinished: whether to load a sweep that is not finished, too. Where nothing is computed
+                yet, `outcome` is −128, which is no member of `Outcome`, and numbers are NaN.
 
         Raises:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
             StoreDamaged: it is not what was written. Stores of older versions have no checksums:
                 of these only missing and unreadable data are detected.
         """
-        return Basin(*contents.load(path))
+        return Basin(*contents.load(path, flag("unfinished", unfinished)))
 
     def __repr__(self) -> str:
         axes = [described_axis(name, values) for name, values in self.coords.items()]
@@ -318,8 +322,11 @@ class Basin:
         """The share of every outcome, and of certified ones."""
         try:
             shares = [f"{name} {x.share:.2%}" for name, x in self.fractions().items()]
-            if "certified" in self.columns:
-                shares.append(f"certified {np.mean(self.certified):.2%}")
+            computed = self.outcome != MISSING["int8"]
+            if "certified" in self.columns and computed.any():
+                shares.append(f"certified {np.mean(self.certified[computed]):.2%}")
+            if not computed.all():
+                shares.append(f"not computed yet {1 - np.mean(computed):.2%}")
         except StoreDamaged as error:
             return str(error)
         return ", ".join(shares)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from jaxtyping import Float
-from numpy import ndarray
+from numpy import nan, ndarray
 
 from .._base.checks import refuse
 from .._base.types import Outcome, Regime, Stop
@@ -50,6 +50,9 @@ OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
     "computed": ColumnSpec("bool", "1", "whether the start was integrated, not filled in"),
 }
 """Columns of some basins."""
+
+MISSING: dict[str, Any] = {"int8": -128, "int32": -(2**31), "float64": nan, "bool": False}
+"""What stands for numbers that are not computed yet, by their type."""
 
 DERIVATIVE_PREFIX = "d_omega_inf_d_"
 """A column of derivatives has this prefix and the name of the axis."""

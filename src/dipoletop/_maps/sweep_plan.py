@@ -11,19 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import names_of, refuse
-from .._base.parallel import Device
-from .._base.tolerances import absolute
+from .._base.checks import check_verdict, names_of, refuse
+from .._base.parallel import Device, worker_devices
+from .._base.tolerances import absolute, budget, check_atol, tolerance
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
+from .._engines.select import select_engines
 from .._runs.blocks import classify_block
-from .._runs.classification import Value
+from .._runs.classification import Value, stopping_rule
 from .._runs.classify_many import TILE, largest_tile
-from .._runs.slow_runs import SlowFlow
+from .._runs.doubt import finish_of
+from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
 from .columns import DERIVATIVE_PREFIX, START, check_arguments, columns_of_runs
-from .grids import PointValues, Sample
-from .problems import Block, BlockBuilder, block_digest, first_lanes, joined
+from .grids import Grid, Points, PointValues, Sample
+from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
@@ -63,6 +65,20 @@ class Rules(NamedTuple):
     """Whether slow runs are predicted."""
 
 
+class Settings(NamedTuple):
+    """The arguments of a sweep that tell how it is computed, as the user gave them; see `sweep`."""
+
+    rtol: Any
+    atol: Any
+    max_steps: Any
+    value: Value
+    derivatives: str | Sequence[str]
+    confirm: Any
+    engine: str
+    slow_flow: SlowFlow
+    devices: Sequence[Any] | None = None
+
+
 @dataclass(frozen=True)
 class Plan:
     """All that a sweep computes.
@@ -92,6 +108,11 @@ class Plan:
         derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
         confirmed = ["changed"] if len(self.rules.rtols) > 1 else []
         return [*columns_of_runs(self.rules.slow_flow), *derivatives, *confirmed, *self.drawn]
+
+    @property
+    def is_sample(self) -> bool:
+        """Whether the starts are random."""
+        return isinstance(self.blocks.over, Sample)
 
     @functools.cached_property
     def drawn(self) -> dict[str, tuple[int, ...]]:
@@ -205,6 +226,31 @@ class Plan:
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns
+
+
+def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) -> Plan:
+    """The plan of a sweep, all of its arguments checked.
+
+    Raises:
+        ValueError: bad arguments.
+    """
+    rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices = settings
+    # convert
+    blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
+    if atol is not None:
+        check_atol(atol)
+    rtols = [tolerance("rtol", rtol)]
+    if confirm is not None:
+        rtols.append(tolerance("confirm", confirm))
+    max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
+    # check
+    equation, _ = blocks(over.points(np.zeros(1, int)))
+    check_verdict(equation)
+    check_slow_flow(slow_flow, equation)
+    until, finish = stopping_rule(equation, value), finish_of(value)
+    engines = select_engines(engine, equation, devices, until, finish)
+    rules = Rules(rtols, atol, max_steps, value, slow_flow)
+    return Plan(blocks, equation, rules, devices, engines)
 
 
 def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:

@@ -4,6 +4,7 @@ Both offer `unfinished()`, the tiles to compute; `claim(tile)`, whether it is fo
 so; `write(computed)`; `is_finished(tile)`; and `contents()`, the finished basin as plain values.
 """
 
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,6 +76,11 @@ class ZarrStore:
         with self._claims.everything() as alone:
             if alone:
                 self._tiles.discard_partial_files()
+
+    @property
+    def folder(self) -> Path:
+        """Where it is."""
+        return self._tiles.folder
 
     def unfinished(self) -> list[int]:
         """The tiles to compute. Finished ones are read, and their inputs are compared."""

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import stability, validation
+from .._base.checks import one_line
 from .._maps.basin import Basin
 from .._runs.classify import classify
 from .._runs.simulate import simulate
@@ -19,6 +20,7 @@ from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
 from .atlas_command import atlas_command
+from .data_commands import export_command, info_command, plot_command
 from .files import FORMATS, output_paths
 from .interruption import interruptible
 from .parameters import Duration, Number, Size
@@ -69,6 +71,9 @@ def main() -> None:
 
 
 main.add_command(store)
+main.add_command(info_command)
+main.add_command(plot_command)
+main.add_command(export_command)
 main.add_command(predict_command)
 main.add_command(atlas_command)
 
@@ -133,6 +138,11 @@ main.add_command(atlas_command)
 )
 @click.option("--repair", is_flag=True, help="Recompute damaged data of the store.")
 @click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Compute on the workers of this Dask scheduler, as tcp://host:8786 (needs dask).",
+)
+@click.option(
     "--time-limit",
     type=Duration(),
     help="Stop after this time, as 90s, 30m, 2h or 1:30:00, with exit status 124; finished tiles "
@@ -158,6 +168,7 @@ def map_command(**options: Any) -> None:
     }
     settings["slow_flow"] = SLOW_FLOW[options["slow_flow"]]
     settings["devices"] = _devices(options["device"])
+    settings["client"] = _client(options["scheduler"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")
     runs = []
@@ -191,6 +202,20 @@ def _devices(kind: str | None) -> list[Any] | None:
         return jax.devices(kind)
     except RuntimeError:
         raise Refusal(f"--device {kind}: JAX finds none on this machine.") from None
+
+
+def _client(address: str | None) -> Any:
+    """The client of a Dask scheduler."""
+    if address is None:
+        return None
+    try:
+        from distributed import Client
+    except ImportError:
+        raise Refusal("--scheduler needs dask: pip install 'dipoletop[dask]'.") from None
+    try:
+        return Client(address, timeout="20s")
+    except (OSError, ValueError) as error:
+        raise Refusal(f"--scheduler {address}: {one_line(error)}.") from None
 
 
 def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:

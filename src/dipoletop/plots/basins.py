@@ -126,7 +126,8 @@ def _draw(
     """The coloured cells, the hatching where outcomes differ, the axes, title and legend."""
     classes = classes_of(plane)
     colours = legend_colours(plane, classes, shades)
-    handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
+    edge: Any = {"edgecolor": "#b0b0b0", "linewidth": 0.4}  # white would not be seen
+    handles = [Patch(facecolor=colour, label=label, **edge) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
     show_cells(ax, xs, plane.ys, image)
     if differs is not None:

@@ -10,13 +10,14 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normal
 from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
+from .._maps.columns import MISSING
 from .._maps.symmetry import unfold
 from .style import capitalised, number, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
 """A hexadecimal colour, or RGBA."""
 
-CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
+CLASSES: dict[tuple[int, Stop], tuple[str, str]] = {
     (Outcome.RESIDUAL, Stop.NONE): ("residual rotation", "#0072b2"),
     (Outcome.STOP, Stop.ROTATING): ("stop, rotating", "#202020"),
     (Outcome.STOP, Stop.WOBBLING): ("stop, wobbling", "#9f9f9f"),
@@ -25,6 +26,7 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.STOP, Stop.NONE): ("stop", "#606060"),
     (Outcome.UNDECIDED, Stop.NONE): ("undecided", "#66ff33"),
     (Outcome.FAILED, Stop.NONE): ("failed", "#df20ff"),
+    (MISSING["int8"], Stop.NONE): ("not computed yet", "#ffffff"),
 }
 """Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
 differ plainly, from each other and from the shades of `SIGNED`."""
@@ -125,7 +127,8 @@ def _title(basin: Basin) -> str:
         for name, values in basin.coords.items()
         if name not in basin.dims or len(values) == 1
     ]
-    share = float(np.mean(basin.certified))
+    computed = basin.outcome != MISSING["int8"]
+    share = float(np.mean(basin.certified[computed])) if computed.any() else 0.0
     words = {0.0: "no outcome", 1.0: "all outcomes"}
     which = words.get(share, f"{percent(share)} of the outcomes")
     certified = f"{which} certified for this level"
@@ -210,7 +213,7 @@ def legend_colours(
 ) -> dict[str, Colour]:
     """Name and colour of every class that occurs, in the order of `CLASSES`."""
     counts = np.bincount(classes.ravel(), minlength=len(CLASSES)).tolist()
-    shaded = {shade.outcome: shade for shade in shades}
+    shaded = {int(shade.outcome): shade for shade in shades}
     colours: dict[str, Colour] = {}
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):
         if count == 0:

@@ -91,13 +91,13 @@ def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undis
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_stopped_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undisturbed, number):
+@pytest.mark.slow
+def test_a_killed_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undisturbed):
     """Partial files of a dead process, and the hidden folder of one that was making a store."""
     place = tmp_path / "s.zarr"
     one = process(place, pause=0.3)
     one.stdout.readline()
-    one.send_signal(number)
+    one.kill()
     rest(one)
     partial = place / "dipoletop-tiles/partial"
     partial.mkdir(exist_ok=True)

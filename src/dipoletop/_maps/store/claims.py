@@ -55,6 +55,11 @@ class Claims:
         """Claim a tile; False if another process has it."""
         return self._lock(1, tile)
 
+    @property
+    def works(self) -> bool:
+        """Whether there are locks of files here."""
+        return fcntl is not None and self._file is not None
+
     @contextlib.contextmanager
     def everything(self) -> Iterator[bool]:
         """Claim the whole store for a moment; False if another process has any of it."""
@@ -75,7 +80,7 @@ class Claims:
             self._file.close()
         with _guard:
             _in_use.discard(self._key or (0, 0))
-        self._file = None
+        self._file = self._key = None
 
     def _lock(self, length: int, first: int) -> bool:
         """Lock so many bytes, or all that follow if `length` is 0."""

@@ -62,17 +62,18 @@ def _new_folder(folder: Path) -> Iterator[Path]:
         raise StoreMismatch("path", folder, "not exist yet", f"{folder} does") from None
 
 
-def load(path: Any) -> BasinParts:
+def load(path: Any, partial: bool = False) -> BasinParts:
     """The basin at `path`, all of it verified; its columns are read again when they are used."""
     tiles = open_store(path)
-    parts = tiles.contents()
-    if left := len(tiles.unfinished()):
+    parts, unfinished = tiles.contents(partial), tiles.unfinished()
+    if unfinished and not partial:
+        left = len(unfinished)
         reason = (
             f"{tiles.folder} lacks {left} of {tiles.tiling.count} tiles; "
             "run the sweep again with this store"
         )
         raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
-    tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
+    tiles.refuse_damaged(tiles.damaged(tiles.tiling.others(unfinished)))
     return parts
 
 

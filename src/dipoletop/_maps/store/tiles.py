@@ -21,6 +21,7 @@ import numpy as np
 from ..._base.digests import SIZE, array_digest, digest
 from ..columns import (
     CONVENTIONS,
+    MISSING,
     BasinParts,
     column_spec,
     component_dims,
@@ -36,8 +37,6 @@ from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
 
 FORMAT = "dipoletop basin, version 3"
-FILL = {"int8": -128, "int32": -(2**31), "float64": np.nan}
-"""What stands for numbers that are not computed yet, by their type on disk."""
 LARGEST_CHUNK = 1 << 20  # numbers of coordinates; codecs take no more than 2 GiB at once
 
 
@@ -89,13 +88,13 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
         described = labels(name)
         if kept != "float64":
-            described |= {"_FillValue": FILL[kept]}
+            described |= {"_FillValue": MISSING[kept]}
         new[name] = StoredArray(
             folder / name,
             (*tiling.shape, *rest),
             (*tiling.chunk, *rest),
             np.dtype(kept),
-            fill=FILL[kept],
+            fill=MISSING[kept],
             dims=(*dims, *component_dims(name, len(rest))),
             attributes=described,
         )
@@ -106,7 +105,7 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
             array.shape,
             of_array.chunk,
             array.dtype,
-            fill=FILL["float64"],
+            fill=MISSING["float64"],
             dims=coordinate_dims(name, dims, array.ndim),
             attributes=labels(name),
         )
@@ -178,13 +177,20 @@ def _seal(tile: int, content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class StoredColumn:
-    """A column in a store, flat, read and checked each time it is indexed."""
+    """A column in a store, flat, read and checked each time it is indexed.
+
+    Attributes:
+        tiles: the store.
+        name: the name of the column.
+        partial: whether tiles may be unfinished; their numbers are `MISSING`.
+    """
 
     tiles: "Tiles"
     name: str
+    partial: bool = False
 
     def __getitem__(self, key: Any) -> np.ndarray:
-        return self.tiles.column(self.name)[key]
+        return self.tiles.column(self.name, self.partial)[key]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """All of the column, read anew: without this NumPy would wrap the object itself."""
@@ -192,7 +198,7 @@ class StoredColumn:
 
     def take(self, flat: np.ndarray, axis: int = 0) -> np.ndarray:
         """The entries with these flat indices; only the tiles that hold them are read."""
-        return self.tiles.entries(self.name, flat)
+        return self.tiles.entries(self.name, flat, self.partial)
 
 
 class Tiles:
@@ -250,6 +256,22 @@ class Tiles:
         """The claims of this process on tiles."""
         return Claims(self.folder, self.folder / CLAIMS)
 
+    def is_claimed(self) -> bool:
+        """Whether a sweep has claims on tiles at this moment."""
+        try:
+            claims = self.claims()
+        except StoreMismatch:  # one of this process
+            return True
+        try:
+            with claims.everything() as alone:
+                return claims.works and not alone
+        finally:
+            claims.close()
+
+    def written_at(self, tile: int) -> float:
+        """When a finished tile was written, in seconds since the epoch."""
+        return self._arrays[self.layout.records].file(tile).stat().st_mtime
+
     def discard_partial_files(self) -> None:
         """Remove what killed processes left behind; no process may be writing."""
         with contextlib.suppress(OSError):  # they do no harm
@@ -296,24 +318,31 @@ class Tiles:
     def _components(self, name: str) -> tuple[int, ...]:
         return self._arrays[name].shape[len(self.tiling.shape) :]
 
-    def column(self, name: str) -> np.ndarray:
-        """A column of a finished sweep, flat except for components."""
-        return np.concatenate([self.read(name, tile) for tile in range(self.tiling.count)])
+    def column(self, name: str, partial: bool = False) -> np.ndarray:
+        """A column, flat except for components."""
+        every = range(self.tiling.count)
+        return np.concatenate([self._part(name, tile, partial) for tile in every])
 
-    def entries(self, name: str, flat: np.ndarray) -> np.ndarray:
-        """Some entries of a column of a finished sweep."""
+    def _part(self, name: str, tile: int, partial: bool) -> np.ndarray:
+        if not partial or self.is_finished(tile):
+            return self.read(name, tile)
+        dtype = column_spec(name).dtype
+        return np.full((self.tiling.length(tile), *self._components(name)), MISSING[dtype], dtype)
+
+    def entries(self, name: str, flat: np.ndarray, partial: bool = False) -> np.ndarray:
+        """Some entries of a column."""
         found = np.empty((len(flat), *self._components(name)), column_spec(name).dtype)
         of_entry = self.tiling.tiles_with(flat)
         for tile in np.unique(of_entry).tolist():
             here = of_entry == tile
-            found[here] = self.read(name, tile)[flat[here] - self.tiling.span(tile).start]
+            found[here] = self._part(name, tile, partial)[flat[here] - self.tiling.span(tile).start]
         return found
 
-    def contents(self) -> BasinParts:
+    def contents(self, partial: bool = False) -> BasinParts:
         """The basin in the store; its columns are read from disk when they are used."""
         header = self.header
         coords = {name: self.values(name) for name in header["axes"]}
-        columns = {name: StoredColumn(self, name) for name in self.names}
+        columns = {name: StoredColumn(self, name, partial) for name in self.names}
         dims, shape = tuple(header["dims"]), tuple(header["shape"])
         return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
 
