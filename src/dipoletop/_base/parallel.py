@@ -20,6 +20,10 @@ else:
 T = TypeVar("T")
 _thread = threading.local()
 _busy: list[Device] = []
+stop_requested = threading.Event()
+"""Set by a handler of signals that raises KeyboardInterrupt: Python drops an exception that comes in
+a callback, such as those of JAX at garbage collections."""
+LOOK = 1.0  # seconds until `stop_requested` is looked at again
 
 
 def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
@@ -102,10 +106,12 @@ class Crew(Generic[T]):
             self._submit()
             if not self._pending:
                 return
-            done, _ = wait(self._pending, return_when=FIRST_COMPLETED)
+            done, _ = wait(self._pending, LOOK, FIRST_COMPLETED)
             for future in done:
                 self._pending.discard(future)
                 yield future.result()
+            if stop_requested.is_set():
+                raise KeyboardInterrupt
 
     def rest(self, seconds: float) -> Iterator[tuple[int, T]]:
         """(job, result) of the jobs in hand that end within this time; no other is begun."""

@@ -10,18 +10,14 @@ from typing import Any
 
 import click
 
-from .._base.parallel import workers_are_busy
+from .._base.parallel import stop_requested, workers_are_busy
 
-SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+NAMES = "SIGINT", "SIGTERM", "SIGHUP"
+SIGNALS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 TIME_IS_UP = 124  # exit status, as of `timeout`
 
 
-class Stopped(KeyboardInterrupt):
-    """The process was asked to end; `status` is its exit status."""
-
-    def __init__(self, status: int) -> None:
-        super().__init__(status)
-        self.status = status
+_status: list[int] = []  # the exit status of the first signal
 
 
 @contextlib.contextmanager
@@ -41,8 +37,8 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
         if time_limit is not None:
             signal.setitimer(signal.ITIMER_REAL, time_limit)
         yield
-    except KeyboardInterrupt as stop:
-        status = getattr(stop, "status", 128 + signal.SIGINT)
+    except KeyboardInterrupt:
+        status = _status[0] if _status else 128 + signal.SIGINT
         why = "The time is up" if status == TIME_IS_UP else "Stopped"
         if keeps_tiles:
             command = shlex.join(["dipoletop", *sys.argv[1:]])
@@ -56,10 +52,14 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
             signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
+        stop_requested.clear()
+        _status.clear()
 
 
 def _stop(number: int, frame: Any) -> None:
-    raise Stopped(TIME_IS_UP if number == getattr(signal, "SIGALRM", None) else 128 + number)
+    _status.append(TIME_IS_UP if number == getattr(signal, "SIGALRM", None) else 128 + number)
+    stop_requested.set()
+    raise KeyboardInterrupt
 
 
 def _end(status: int) -> None:

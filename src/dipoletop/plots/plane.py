@@ -17,7 +17,7 @@ from .style import capitalised, number, percent, symbol
 Colour = str | tuple[float, float, float, float]
 """A hexadecimal colour, or RGBA."""
 
-CLASSES: dict[tuple[int, Stop], tuple[str, str]] = {
+CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.RESIDUAL, Stop.NONE): ("residual rotation", "#0072b2"),
     (Outcome.STOP, Stop.ROTATING): ("stop, rotating", "#202020"),
     (Outcome.STOP, Stop.WOBBLING): ("stop, wobbling", "#9f9f9f"),
@@ -26,10 +26,11 @@ CLASSES: dict[tuple[int, Stop], tuple[str, str]] = {
     (Outcome.STOP, Stop.NONE): ("stop", "#606060"),
     (Outcome.UNDECIDED, Stop.NONE): ("undecided", "#66ff33"),
     (Outcome.FAILED, Stop.NONE): ("failed", "#df20ff"),
-    (MISSING["int8"], Stop.NONE): ("not computed yet", "#ffffff"),
 }
 """Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
 differ plainly, from each other and from the shades of `SIGNED`."""
+NOT_COMPUTED, BLANK = "not computed yet", "#ffffff"
+"""Name and colour of what a sweep has not computed yet; it is hatched, too."""
 UNKNOWN = r"residual, $\omega_\infty$ not known", "#5500aa"
 """Name and colour of residual rotation whose ω∞ is to be shown but is not known: its sense may be a
 matter of chance. It differs from the others, too."""
@@ -176,9 +177,12 @@ def _omega_inf_shade(residual: Float[np.ndarray, "n"]) -> Shade:
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
-    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops."""
+    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops.
+
+    What is not computed yet has the number behind the last one.
+    """
     outcome, stop = plane.columns["outcome"], plane.columns["stop"]
-    classes = np.zeros(outcome.shape, np.int8)
+    classes = np.full(outcome.shape, len(CLASSES), np.int8)
     for number_of_class, (class_outcome, class_stop) in enumerate(CLASSES):
         members = outcome == class_outcome
         if class_outcome == Outcome.STOP:
@@ -191,7 +195,8 @@ def coloured(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> UInt8[np.ndarray, "Y X 4"]:
     """The colour of every start, RGBA."""
-    flat = np.array([(*to_rgb(colour), 1.0) for _, colour in CLASSES.values()])
+    colours = [*(colour for _, colour in CLASSES.values()), BLANK]
+    flat = np.array([(*to_rgb(colour), 1.0) for colour in colours])
     image = np.round(255 * flat).astype(np.uint8)[classes]
     for shade in shades:
         unknown = _unknown(plane, shade)
@@ -212,8 +217,8 @@ def legend_colours(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> dict[str, Colour]:
     """Name and colour of every class that occurs, in the order of `CLASSES`."""
-    counts = np.bincount(classes.ravel(), minlength=len(CLASSES)).tolist()
-    shaded = {int(shade.outcome): shade for shade in shades}
+    counts = np.bincount(classes.ravel(), minlength=len(CLASSES))[: len(CLASSES)].tolist()
+    shaded = {shade.outcome: shade for shade in shades}
     colours: dict[str, Colour] = {}
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):
         if count == 0:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -112,11 +113,13 @@ def test_a_killed_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undist
     assert not hidden.exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_keeps_the_tiles_in_hand(tmp_path, undisturbed):
     """Ctrl-C comes while a worker has a tile: it is written before the process ends."""
     place = tmp_path / "s.zarr"
     one = process(place, pause=0.5)
     in_hand = int(one.stdout.readline().split()[0])
+    time.sleep(0.1)
     one.send_signal(signal.SIGINT)
     begun = {in_hand, *computed(rest(one))}
     kept = {int(path.name) for path in (place / RECORDS / "c").iterdir()}
