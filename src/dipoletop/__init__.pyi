@@ -25,6 +25,7 @@ from ._maps.grids import symmetry_cell as symmetry_cell
 from ._maps.grids import uniform_box as uniform_box
 from ._maps.store.errors import StoreDamaged as StoreDamaged
 from ._maps.store.errors import StoreMismatch as StoreMismatch
+from ._maps.store.errors import StoreNotWritable as StoreNotWritable
 from ._maps.sweep import sweep as sweep
 from ._runs.classification import Classification as Classification
 from ._runs.classify import classify as classify

@@ -28,8 +28,8 @@ def test_verify_lists_damaged_tiles_and_repair_computes_them(tmp_path):
     before = files(place)
     right = invoke("store", "verify", place)
     assert (right.exit_code, right.output) == (0, "0 of 2 tiles damaged.\n")
-    flip(place / "steps" / "c" / "1", 99)
-    (place / "done" / "c" / "0" / "0").unlink()
+    flip(place / "steps/c/0/0/1/0", 99)
+    (place / "dipoletop-tiles" / "done" / "c" / "0" / "0").unlink()
     wrong = invoke("store", "verify", place)
     assert wrong.exit_code == 1
     assert wrong.output.startswith("tile 1: its steps cannot be read")
@@ -40,7 +40,7 @@ def test_verify_lists_damaged_tiles_and_repair_computes_them(tmp_path):
     mended = invoke("store", "repair", place)
     assert mended.output == f"144 starts computed again: {place} is as it was written.\n"
     assert files(place) == before
-    flip(place / "zarr.json", 3000)
+    flip(place / "dipoletop-tiles" / "zarr.json", 3000)
     for command in ("verify", "repair"):
         assert "is damaged, metadata: its header" in invoke("store", command, place).output
     again = ("map", "--level", "order-1", "--size", "12", "--output", tmp_path / "m.png")

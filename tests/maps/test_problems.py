@@ -141,8 +141,8 @@ def test_variations_are_those_of_jax_and_name_what_varies():
     """They are computed in NumPy, as blocks without variations are."""
     at = dt.Grid(delta=[-0.2, 0.3], w3=[0.0, 0.1, 0.2], phi=1.2)
     builder = BlockBuilder(reduced, at, ("w3", "delta"))
-    indices = np.arange(6)
-    made, by_jax = builder(indices), builder._vectorised(at.points(indices))
+    points = at.points(np.arange(6))
+    made, by_jax = builder(points), builder._vectorised(points)
     assert jax.tree.structure(made) == jax.tree.structure(by_jax)
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(made))
     jax.tree.map(np.testing.assert_array_equal, made, by_jax)

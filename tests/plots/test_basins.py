@@ -178,7 +178,7 @@ def sample_basin():
 @pytest.mark.parametrize(
     ("found", "options", "message"),
     [
-        (sample_basin(), {}, "`basin` must be over a grid, but is over a sample"),
+        (sample_basin(), {}, "`basin` must be over a grid, but is over single starts"),
         (
             made(np.full((3, 1), R)),
             {},

@@ -86,7 +86,7 @@ def real(
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
         refuse(name, kind, f"is {value!r}")
     try:
-        array = xp.asarray(value)
+        array = _on_device(value) if xp is jnp else xp.asarray(value)
     except (TypeError, ValueError, OverflowError):
         refuse(name, kind, f"is {value!r}")
     if array.dtype == bool or not (
@@ -100,6 +100,14 @@ def real(
         also = ", or one batch axis in front" if batch else ""
         refuse(name, f"have shape {wanted}{also}", f"has shape {array.shape}")
     return array.astype(jnp.result_type(float), copy=False)
+
+
+def _on_device(value: Any) -> Any:
+    """`jnp.asarray(value)`, which compiles a program for every new shape of a NumPy array."""
+    if not isinstance(value, np.ndarray):
+        return jnp.asarray(value)
+    with jax.ensure_compile_time_eval():
+        return jax.device_put(value)
 
 
 def or_nan(value: Any, valid: Any) -> Any:

@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import jax
 
@@ -19,6 +19,11 @@ else:
 
 T = TypeVar("T")
 _thread = threading.local()
+_busy: list[Device] = []
+stop_requested = threading.Event()
+"""Set by a handler of signals that raises KeyboardInterrupt: Python drops an exception that comes in
+a callback, such as those of JAX at garbage collections."""
+LOOK = 1.0  # seconds until `stop_requested` is looked at again
 
 
 def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
@@ -74,35 +79,84 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=pool.cache_clear)  # threads do not survive a fork
 
 
+def workers_are_busy() -> bool:
+    """Whether a worker is at a job, for which the end of the process would wait."""
+    return bool(_busy)
+
+
+class Crew(Generic[T]):
+    """Jobs on all devices: at most two for each worker are in flight, to bound memory.
+
+    Args:
+        task: what is done for a job on a device.
+        jobs: the jobs, which are drawn as workers become free.
+        devices: the devices, each as often as there are threads for it.
+    """
+
+    def __init__(
+        self, task: Callable[[int, Device], T], jobs: Iterable[int], devices: Sequence[Device]
+    ) -> None:
+        self._task, self._jobs, self._workers = task, iter(jobs), len(devices)
+        self._idle = list(devices)
+        self._pending: set[Future[tuple[int, T]]] = set()
+
+    def results(self) -> Iterator[tuple[int, T]]:
+        """(job, result) as the jobs are done."""
+        while True:
+            self._submit()
+            if not self._pending:
+                return
+            done, _ = wait(self._pending, LOOK, FIRST_COMPLETED)
+            for future in done:
+                self._pending.discard(future)
+                yield future.result()
+            if stop_requested.is_set():
+                raise KeyboardInterrupt
+
+    def rest(self, seconds: float) -> Iterator[tuple[int, T]]:
+        """(job, result) of the jobs in hand that end within this time; no other is begun."""
+        self._jobs = iter(())
+        self.cancel()
+        done, _ = wait(self._pending, timeout=seconds)
+        for future in done:
+            self._pending.discard(future)
+            if not future.cancelled() and future.exception() is None:
+                yield future.result()
+
+    def cancel(self) -> None:
+        """Drop the jobs that no worker has begun."""
+        for future in self._pending:
+            future.cancel()
+
+    def _submit(self) -> None:
+        while len(self._pending) < 2 * self._workers:
+            job = next(self._jobs, None)
+            if job is None:
+                return
+            self._pending.add(pool(self._workers).submit(self._run, job))
+
+    def _run(self, job: int) -> tuple[int, T]:
+        device = self._idle.pop()  # `pop` and `append` of a list are atomic
+        _busy.append(device)
+        try:
+            with jax.default_device(device), as_worker():
+                return job, self._task(job, device)
+        finally:
+            _busy.remove(device)
+            self._idle.append(device)
+
+    def wait(self) -> None:
+        """Until no worker is busy with these jobs."""
+        self.cancel()
+        wait(self._pending)
+
+
 def in_parallel(
     task: Callable[[int, Device], T], jobs: Iterable[int], devices: Sequence[Device]
 ) -> Iterator[tuple[int, T]]:
-    """Yield (job, task(job, device)) as the jobs are done.
-
-    At most two jobs for each worker are in flight, to bound memory.
-    """
-    idle = list(devices)
-
-    def run(job: int) -> tuple[int, T]:
-        device = idle.pop()  # `pop` and `append` of a list are atomic
-        try:
-            with jax.default_device(device), as_worker():
-                return job, task(job, device)
-        finally:
-            idle.append(device)
-
-    jobs = iter(jobs)
-    pending: set[Future[tuple[int, T]]] = set()
+    """Yield (job, task(job, device)) as the jobs are done; see `Crew`."""
+    crew = Crew(task, jobs, devices)
     try:
-        while True:
-            while len(pending) < 2 * len(devices) and (job := next(jobs, None)) is not None:
-                pending.add(pool(len(devices)).submit(run, job))
-            if not pending:
-                return
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+        yield from crew.results()
     finally:
-        for future in pending:
-            future.cancel()
-        wait(pending)
+        crew.wait()

@@ -1,18 +1,31 @@
 """Basins: outcomes on a grid or a sample, with the settings that gave them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import described, refuse
+from .._base.checks import described, flag, instance, refuse
 from .._base.statistics import Share, share_of
 from .._base.types import Outcome, Regime, implied_probability
-from .columns import AXES, DERIVATIVE_PREFIX, BasinParts, column_spec
+from .columns import (
+    CONVENTIONS,
+    DERIVATIVE_PREFIX,
+    MISSING,
+    START,
+    BasinParts,
+    component_dims,
+    coordinate_dims,
+    is_result,
+    labels,
+    plain_attributes,
+    without_versions,
+)
 from .grids import counted, described_axis
+from .selection import at_positions, positions_of
 from .store import contents
 from .store.errors import StoreDamaged
 
@@ -20,7 +33,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Basin:
     """Outcomes on a grid or a sample; every property is an array of its shape.
 
@@ -38,15 +51,19 @@ class Basin:
     | `changed` | `changed` | with `confirm`: whether the second tolerance gives another outcome |
     | `derivative(axis)` | `d_omega_inf_d_…` | with `derivatives`: ∂ω∞/∂axis |
     | `column("computed")` | `computed` | of `adaptive.refine`: integrated, not filled in |
+    | `omega0` | `omega0` | of a `Sample`: the starts, in 1/τ₀, shape (N, 3) |
+    | `column(parameter)` | its name | of a `Sample`: an argument that `draw` gives by name |
 
     Further, `level` is the level of the equation of motion, and `fractions()` gives the share of
-    every outcome. `to_xarray()`, `save(path)` and `Basin.load(path)` convert and store.
+    every outcome. `sel` and `isel` take a part, by values or positions on the axes; `==` compares
+    two basins, and `compare` counts where their outcomes differ. `to_xarray()`, `save(path)` and
+    `Basin.load(path)` convert and store.
 
     Attributes:
         dims: names of the axes.
         shape: lengths of the axes.
-        coords: values on the axes; empty for points and samples.
-        columns: the flat columns, in memory or on disk.
+        coords: values on the axes, or of every point; of a single value where a part was taken.
+        columns: the columns, flat except for components, in memory or on disk.
         attrs: level of the equation, settings, versions.
         seconds: wall time of the sweep, compilation included; NaN for a loaded basin.
     """
@@ -56,7 +73,7 @@ class Basin:
     coords: dict[str, Float[np.ndarray, "..."]]
     columns: Mapping[str, Any]
     attrs: dict[str, Any]
-    seconds: float = field(default=np.nan, compare=False)
+    seconds: float = np.nan
 
     def column(self, name: str) -> np.ndarray:
         """One column, in the shape of the grid.
@@ -69,7 +86,8 @@ class Basin:
             refuse(
                 "name", f"be a column of this basin ({', '.join(self.columns)})", described(name)
             )
-        return np.asarray(self.columns[name][:]).reshape(self.shape)
+        values = np.asarray(self.columns[name][:])
+        return values.reshape(self.shape + values.shape[1:])
 
     @property
     def outcome(self) -> Int[np.ndarray, "*shape"]:
@@ -129,6 +147,11 @@ class Basin:
         """Whether the outcome differs at the second tolerance (sweeps with `confirm`)."""
         return self.column("changed")
 
+    @property
+    def omega0(self) -> Float[np.ndarray, "N 3"]:
+        """The starts ω₀ of a sample, in body axes."""
+        return self.column(START)
+
     def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
         """∂ω∞/∂axis (sweeps with `derivatives`).
 
@@ -160,27 +183,104 @@ class Basin:
         """Share of every outcome that occurs, with 95 % intervals (Wilson).
 
         The intervals are those of independent random starts; on a regular grid they overstate the
-        error.
+        error. Of an unfinished sweep the shares are of what is computed already.
         """
-        values, counts = np.unique(self.outcome, return_counts=True)
-        size = int(np.prod(self.shape))
+        outcome = self.outcome
+        values, counts = np.unique(outcome[outcome != MISSING["int8"]], return_counts=True)
+        size = int(np.sum(counts))
         return {
             Outcome(value).name: share_of(count, size)
             for value, count in zip(values.tolist(), counts.tolist(), strict=True)
         }
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The basin as an `xarray.Dataset`, with units, versions and settings as attributes."""
+        """The basin as an `xarray.Dataset`, with units, versions and settings as attributes.
+
+        `xarray.open_zarr` of its store gives the same, except that columns of whole numbers become
+        floating-point numbers, NaN where a tile is not computed yet.
+        """
         import xarray
 
-        columns, coords = {}, {}
+        variables, coords = {}, {}
         for name in self.columns:
-            spec = column_spec(name)
-            columns[name] = (self.dims, self.column(name), _labels(spec.unit, spec.meaning))
+            values = self.column(name)
+            dims = (*self.dims, *component_dims(name, values.ndim - len(self.dims)))
+            kind = variables if is_result(name) else coords
+            kind[name] = (dims, values, labels(name))
         for name, values in self.coords.items():
-            dims = (name, *(f"{name}_{k}" for k in range(1, values.ndim)))
-            coords[name] = (dims, values, _labels(*AXES[name]) if name in AXES else {})
-        return xarray.Dataset(columns, coords, self.attrs)
+            coords[name] = (coordinate_dims(name, self.dims, values.ndim), values, labels(name))
+        attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
+        return xarray.Dataset(variables, coords, attrs)
+
+    def isel(self, **positions: Any) -> "Basin":
+        """The part at positions on axes; other axes are kept whole.
+
+        Args:
+            positions: name = number, slice, or list. An axis with a single number is dropped, and
+                its value kept in `coords`.
+
+        Raises:
+            ValueError: there is no such axis, or position.
+
+        Example:
+            >>> import dipoletop as dt
+            >>> def problem(w3, phi):
+            ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
+            >>> basin = dt.sweep(problem, dt.Grid(w3=[0.1, 0.3], phi=[0.0, 0.8, 1.6]))
+            >>> basin.isel(w3=1, phi=slice(2)).shape, basin.sel(phi=0.7, method="nearest").shape
+            ((2,), (2,))
+        """
+        return Basin(*at_positions(self._parts, positions))
+
+    def sel(self, *, method: str | None = None, **values: Any) -> "Basin":
+        """The part at values on axes; other axes are kept whole.
+
+        Args:
+            method: None for exactly these values, or "nearest", "pad" or "backfill", as in xarray.
+            values: name = number, list, or slice, which includes both ends.
+
+        Raises:
+            ValueError: there is no such axis, or value.
+        """
+        return self.isel(**positions_of(self._parts, values, method))
+
+    @property
+    def _parts(self) -> BasinParts:
+        return BasinParts(self.dims, self.shape, self.coords, self.columns, self.attrs)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether axes, settings and every bit of the columns are the same, versions apart."""
+        if not isinstance(other, Basin):
+            return NotImplemented
+        plain, others = (
+            (x.dims, x.shape, list(x.columns), without_versions(x.attrs)) for x in (self, other)
+        )
+        if plain != others or self.coords.keys() != other.coords.keys():
+            return False
+        pairs = [(x, other.coords[name]) for name, x in self.coords.items()]
+        return all(_same_bits(*pair) for pair in pairs) and all(
+            _same_bits(self.column(name), other.column(name)) for name in self.columns
+        )
+
+    __hash__ = None  # pyright: ignore[reportAssignmentType]
+
+    def compare(self, other: "Basin") -> dict[tuple[str, str], Share]:
+        """Share of every pair of outcomes, of the same start here and in another basin.
+
+        Args:
+            other: a basin of the same shape, such as of another level or tolerance.
+
+        Returns:
+            The shares by the names of both outcomes, with 95 % intervals as in `fractions`.
+        """
+        if instance("other", other, Basin).shape != self.shape:
+            refuse("other", f"have the shape {self.shape}", f"has {other.shape}")
+        pairs = np.stack([self.outcome.ravel(), other.outcome.ravel()])
+        values, counts = np.unique(pairs, axis=1, return_counts=True)
+        return {
+            (Outcome(here).name, Outcome(there).name): share_of(count, pairs.shape[1])
+            for here, there, count in zip(*values.tolist(), counts.tolist(), strict=True)
+        }
 
     def save(self, path: str | bytes | PathLike[Any]) -> None:
         """Write the basin as a Zarr group; `Basin.load` reads it back.
@@ -191,22 +291,23 @@ class Basin:
         Raises:
             StoreMismatch: something is there already; nothing of it is touched.
         """
-        columns = {name: self.column(name).reshape(-1) for name in self.columns}
-        contents.save(BasinParts(self.dims, self.shape, self.coords, columns, self.attrs), path)
+        contents.save(self._parts, path)
 
     @staticmethod
-    def load(path: str | bytes | PathLike[Any]) -> "Basin":
+    def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Basin":
         """A basin from disk: one that was saved, or a sweep's `store`.
 
         Args:
             path: the folder.
+            unfinished: whether to load a sweep that is not finished, too. Where nothing is computed
+                yet, `outcome` is −128, which is no member of `Outcome`, and numbers are NaN.
 
         Raises:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
             StoreDamaged: it is not what was written. Stores of older versions have no checksums:
                 of these only missing and unreadable data are detected.
         """
-        return Basin(*contents.load(path))
+        return Basin(*contents.load(path, flag("unfinished", unfinished)))
 
     def __repr__(self) -> str:
         axes = [described_axis(name, values) for name, values in self.coords.items()]
@@ -221,12 +322,16 @@ class Basin:
         """The share of every outcome, and of certified ones."""
         try:
             shares = [f"{name} {x.share:.2%}" for name, x in self.fractions().items()]
-            if "certified" in self.columns:
-                shares.append(f"certified {np.mean(self.certified):.2%}")
+            computed = self.outcome != MISSING["int8"]
+            if "certified" in self.columns and computed.any():
+                shares.append(f"certified {np.mean(self.certified[computed]):.2%}")
+            if not computed.all():
+                shares.append(f"not computed yet {1 - np.mean(computed):.2%}")
         except StoreDamaged as error:
             return str(error)
         return ", ".join(shares)
 
 
-def _labels(unit: str, meaning: str) -> dict[str, str]:
-    return {"units": unit, "long_name": meaning}
+def _same_bits(one: np.ndarray, other: np.ndarray) -> bool:
+    same_kind = one.dtype == other.dtype and one.shape == other.shape
+    return same_kind and one.tobytes() == other.tobytes()

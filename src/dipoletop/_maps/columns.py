@@ -1,10 +1,13 @@
 """The schema of a basin: its columns and customary axes, with types, units and meanings."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from jaxtyping import Float
-from numpy import ndarray
+from numpy import nan, ndarray
+
+from .._base.checks import refuse
+from .._base.types import Outcome, Regime, Stop
 
 
 class ColumnSpec(NamedTuple):
@@ -13,10 +16,16 @@ class ColumnSpec(NamedTuple):
     dtype: str
     unit: str
     meaning: str
+    flags: dict[str, int] = {}  # noqa: RUF012 (never changed)
+    """Values by their names, where numbers stand for names."""
+
+
+def _members(enumeration: Any) -> dict[str, int]:
+    return {member.name: int(member) for member in enumeration}
 
 
 COLUMNS: dict[str, ColumnSpec] = {
-    "outcome": ColumnSpec("int8", "1", "FAILED -1, UNDECIDED 0, RESIDUAL 1, STOP 2"),
+    "outcome": ColumnSpec("int8", "1", "how the rotation ends", _members(Outcome)),
     "omega_inf": ColumnSpec(
         "float64", "1/tau_0", "residual angular velocity along the dipole, signed"
     ),
@@ -26,14 +35,12 @@ COLUMNS: dict[str, ColumnSpec] = {
     "certified": ColumnSpec(
         "bool", "1", "whether the region that ended the run is proven to decide for its level"
     ),
-    "stop": ColumnSpec("int8", "1", "NONE 0, AXIS 1, ROTATING 2, WOBBLING 3, TUMBLING 4"),
+    "stop": ColumnSpec("int8", "1", "in which way a top stops", _members(Stop)),
 }
 """Columns of every basin."""
 
 SLOW_COLUMNS: dict[str, ColumnSpec] = {
-    "regime": ColumnSpec(
-        "int8", "1", "law that decided: RESOLVED 0, SLOW_FLOW 1, AVERAGED 2, UNFOLDED 3, EXACT 4"
-    ),
+    "regime": ColumnSpec("int8", "1", "law that decided", _members(Regime)),
     "probability": ColumnSpec("float64", "1", "probability that the rotation is residual"),
 }
 """Columns of basins whose slow runs may be predicted; see `columns_of_runs`."""
@@ -44,8 +51,17 @@ OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
 }
 """Columns of some basins."""
 
+MISSING: dict[str, Any] = {"int8": -128, "int32": -(2**31), "float64": nan, "bool": False}
+"""What stands for numbers that are not computed yet, by their type."""
+
 DERIVATIVE_PREFIX = "d_omega_inf_d_"
 """A column of derivatives has this prefix and the name of the axis."""
+
+CONVENTIONS = "CF-1.11"
+"""By which attributes are named."""
+
+START = "omega0"
+"""The column of starts, in basins of samples."""
 
 AXES: dict[str, tuple[str, str]] = {
     "delta": ("1", "1 - I3/I1"),
@@ -54,8 +70,9 @@ AXES: dict[str, tuple[str, str]] = {
     "w_perp": ("1/tau_0", "angular velocity across axis 3"),
     **{f"w{k}": ("1/tau_0", f"angular velocity along axis {k}") for k in (1, 2, 3)},
     "amplitude": ("1/tau_0", "magnitude of the angular velocity"),
+    START: ("1/tau_0", "angular velocity at the start, in body axes"),
 }
-"""Unit and meaning of axes with a customary name; other axes have neither."""
+"""Unit and meaning of arguments with a customary name; others have neither."""
 
 
 class BasinParts(NamedTuple):
@@ -73,10 +90,61 @@ def columns_of_runs(slow_flow: bool | str) -> dict[str, ColumnSpec]:
     return COLUMNS if slow_flow is False else COLUMNS | SLOW_COLUMNS
 
 
+def is_result(column: str) -> bool:
+    """Whether a column tells what became of the starts, rather than what they were."""
+    known = COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS
+    return column in known or column.startswith(DERIVATIVE_PREFIX)
+
+
+def check_arguments(origin: str, names: Iterable[str]) -> None:
+    """Refuse arguments of a problem that have the name of a column."""
+    for name in names:
+        if is_result(name):
+            refuse(origin, "give no argument the name of a column of a basin", f"names `{name}`")
+
+
 def column_spec(column: str) -> ColumnSpec:
     """Type, unit and meaning of a column."""
     if column.startswith(DERIVATIVE_PREFIX):
         axis = column.removeprefix(DERIVATIVE_PREFIX)
         unit, meaning = f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
         return ColumnSpec("float64", unit, meaning)
-    return (COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS)[column]
+    if is_result(column):
+        return (COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS)[column]
+    return ColumnSpec("float64", *AXES.get(column, ("", "")))
+
+
+def coordinate_dims(name: str, dims: tuple[str, ...], ndim: int) -> tuple[str, ...]:
+    """Names of the axes of coordinates: values on an axis, of points, or of a single point."""
+    if ndim == 0:
+        return ()
+    first = name if name in dims else dims[0]
+    return (first, *component_dims(name, ndim - 1))
+
+
+def component_dims(name: str, count: int) -> tuple[str, ...]:
+    """Names of the axes of the components of vectors, or of arrays of numbers."""
+    if name == START:
+        return ("component",)[:count]
+    return tuple(f"{name}_{k}" for k in range(1, 1 + count))
+
+
+def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes that every format of data can hold; truth values become text."""
+    return {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
+
+
+def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes without the versions of libraries, by which sweeps do not differ."""
+    return {key: x for key, x in attrs.items() if not key.startswith("version_")}
+
+
+def labels(name: str) -> dict[str, Any]:
+    """Attributes of a column or an axis by the conventions CF: its unit, meaning and flags."""
+    dtype, unit, meaning, flags = column_spec(name)
+    if dtype == "bool":
+        flags = {"no": 0, "yes": 1}
+    texts = {"units": unit, "long_name": meaning} if meaning else {}
+    if not flags:
+        return texts
+    return texts | {"flag_values": list(flags.values()), "flag_meanings": " ".join(flags)}

@@ -117,8 +117,8 @@ class Points:
 
     @property
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """None: points have no axis but their number. `columns` holds their values."""
-        return {}
+        """The values of every point."""
+        return self.columns
 
     @property
     def header(self) -> Header:
@@ -152,8 +152,8 @@ def described_axis(name: str, values: np.ndarray) -> str:
     if values.ndim > 1:
         shape = str(values.shape[1:])
         return f"{name}: {len(values)} vector{'s' * (len(values) > 1)} of shape {shape}"
-    if len(values) == 1:
-        return f"{name}: {values[0]:.4g}"
+    if values.size == 1:
+        return f"{name}: {values.item():.4g}"
     return f"{name}: {len(values)} values in [{np.min(values):.4g}, {np.max(values):.4g}]"
 
 
@@ -220,14 +220,16 @@ class Sample:
 
     @property
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """None: a sample has no axis but its number. `points` gives the starts."""
+        """None: a sample has no axis but its number. A basin keeps its starts in columns."""
         return {}
 
     @property
     def header(self) -> Header:
         """All that tells this sample from others, except the function `draw`."""
-        size = None if self.amplitude is None else np.asarray(self.amplitude, float).tolist()
-        return Header("Sample", {"seed": self.seed, "amplitude": size}, {})
+        settings: dict[str, Any] = {"seed": self.seed}
+        if self.amplitude is not None:
+            settings["amplitude"] = np.asarray(self.amplitude, float).tolist()
+        return Header("Sample", settings, {})
 
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
         """The starts with these numbers, shape (n, 3), or a dict of arrays."""

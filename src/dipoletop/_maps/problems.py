@@ -1,9 +1,9 @@
-"""A sweep's problem: from flat indices to the equations and starts of its points, vectorised."""
+"""A sweep's problem: from points to their equations and starts, vectorised."""
 
 import contextlib
 import inspect
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .._base import numpy_programs
 from .._base.checks import check_equation, instance, real, refuse
@@ -22,6 +22,7 @@ from .._base.parallel import as_worker
 from .._base.types import DecidingEquation, Equation, State, Vector, Verdict
 from ..equations._common import error_scale_of, physical
 from ..equations.tangent import Tangent
+from .columns import check_arguments
 from .grids import Grid, Points, PointValues, Sample
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
@@ -32,7 +33,7 @@ Block = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 
 @dataclass(frozen=True)
 class BlockBuilder:
-    """From flat indices to the equations and starts of these points.
+    """From points to their equations and starts.
 
     With `derivatives` the equation is a `Tangent`, whose variations are along these arguments.
     """
@@ -49,11 +50,11 @@ class BlockBuilder:
         instance("over", self.over, Grid | Points | Sample, "be a Grid, Points or a Sample")
         if not isinstance(self.over, Sample):
             _check_names(self.problem, tuple(self.over.header.values))
+            check_arguments("over", self.over.header.values)
 
-    def __call__(self, indices: Int[np.ndarray, "N"]) -> Block:
-        """The block of these points."""
+    def __call__(self, points: PointValues) -> Block:
+        """The block of these points, which `over` gives."""
         with as_worker():
-            points = self.over.points(indices)
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
             program, structure, may_refuse = self._program(points)
@@ -120,12 +121,13 @@ class BlockBuilder:
     def program_digests(self) -> dict[str, bytes]:
         """Digests of every function that is computed for a point, by its role."""
         first = np.zeros(1, int)
-        made, omegas = self(first)
+        points = self.over.points(first)
+        made, omegas = self(points)
         equation = physical(made)
         with as_worker():
             state = jax.eval_shape(equation.lift, omegas)
             digests = {
-                "problem": program_digest(self._vectorised, self.over.points(first)),
+                "problem": program_digest(self._vectorised, points),
                 "field": _digest_of(lambda equation, y: equation(0.0, y, None), equation, state),
                 "lift": _digest_of(lambda equation, omega: equation.lift(omega), equation, omegas),
                 "verdict": _digest_of(_verdict, equation, state),
@@ -184,6 +186,27 @@ def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
     except TypeError as error:
         must = f"name the arguments of `problem` {signature}"
         refuse("over", must, f"has {', '.join(names)} ({error})")
+
+
+def first_lanes(block: Block, length: int) -> Any:  # a `Block` of another length
+    """The equations and starts of the first points."""
+    if block[1].shape[1] == length:
+        return block
+    arrays, rest = eqx.partition(block, _is_array)
+    return eqx.combine(jax.tree.map(lambda x: x[..., :length], arrays), rest)
+
+
+def joined(blocks: Sequence[Any]) -> Any:  # of several lengths
+    """One block of the lanes of several."""
+    if len(blocks) == 1:
+        return blocks[0]
+    arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
+    together = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *arrays)
+    return eqx.combine(together, rest[0])
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 def block_digest(block: Block) -> bytes:

@@ -1,26 +1,29 @@
 """Sweeps: the outcomes of a problem on a grid, points or a sample, tile by tile, on all devices."""
 
+import contextlib
+import functools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._base.checks import check_verdict
-from .._base.parallel import Device, in_parallel, worker_devices
-from .._base.tolerances import MAX_STEPS, budget, check_atol, tolerance
-from .._engines.select import select_engines
-from .._runs.classification import Value, stopping_rule
-from .._runs.doubt import finish_of
-from .._runs.slow_runs import SlowFlow, check_slow_flow
+from .._base.parallel import Crew, Device
+from .._base.tolerances import MAX_STEPS
+from .._runs.classification import Value
+from .._runs.slow_runs import SlowFlow
 from .basin import Basin
+from .cluster import on_cluster
 from .grids import Grid, Points, Sample
-from .problems import Block, BlockBuilder, Problem
-from .sweep_plan import Columns, Plan, Rules, derivative_names
+from .problems import Problem
+from .running_shares import RunningShares
+from .sweep_plan import ComputedTile, Plan, Settings, plan_of
 from .sweep_stores import MemoryStore, ZarrStore
+
+POLL = 0.2  # seconds until the tiles of other processes are looked for again
 
 
 def sweep(
@@ -39,6 +42,7 @@ def sweep(
     devices: Sequence[Any] | None = None,
     engine: str = "auto",
     slow_flow: SlowFlow = "auto",
+    client: Any = None,
 ) -> Basin:
     """Outcomes of a problem on every point of a grid, a list or a sample.
 
@@ -68,6 +72,9 @@ def sweep(
             see `classify`. `basin.regime` tells which law decided. With False the columns `regime`
             and `probability` are left out, as by versions without them: their stores are resumed
             with it.
+        client: a `distributed.Client` (`pip install 'dipoletop[dask]'`): the workers of its cluster
+            compute the tiles, and write them to the store, which they must see at the same path.
+            The tile of a worker that dies is computed by another one. `devices` is then ignored.
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -101,30 +108,31 @@ def sweep(
         ((2, 3), "reduced, order 1 (the paper's)")
     """
     began = time.perf_counter()
-    # convert
-    blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
-    if atol is not None:
-        check_atol(atol)
-    rtols = [tolerance("rtol", rtol)]
-    if confirm is not None:
-        rtols.append(tolerance("confirm", confirm))
-    max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
-    # check
-    equation, _ = blocks(np.zeros(1, int))
-    check_verdict(equation)
-    check_slow_flow(slow_flow, equation)
-    until, finish = stopping_rule(equation, value), finish_of(value)
-    engines = select_engines(engine, equation, devices, until, finish)
-    # compute
-    rules = Rules(rtols, atol, max_steps, value, slow_flow)
-    plan = Plan(blocks, equation, rules, devices, engines)
+    settings = Settings(
+        rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices
+    )
+    plan = plan_of(problem, over, settings)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
-    _compute(plan, columns, progress)
+    with contextlib.closing(columns):
+        if client is None:
+            once = functools.partial(_compute_once, plan, columns)
+        else:
+            once = on_cluster(client, problem, over, settings, columns)
+        _compute(plan, columns, once, progress)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)
 
 
-def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | None) -> None:
-    """Compute every unfinished tile, with a progress bar."""
+Finished: TypeAlias = tuple[int, np.ndarray | None]
+"""A finished tile, and its outcomes if they were found by this sweep."""
+
+
+def _compute(
+    plan: Plan,
+    store: MemoryStore | ZarrStore,
+    once: Callable[[Sequence[int]], Iterator[Finished]],
+    progress: bool | str | None,
+) -> None:
+    """Compute every unfinished tile that no other process computes, with a progress bar."""
     from tqdm import tqdm
 
     tiles = store.unfinished()
@@ -138,12 +146,48 @@ def _compute(plan: Plan, store: MemoryStore | ZarrStore, progress: bool | str | 
         disable=None if progress is None else not progress,
         file=sys.stderr,
     ) as bar:
-        queues = plan.queues(tiles)
-
-        def work(queue: int, device: Device) -> list[tuple[int, tuple[Columns, Block]]]:
-            return plan.compute(queues[queue], device)
-
-        for _, results in in_parallel(work, range(len(queues)), plan.devices):
-            for tile, (columns, block) in results:
-                store.write(tile, columns, block)
+        waiting, shares = set(tiles), RunningShares(plan.is_sample)
+        while waiting:
+            for tile, outcomes in once(sorted(waiting)):
+                if outcomes is not None:
+                    shares.add(outcomes)
+                    bar.set_postfix_str(shares.text(), refresh=False)
                 bar.update(plan.tiling.length(tile))
+                waiting.discard(tile)
+            if waiting:
+                time.sleep(POLL)
+
+
+def _compute_once(
+    plan: Plan, store: MemoryStore | ZarrStore, tiles: Sequence[int]
+) -> Iterator[Finished]:
+    """Yield the tiles as they are finished, here or by other processes; some may be left over.
+
+    After an interruption, the tiles in hand are kept if they do not take much longer.
+    """
+    queues, unwritten = plan.queues(tiles), []
+
+    def work(queue: int, device: Device) -> list[ComputedTile]:
+        claimed = [tile for tile in queues[queue] if store.claim(tile)]
+        return plan.compute(claimed, device) if claimed else []
+
+    crew = Crew(work, range(len(queues)), plan.devices)
+    try:
+        for queue, results in crew.results():
+            unwritten += results
+            outcomes = {found.tile: found.columns["outcome"] for found in results}
+            while unwritten:
+                store.write(unwritten[0])
+                unwritten.pop(0)
+            for tile in queues[queue]:
+                if store.is_finished(tile):
+                    yield tile, outcomes.get(tile)
+    except KeyboardInterrupt:
+        for _, results in crew.rest(store.patience):
+            unwritten += results
+        for computed in unwritten:
+            store.write(computed)
+        raise
+    except BaseException:
+        crew.wait()
+        raise

@@ -1,32 +1,43 @@
 """What a sweep computes: its arguments, checked, and from them the columns of each tile."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import names_of, refuse
-from .._base.parallel import Device
-from .._base.tolerances import absolute
+from .._base.checks import check_verdict, names_of, refuse
+from .._base.parallel import Device, worker_devices
+from .._base.tolerances import absolute, budget, check_atol, tolerance
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
+from .._engines.select import select_engines
 from .._runs.blocks import classify_block
-from .._runs.classification import Value
+from .._runs.classification import Value, stopping_rule
 from .._runs.classify_many import TILE, largest_tile
-from .._runs.slow_runs import SlowFlow
+from .._runs.doubt import finish_of
+from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
-from .columns import DERIVATIVE_PREFIX, columns_of_runs
-from .problems import Block, BlockBuilder
+from .columns import DERIVATIVE_PREFIX, START, check_arguments, columns_of_runs
+from .grids import Grid, Points, PointValues, Sample
+from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
+
+
+class ComputedTile(NamedTuple):
+    """A tile that has been computed."""
+
+    tile: int
+    columns: Columns
+    inputs: bytes
+    """A digest of its equations and starts."""
 
 
 def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[str, ...]:
@@ -54,6 +65,20 @@ class Rules(NamedTuple):
     """Whether slow runs are predicted."""
 
 
+class Settings(NamedTuple):
+    """The arguments of a sweep that tell how it is computed, as the user gave them; see `sweep`."""
+
+    rtol: Any
+    atol: Any
+    max_steps: Any
+    value: Value
+    derivatives: str | Sequence[str]
+    confirm: Any
+    engine: str
+    slow_flow: SlowFlow
+    devices: Sequence[Any] | None = None
+
+
 @dataclass(frozen=True)
 class Plan:
     """All that a sweep computes.
@@ -72,18 +97,28 @@ class Plan:
     devices: list[Device]
     engines: dict[Device, Engine]
 
-    @property
+    @functools.cached_property
     def tiling(self) -> Tiling:
-        """Tiles have the same size on every machine, so that a store may move to another one."""
-        size = int(np.prod(self.blocks.over.shape))
-        return Tiling(size, min(TILE, power_of_two(-(-size // 8))))
+        """How the starts are cut into tiles."""
+        return Tiling.of_sweep(self.blocks.over.shape)
 
     @property
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
         derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
         confirmed = ["changed"] if len(self.rules.rtols) > 1 else []
-        return [*columns_of_runs(self.rules.slow_flow), *derivatives, *confirmed]
+        return [*columns_of_runs(self.rules.slow_flow), *derivatives, *confirmed, *self.drawn]
+
+    @property
+    def is_sample(self) -> bool:
+        """Whether the starts are random."""
+        return isinstance(self.blocks.over, Sample)
+
+    @functools.cached_property
+    def drawn(self) -> dict[str, tuple[int, ...]]:
+        """What is kept of every point of a sample, and its shape: the start, and its parameters."""
+        over = self.blocks.over
+        return drawn_shapes(over) if isinstance(over, Sample) else {}
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -100,6 +135,7 @@ class Plan:
             **({} if slow_flow is False else {"slow_flow": slow_flow}),
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
+            **self.blocks.over.header.settings,
             **_versions(),
         }
 
@@ -110,19 +146,26 @@ class Plan:
         return {
             "dims": list(over.dims),
             "shape": list(over.shape),
-            "tile": self.tiling.tile_size,
+            "chunk": list(self.tiling.chunk),
             "columns": self.column_names,
+            "drawn": self.drawn,
             "attrs": self.attrs,
             "axes": list(over.coords),
             "over": over.header.kind,
-            "settings": over.header.settings,
             "type": str(jnp.result_type(float)),
             "programs": {name: program.hex() for name, program in digests.items()},
         }
 
-    def block(self, tile: int) -> Block:
-        """Equations and starts of a tile; the last tile is filled up to full length."""
-        return self.blocks(self.tiling.padded_indices(tile))
+    def points(self, tile: int, device: Device) -> PointValues:
+        """The points of a tile, filled up to one length for all: programs are made for it."""
+        compiles = self.engines[device].compiles_for_size
+        size = power_of_two(self.tiling.tile_size) if compiles else self.tiling.tile_size
+        return self.blocks.over.points(self.tiling.padded_indices(tile, size))
+
+    def inputs(self, tile: int, device: Device) -> bytes:
+        """A digest of the equations and starts of a tile."""
+        block = self.blocks(self.points(tile, device))
+        return block_digest(first_lanes(block, self.tiling.length(tile)))
 
     def queues(self, tiles: Sequence[int]) -> list[Sequence[int]]:
         """The tiles that are computed in one queue; several on accelerators.
@@ -131,17 +174,23 @@ class Plan:
         """
         starts = largest_tile(self.devices)
         shared = -(-len(tiles) // len(self.devices))  # every device has work
-        length = min(starts // self.tiling.tile_size, shared) if starts > TILE else 1
+        length = min(starts // power_of_two(self.tiling.tile_size), shared) if starts > TILE else 1
         length = max(length, 1)
         return [tiles[i : i + length] for i in range(0, len(tiles), length)]
 
-    def compute(
-        self, tiles: Sequence[int], device: Device
-    ) -> list[tuple[int, tuple[Columns, Block]]]:
-        """The columns of each tile, and the equations and starts that they belong to."""
-        blocks = [self.block(tile) for tile in tiles]
-        is_real = np.concatenate([self.tiling.is_real(tile) for tile in tiles])
-        queue = _joined(blocks)
+    def compute(self, tiles: Sequence[int], device: Device) -> list[ComputedTile]:
+        """The columns of each tile, and a digest of what they were computed from."""
+        points = [self.points(tile, device) for tile in tiles]
+        padded = [self.blocks(of_tile) for of_tile in points]
+        lengths = [self.tiling.length(tile) for tile in tiles]
+        real = [first_lanes(block, n) for block, n in zip(padded, lengths, strict=True)]
+        used = padded if self.engines[device].compiles_for_size else real
+        sizes = [omegas.shape[1] for _, omegas in used]
+        firsts = np.cumsum([0, *sizes])
+        is_real = np.concatenate(
+            [np.arange(size) < n for size, n in zip(sizes, lengths, strict=True)]
+        )
+        queue = joined(used)
         columns, *confirming = [
             self._columns(queue, is_real, rtol, device, loosely=number == 0)
             for number, rtol in enumerate(self.rules.rtols)
@@ -149,10 +198,11 @@ class Plan:
         for other in confirming:
             columns["changed"] = columns["outcome"] != other["outcome"]
         results = []
-        for i, (tile, block) in enumerate(zip(tiles, blocks, strict=True)):
-            first = i * self.tiling.tile_size
-            lanes = slice(first, first + self.tiling.length(tile))
-            results.append((tile, ({name: x[lanes] for name, x in columns.items()}, block)))
+        for i, tile in enumerate(tiles):
+            lanes = slice(firsts[i], firsts[i] + lengths[i])
+            found = {name: x[lanes] for name, x in columns.items()}
+            found |= drawn_values(self.drawn, points[i], real[i])
+            results.append(ComputedTile(tile, found, block_digest(real[i])))
         return results
 
     def _columns(
@@ -178,17 +228,44 @@ class Plan:
         return columns
 
 
-def _joined(blocks: Sequence[Any]) -> Any:
-    """One block of the lanes of several."""
-    if len(blocks) == 1:
-        return blocks[0]
-    arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
-    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *arrays)
-    return eqx.combine(joined, rest[0])
+def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) -> Plan:
+    """The plan of a sweep, all of its arguments checked.
+
+    Raises:
+        ValueError: bad arguments.
+    """
+    rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices = settings
+    # convert
+    blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
+    if atol is not None:
+        check_atol(atol)
+    rtols = [tolerance("rtol", rtol)]
+    if confirm is not None:
+        rtols.append(tolerance("confirm", confirm))
+    max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
+    # check
+    equation, _ = blocks(over.points(np.zeros(1, int)))
+    check_verdict(equation)
+    check_slow_flow(slow_flow, equation)
+    until, finish = stopping_rule(equation, value), finish_of(value)
+    engines = select_engines(engine, equation, devices, until, finish)
+    rules = Rules(rtols, atol, max_steps, value, slow_flow)
+    return Plan(blocks, equation, rules, devices, engines)
 
 
-def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
+def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:
+    """Shapes of the start of a sample's point, and of each parameter that it draws."""
+    point = jax.eval_shape(over.draw, jax.random.key(0))
+    parameters = {name: x.shape for name, x in point.items()} if isinstance(point, dict) else {}
+    check_arguments("draw", parameters)
+    return {START: (3,)} | {name: x for name, x in parameters.items() if name != START}
+
+
+def drawn_values(names: Iterable[str], points: Any, block: Block) -> dict[str, np.ndarray]:
+    """What is kept of the points of a sample, as many as the block has lanes."""
+    (_, omegas), length = block, block[1].shape[1]
+    values = {name: omegas.T if name == START else points[name][:length] for name in names}
+    return {name: np.asarray(column, float) for name, column in values.items()}
 
 
 @functools.cache  # it reads files

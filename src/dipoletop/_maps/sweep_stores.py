@@ -1,37 +1,55 @@
 """Where a sweep keeps its columns: in memory, or in a store on disk, which it may resume.
 
-Both offer `unfinished()`, the tiles to compute; `write(tile, columns, block)`; and `contents()`,
-the finished basin as plain values.
+Both offer `unfinished()`, the tiles to compute; `claim(tile)`, whether it is for this process to do
+so; `write(computed)`; `is_finished(tile)`; and `contents()`, the finished basin as plain values.
 """
 
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from .._base.parallel import in_parallel
 from .columns import BasinParts, column_spec
-from .problems import Block, block_digest
-from .store.errors import StoreMismatch
+from .store.errors import StoreMismatch, StoreNotWritable
 from .store.resume import THIS_SWEEP, begin_or_resume
-from .sweep_plan import Columns, Plan
+from .sweep_plan import ComputedTile, Plan
 
 
 class MemoryStore:
     """Columns in memory."""
 
+    patience: ClassVar[float] = 0.0
+    """Seconds for which an interrupted sweep waits for its tiles in hand, which are lost here."""
+
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        size, names = plan.tiling.size, plan.column_names
-        self._columns = {name: np.empty(size, column_spec(name).dtype) for name in names}
+        self._columns = {
+            name: np.empty((plan.tiling.size, *plan.drawn.get(name, ())), column_spec(name).dtype)
+            for name in plan.column_names
+        }
+        self._finished: set[int] = set()
 
     def unfinished(self) -> list[int]:
         """Every tile."""
         return list(range(self._plan.tiling.count))
 
-    def write(self, tile: int, columns: Columns, block: Block) -> None:
+    def claim(self, tile: int) -> bool:
+        """Whether this process is to compute a tile: always."""
+        return True
+
+    def is_finished(self, tile: int) -> bool:
+        """Whether a tile is in place."""
+        return tile in self._finished
+
+    def write(self, computed: ComputedTile) -> None:
         """Copy the columns of a tile."""
-        for name, values in columns.items():
-            self._columns[name][self._plan.tiling.span(tile)] = values
+        for name, values in computed.columns.items():
+            self._columns[name][self._plan.tiling.span(computed.tile)] = values
+        self._finished.add(computed.tile)
+
+    def close(self) -> None:
+        """Nothing is to be done."""
 
     def contents(self) -> BasinParts:
         """The finished basin."""
@@ -40,17 +58,29 @@ class MemoryStore:
 
 
 class ZarrStore:
-    """Columns in a store on disk, which this sweep begins or resumes.
+    """Columns in a store on disk, which this sweep begins or resumes, alone or beside others.
 
     Raises:
         StoreMismatch: the path cannot be used, or holds another sweep.
         StoreDamaged: the store is not as it was written, and is not to be repaired.
     """
 
+    patience: ClassVar[float] = 10.0
+    """Seconds for which an interrupted sweep waits for its tiles in hand, to keep them."""
+
     def __init__(self, path: Any, plan: Plan, repair: bool) -> None:
         self._plan, self._repair = plan, repair
         values = plan.blocks.over.header.values
         self._tiles = begin_or_resume(path, plan.header(), values, repair)
+        self._claims = self._tiles.claims()
+        with self._claims.everything() as alone:
+            if alone:
+                self._tiles.discard_partial_files()
+
+    @property
+    def folder(self) -> Path:
+        """Where it is."""
+        return self._tiles.folder
 
     def unfinished(self) -> list[int]:
         """The tiles to compute. Finished ones are read, and their inputs are compared."""
@@ -62,7 +92,7 @@ class ZarrStore:
             tiles.refuse_damaged(damaged, " (`repair` computes it again)")
         sound = [tile for tile in finished if tile not in damaged]
         plan = self._plan
-        digests = in_parallel(lambda tile, _: block_digest(plan.block(tile)), sound, plan.devices)
+        digests = in_parallel(plan.inputs, sound, plan.devices)
         for tile, here in digests:
             there = tiles.record(tile).inputs
             if here != there:
@@ -71,11 +101,37 @@ class ZarrStore:
                     f"({there.hex()[:8]} there and {here.hex()[:8]} here)"
                 )
                 raise StoreMismatch("store", tiles.folder, THIS_SWEEP, reason)
+        for tile in damaged:
+            tiles.forget(tile)
         return sorted([*left, *damaged])
 
-    def write(self, tile: int, columns: Columns, block: Block) -> None:
-        """Write a tile to disk, with a digest of its inputs."""
-        self._tiles.write(tile, columns, block_digest(block))
+    def claim(self, tile: int) -> bool:
+        """Whether this process is to compute a tile: not if another one does, or has done so."""
+        if not self._claims.take(tile):
+            return False
+        if self.is_finished(tile):
+            self._claims.give_back(tile)
+            return False
+        return True
+
+    def is_finished(self, tile: int) -> bool:
+        """Whether a tile is on disk."""
+        return self._tiles.is_finished(tile)
+
+    def write(self, computed: ComputedTile) -> None:
+        """Write a claimed tile to disk, with the digest of its inputs."""
+        tiles = self._tiles
+        try:
+            tiles.write(*computed)
+        except OSError as error:
+            count = tiles.tiling.count
+            finished, reason = count - len(tiles.unfinished()), error.strerror or str(error)
+            raise StoreNotWritable(tiles.folder, finished, count, reason) from error
+        self._claims.give_back(computed.tile)
+
+    def close(self) -> None:
+        """Give the store back to other processes."""
+        self._claims.close()
 
     def contents(self) -> BasinParts:
         """The finished basin, whose columns are read from disk when they are used."""

@@ -36,11 +36,15 @@ def unfold(basin: Basin) -> Basin:
     Source: the symmetries of (4.2)–(4.4).
     """
     unfolded = instance("basin", basin, Basin)
-    if _divides(unfolded.coords.get("phi"), np.pi):
+    if _divides(_axis(unfolded, "phi"), np.pi):
         unfolded = _to_full_turn(unfolded)
-    if _divides(unfolded.coords.get("phi"), 2 * np.pi) and _rises(unfolded.coords.get("w3")):
+    if _divides(_axis(unfolded, "phi"), 2 * np.pi) and _rises(_axis(unfolded, "w3")):
         unfolded = _to_both_hemispheres(unfolded)
     return unfolded
+
+
+def _axis(basin: Basin, name: str) -> Float[np.ndarray, "..."] | None:
+    return basin.coords[name] if name in basin.dims and name in basin.coords else None
 
 
 def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:

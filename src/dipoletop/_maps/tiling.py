@@ -1,43 +1,106 @@
-"""Tiles: consecutive flat indices of a sweep, computed and stored together."""
+"""Tiles: boxes of a sweep's grid, each computed and stored as one."""
 
+import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
+
+from .._engines.interface import power_of_two
+from .._runs.classify_many import TILE
+
+MANY = 65536  # tiles; rather than more of these, they have up to `LARGEST` starts
+LARGEST = 1 << 20
 
 
-class Tiling(NamedTuple):
-    """How the flat indices 0, …, size − 1 are cut into tiles; the last one may be shorter."""
+@dataclass(frozen=True)
+class Tiling:
+    """How a grid of this shape is cut into boxes, its tiles.
 
-    size: int
-    tile_size: int
+    A box has one index on the first axes, a piece of one axis, and all of those behind it. So the
+    flat indices of a tile (C order) are consecutive, and tiles follow one another.
+
+    Attributes:
+        shape: lengths of the axes.
+        chunk: lengths of a box; the last one on its axis may be shorter.
+    """
+
+    shape: tuple[int, ...]
+    chunk: tuple[int, ...]
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], most: int) -> "Tiling":
+        """Tiles with at most so many starts each."""
+        chunk = list(shape)
+        for axis, length in enumerate(shape):
+            behind = math.prod(shape[axis + 1 :])
+            chunk[axis] = min(length, max(most // behind, 1))
+            if behind <= most:
+                break
+        return cls(tuple(shape), tuple(chunk))
+
+    @classmethod
+    def of_sweep(cls, shape: tuple[int, ...]) -> "Tiling":
+        """Tiles for all cores, even of a small grid; the same on every machine."""
+        size = math.prod(shape)
+        few, usual = power_of_two(-(-size // 8)), power_of_two(-(-size // MANY))
+        return cls.of(shape, min(few, max(TILE, min(usual, LARGEST))))
+
+    @property
+    def size(self) -> int:
+        """Number of starts."""
+        return math.prod(self.shape)
+
+    @property
+    def tile_size(self) -> int:
+        """Number of starts in a tile that is not shortened."""
+        return math.prod(self.chunk)
+
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Number of tiles along every axis."""
+        return tuple(-(-n // k) for n, k in zip(self.shape, self.chunk, strict=True))
 
     @property
     def count(self) -> int:
         """Number of tiles."""
-        return -(-self.size // self.tile_size)
+        return math.prod(self.grid)
 
     def others(self, tiles: Iterable[int]) -> list[int]:
         """All tiles except these."""
         return sorted(set(range(self.count)) - set(tiles))
 
+    def box(self, tile: int) -> tuple[slice, ...]:
+        """The indices of a tile on every axis."""
+        firsts = [k * i for k, i in zip(self.chunk, self.place(tile), strict=True)]
+        ends = [min(i + k, n) for i, k, n in zip(firsts, self.chunk, self.shape, strict=True)]
+        return tuple(slice(*pair) for pair in zip(firsts, ends, strict=True))
+
+    def place(self, tile: int) -> tuple[int, ...]:
+        """Where a tile is in the grid of tiles."""
+        return tuple(int(i) for i in np.unravel_index(tile, self.grid)) if self.grid else ()
+
     def length(self, tile: int) -> int:
         """Number of starts in a tile."""
-        return min(self.tile_size, self.size - tile * self.tile_size)
+        return math.prod(indices.stop - indices.start for indices in self.box(tile))
 
     def span(self, tile: int) -> slice:
         """The flat indices of a tile."""
-        first = tile * self.tile_size
+        box = self.box(tile)
+        corner = tuple(indices.start for indices in box)
+        first = int(np.ravel_multi_index(corner, self.shape)) if corner else 0
         return slice(first, first + self.length(tile))
 
-    def padded_indices(self, tile: int) -> Int[np.ndarray, "tile"]:
-        """The flat indices of a tile; the last tile is filled up with the last index."""
-        return np.minimum(self._lanes(tile), self.size - 1)
+    def padded_indices(self, tile: int, length: int) -> Int[np.ndarray, "length"]:
+        """The flat indices of a tile, with its last one again until there are so many."""
+        span = self.span(tile)
+        return np.minimum(np.arange(span.start, span.start + length), span.stop - 1)
 
-    def is_real(self, tile: int) -> Bool[np.ndarray, "tile"]:
-        """Which of the padded indices belong to the tile."""
-        return self._lanes(tile) < self.size
-
-    def _lanes(self, tile: int) -> Int[np.ndarray, "tile"]:
-        return np.arange(tile * self.tile_size, (tile + 1) * self.tile_size)
+    def tiles_with(self, flat: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """The tiles to which these flat indices belong."""
+        if not self.shape:
+            return np.zeros_like(flat)
+        index = np.unravel_index(flat, self.shape)
+        places = tuple(i // k for i, k in zip(index, self.chunk, strict=True))
+        return np.ravel_multi_index(places, self.grid)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import stability, validation
+from .._base.checks import one_line
 from .._maps.basin import Basin
 from .._runs.classify import classify
 from .._runs.simulate import simulate
@@ -19,8 +20,10 @@ from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
 from .atlas_command import atlas_command
+from .data_commands import export_command, info_command, plot_command
 from .files import FORMATS, output_paths
-from .parameters import Number, Size
+from .interruption import interruptible
+from .parameters import Duration, Number, Size
 from .predict_command import predict_command
 from .refusals import Refusal, computing
 from .store_commands import store
@@ -68,6 +71,9 @@ def main() -> None:
 
 
 main.add_command(store)
+main.add_command(info_command)
+main.add_command(plot_command)
+main.add_command(export_command)
 main.add_command(predict_command)
 main.add_command(atlas_command)
 
@@ -131,6 +137,17 @@ main.add_command(atlas_command)
     help="Keep the data in OUTPUT-LEVEL.zarr; the same command resumes a stopped sweep.",
 )
 @click.option("--repair", is_flag=True, help="Recompute damaged data of the store.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Compute on the workers of this Dask scheduler, as tcp://host:8786 (needs dask).",
+)
+@click.option(
+    "--time-limit",
+    type=Duration(),
+    help="Stop after this time, as 90s, 30m, 2h or 1:30:00, with exit status 124; finished tiles "
+    "are kept.",
+)
 @click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
 @computing
 def map_command(**options: Any) -> None:
@@ -151,19 +168,15 @@ def map_command(**options: Any) -> None:
     }
     settings["slow_flow"] = SLOW_FLOW[options["slow_flow"]]
     settings["devices"] = _devices(options["device"])
+    settings["client"] = _client(options["scheduler"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")
     runs = []
-    try:
+    with interruptible(keeps_tiles=options["store"], time_limit=options["time_limit"]):
         for level in levels:
             place = base.with_name(f"{base.name}-{level}.zarr") if options["store"] else None
             progress = level.value if show else False
             runs.append(maps.run_level(level, grid, place, progress=progress, **settings))
-    except KeyboardInterrupt:
-        kept = "finished tiles are kept, and the same command goes on from there"
-        nothing = "nothing is kept without a store"
-        click.echo(f"Stopped: {kept if options['store'] else nothing}.", err=True)
-        raise SystemExit(130) from None
     _draw([run.basin for run in runs], axes, picture)
     click.echo(tables.maps(runs))
     if levels == [Level.ORDER_1]:
@@ -189,6 +202,20 @@ def _devices(kind: str | None) -> list[Any] | None:
         return jax.devices(kind)
     except RuntimeError:
         raise Refusal(f"--device {kind}: JAX finds none on this machine.") from None
+
+
+def _client(address: str | None) -> Any:
+    """The client of a Dask scheduler."""
+    if address is None:
+        return None
+    try:
+        from distributed import Client
+    except ImportError:
+        raise Refusal("--scheduler needs dask: pip install 'dipoletop[dask]'.") from None
+    try:
+        return Client(address, timeout="20s")
+    except (OSError, ValueError) as error:
+        raise Refusal(f"--scheduler {address}: {one_line(error)}.") from None
 
 
 def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:

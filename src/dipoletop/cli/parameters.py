@@ -49,6 +49,31 @@ class Size(click.ParamType):
         return int(parts[1]), int(parts[2] or parts[1])
 
 
+class Duration(click.ParamType):
+    """A time as 90s, 30m, 2h, or as batch systems write it: [[hours:]minutes:]seconds."""
+
+    name = "time"
+    UNITS: ClassVar[dict[str, float]] = {"s": 1.0, "m": 60.0, "h": 3600.0}
+
+    def convert(self, value: Any, param: Parameter, ctx: Context) -> float:
+        """Seconds."""
+        if isinstance(value, float):
+            return value
+        text = str(value).strip()
+        parts = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", text)
+        clock = re.fullmatch(r"(?:(?:(\d+):)?(\d+):)?(\d+)", text)
+        if parts:
+            seconds = float(parts[1]) * self.UNITS[parts[2]]
+        elif clock:
+            hours, minutes, rest = (float(x or 0) for x in clock.groups())
+            seconds = 3600 * hours + 60 * minutes + rest
+        else:
+            seconds = 0.0
+        if seconds <= 0:
+            self.fail(f"{value!r} is not a time such as 90s, 30m, 2h or 1:30:00.", param, ctx)
+        return seconds
+
+
 class Lengths(click.ParamType):
     """Lengths with a unit, in metres: "100nm", or several as 100x60x40nm."""
 

@@ -8,6 +8,7 @@ import click
 import jax
 
 from .._maps.store.errors import StoreDamaged, StoreMismatch
+from .terminals import forgiving_output
 
 Command = Callable[..., None]
 
@@ -32,7 +33,8 @@ def computing(command: Command) -> Command:
         jax.config.update("jax_enable_x64", True)
         matplotlib.use("Agg")
         try:
-            command(**options)
+            with forgiving_output():
+                command(**options)
         except (StoreDamaged, StoreMismatch, OSError) as error:
             raise Refusal(str(error)) from None
         except ValueError as error:

@@ -7,6 +7,7 @@ import click
 from .._maps.store.contents import verify
 from .._maps.store.errors import StoreDamaged
 from . import maps
+from .interruption import interruptible
 from .refusals import computing
 
 
@@ -51,5 +52,6 @@ def repair_command(path: str, progress: bool | None) -> None:
     repair=True).
     """
     show = sys.stderr.isatty() if progress is None else progress
-    run, computed = maps.repair(path, progress=show)
+    with interruptible(keeps_tiles=True):
+        run, computed = maps.repair(path, progress=show)
     click.echo(f"{computed} starts computed again: {run.store} is as it was written.")

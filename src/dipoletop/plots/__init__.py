@@ -10,6 +10,7 @@ from .atlases import atlas
 from .basins import basin, compare
 from .continuations import continuation, diagram
 from .histories import history
+from .panels import panels, shares
 from .style import save
 from .trajectories import trajectory
 
@@ -20,7 +21,9 @@ __all__ = [
     "continuation",
     "diagram",
     "history",
+    "panels",
     "save",
+    "shares",
     "trajectory",
     "unfold",
 ]

@@ -16,6 +16,8 @@ from .._base.checks import flag, instance, refuse
 from .._maps.basin import Basin
 from .axes import check_axes, mark_quarter_turns, show_cells
 from .plane import (
+    CLASSES,
+    NOT_COMPUTED,
     Plane,
     Shade,
     axis_lengths,
@@ -129,9 +131,13 @@ def _draw(
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
     show_cells(ax, xs, plane.ys, image)
-    if differs is not None:
-        xs, differs = _close_circle(plane, differs)
-        handles.append(hatch(ax, xs, plane.ys, differs, "outcome differs"))
+    hatched = {} if differs is None else {"outcome differs": differs}
+    missing = classes == len(CLASSES)
+    if missing.any():
+        hatched[NOT_COMPUTED] = missing
+    for label, cells in hatched.items():
+        xs, closed = _close_circle(plane, cells)
+        handles.append(hatch(ax, xs, plane.ys, closed, label))
     for name, axis in ((plane.x, ax.xaxis), (plane.y, ax.yaxis)):
         axis.set_label_text(symbol(name))
         if name == "phi":

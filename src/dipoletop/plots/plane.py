@@ -10,6 +10,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normal
 from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
+from .._maps.columns import MISSING
 from .._maps.symmetry import unfold
 from .style import capitalised, number, percent, symbol
 
@@ -28,6 +29,8 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
 }
 """Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
 differ plainly, from each other and from the shades of `SIGNED`."""
+NOT_COMPUTED, BLANK = "not computed yet", "#ffffff"
+"""Name and colour of what a sweep has not computed yet; it is hatched, too."""
 UNKNOWN = r"residual, $\omega_\infty$ not known", "#5500aa"
 """Name and colour of residual rotation whose ω∞ is to be shown but is not known: its sense may be a
 matter of chance. It differs from the others, too."""
@@ -76,8 +79,8 @@ def plane_of(
         extend: whether to unfold a symmetry cell to the whole plane.
         axes: the names along x and y; None means the usual one.
     """
-    if not basin.coords:
-        refuse("basin", "be over a grid", "is over a sample, which has no axes to map")
+    if any(name not in basin.coords for name in basin.dims):
+        refuse("basin", "be over a grid", "is over single starts, which have no axes to map")
     long = [name for name, n in zip(basin.dims, basin.shape, strict=True) if n > 1]
     if len(long) != 2 or any(basin.coords[name].ndim > 1 for name in long):
         refuse(
@@ -123,9 +126,10 @@ def _title(basin: Basin) -> str:
     fixed = [
         f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values))}"
         for name, values in basin.coords.items()
-        if len(values) == 1
+        if name not in basin.dims or len(values) == 1
     ]
-    share = float(np.mean(basin.certified))
+    computed = basin.outcome != MISSING["int8"]
+    share = float(np.mean(basin.certified[computed])) if computed.any() else 0.0
     words = {0.0: "no outcome", 1.0: "all outcomes"}
     which = words.get(share, f"{percent(share)} of the outcomes")
     certified = f"{which} certified for this level"
@@ -173,9 +177,12 @@ def _omega_inf_shade(residual: Float[np.ndarray, "n"]) -> Shade:
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
-    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops."""
+    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops.
+
+    What is not computed yet has the number behind the last one.
+    """
     outcome, stop = plane.columns["outcome"], plane.columns["stop"]
-    classes = np.zeros(outcome.shape, np.int8)
+    classes = np.full(outcome.shape, len(CLASSES), np.int8)
     for number_of_class, (class_outcome, class_stop) in enumerate(CLASSES):
         members = outcome == class_outcome
         if class_outcome == Outcome.STOP:
@@ -188,7 +195,8 @@ def coloured(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> UInt8[np.ndarray, "Y X 4"]:
     """The colour of every start, RGBA."""
-    flat = np.array([(*to_rgb(colour), 1.0) for _, colour in CLASSES.values()])
+    colours = [*(colour for _, colour in CLASSES.values()), BLANK]
+    flat = np.array([(*to_rgb(colour), 1.0) for colour in colours])
     image = np.round(255 * flat).astype(np.uint8)[classes]
     for shade in shades:
         unknown = _unknown(plane, shade)
@@ -209,7 +217,7 @@ def legend_colours(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> dict[str, Colour]:
     """Name and colour of every class that occurs, in the order of `CLASSES`."""
-    counts = np.bincount(classes.ravel(), minlength=len(CLASSES)).tolist()
+    counts = np.bincount(classes.ravel(), minlength=len(CLASSES))[: len(CLASSES)].tolist()
     shaded = {shade.outcome: shade for shade in shades}
     colours: dict[str, Colour] = {}
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):

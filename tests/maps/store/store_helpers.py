@@ -7,6 +7,8 @@ import dipoletop as dt
 from dipoletop._maps.store.headers import header_digest
 
 SIZE = 12, 18  # two tiles, the second not full
+HEADER = "dipoletop-tiles/zarr.json"
+RECORDS = "dipoletop-tiles/done"
 
 
 GRID = dt.Grid(w3=np.linspace(0.0, 0.45, SIZE[0]), phi=np.linspace(0.0, 3.0, SIZE[1]))
@@ -42,17 +44,22 @@ def flip(file, bit):
     file.write_bytes(data)
 
 
+def contents(good):
+    """Paths of the files of a store that say anything."""
+    every = (p for p in good.rglob("*") if p.is_file() and p.stat().st_size)
+    return sorted(p.relative_to(good) for p in every)
+
+
 def victims(good, kind):
     """The files of a store that hold columns, axes, records, metadata of these, or the header."""
-    every = sorted(p.relative_to(good) for p in good.rglob("*") if p.is_file())
     sorts = {"columns": [], "axes": [], "records": [], "metadata": [], "header": []}
-    for path in every:
+    for path in contents(good):
         sort = "columns"
         if path.name == "zarr.json":
-            sort = "metadata" if len(path.parts) > 1 else "header"
-        elif path.parts[0].startswith("axis_"):
+            sort = "header" if str(path) == HEADER else "metadata"
+        elif path.parts[0] in GRID.axes:
             sort = "axes"
-        elif path.parts[0] == "done":
+        elif str(path).startswith(RECORDS):
             sort = "records"
         sorts[sort].append(path)
     assert all(sorts.values())
@@ -61,6 +68,6 @@ def victims(good, kind):
 
 def rewrite(place, **changes):
     """Change a header as a program would that knows its digest."""
-    group = zarr.open_group(place, mode="r+")
+    group = zarr.open_group(place / "dipoletop-tiles", mode="r+")
     header = {**{k: v for k, v in group.attrs.items() if k != "digest"}, **changes}
     group.attrs.update({**header, "digest": header_digest(header)})

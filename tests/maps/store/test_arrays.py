@@ -6,6 +6,7 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from dipoletop._maps.store.arrays import StoredArray
+from dipoletop._maps.tiling import Tiling
 
 RNG = np.random.default_rng(0)
 ARRAYS = {
@@ -33,11 +34,11 @@ def values(request):
 
 @pytest.mark.parametrize("codecs", [("zstd", "crc32c"), ()])
 def test_the_bytes_are_those_of_zarr(tmp_path, values, codecs):
-    array = StoredArray(tmp_path / "own", values.shape, 128, values.dtype, codecs)
+    chunk = 128, *values.shape[1:]
+    array = StoredArray(tmp_path / "own", values.shape, chunk, values.dtype, codecs)
     (tmp_path / "own").mkdir()
     array.create()
-    for chunk in range(array.chunks):
-        array.write(chunk, values[128 * chunk :][:128])
+    array.write_all(values)
     compressors = [ZstdCodec(level=0), Crc32cCodec()] if codecs else None
     by_zarr(tmp_path / "zarr", values, compressors=compressors)
     own, other = files(tmp_path / "own"), files(tmp_path / "zarr")
@@ -53,9 +54,26 @@ def test_the_bytes_are_those_of_zarr(tmp_path, values, codecs):
 def test_what_zarr_has_written_is_read(tmp_path, values):
     by_zarr(tmp_path / "a", values)  # without checksums, as in stores of version 1
     array = StoredArray.open(tmp_path / "a")
-    found = np.concatenate([array.read(chunk) for chunk in range(array.chunks)])
+    found = np.concatenate([array.read(chunk) for chunk in range(array.tiling.count)])
     assert found.dtype == values.dtype
-    np.testing.assert_array_equal(found, values)
+    np.testing.assert_array_equal(found.reshape(values.shape), values)
+
+
+@pytest.mark.parametrize(
+    ("shape", "most"), [((7, 5, 6), 60), ((7, 5, 6), 12), ((7, 5, 6), 4), ((9, 4), 1000), ((), 8)]
+)
+def test_chunks_of_several_axes_are_where_zarr_looks_for_them(tmp_path, shape, most):
+    """Read while one of them is not written yet: its numbers are the fill value."""
+    values, tiling = RNG.normal(size=shape), Tiling.of(shape, most)
+    array = StoredArray(tmp_path, shape, tiling.chunk, values.dtype, fill=np.nan)
+    array.create()
+    array.write_all(values)
+    read = zarr.open_array(tmp_path, mode="r")
+    np.testing.assert_array_equal(read[...], values)
+    last = tiling.count - 1
+    array.file(last).unlink()
+    values[tiling.box(last)] = np.nan
+    np.testing.assert_array_equal(zarr.open_array(tmp_path, mode="r")[...], values)
 
 
 def test_arrays_of_another_kind_are_refused(tmp_path):
@@ -66,7 +84,7 @@ def test_arrays_of_another_kind_are_refused(tmp_path):
 
 @pytest.mark.parametrize("place", [0, 40, -1])
 def test_one_bit_is_seen(tmp_path, place):
-    array = StoredArray(tmp_path, (128,), 128, np.dtype(float))
+    array = StoredArray(tmp_path, (128,), (128,), np.dtype(float))
     array.write(0, RNG.normal(size=128))
     content = bytearray(array.file(0).read_bytes())
     content[place] ^= 4

@@ -1,9 +1,12 @@
 """Whole basins on disk: saved, loaded, and those that older versions wrote."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 import zarr
-from store_helpers import GRID, KINDS, files, numbers, reduced
+from store_helpers import GRID, KINDS, files, flip, numbers, reduced
 
 import dipoletop as dt
 
@@ -55,7 +58,7 @@ def test_a_store_of_version_1_is_read_but_not_gone_on_with(good, version_1):
     old = dt.Basin.load(version_1)
     right = numbers(dt.Basin.load(good))
     assert numbers(old) == {name: right[name] for name in numbers(old)}
-    message = "must be new or a dipoletop basin, version 2, to go on with it, but .* version 1"
+    message = "must be new or a dipoletop basin, version 3, to go on with it, but .* version 1"
     for repair in (False, True):
         with pytest.raises(dt.StoreMismatch, match=message):
             dt.sweep(reduced, GRID, store=version_1, repair=repair)
@@ -74,3 +77,33 @@ def test_what_is_missing_in_a_store_of_version_1_is_damage(version_1, victim):
     if victim == "stop/c/1":
         with pytest.raises(dt.StoreDamaged, match="tile 1: its stop is missing"):
             _ = old.stop
+
+
+@pytest.fixture
+def version_2(tmp_path):
+    """A store that version 0.1.0 wrote while `dipoletop basin, version 2` was the format."""
+    place = tmp_path / "version_2.zarr"
+    shutil.unpack_archive(Path(__file__).with_name("version_2.zip"), place)
+    return place
+
+
+def test_a_store_of_version_2_is_read_but_not_gone_on_with(version_2):
+    before, old, new = files(version_2), dt.Basin.load(version_2), dt.sweep(reduced, GRID)
+    assert old.attrs["max_steps"] == 50_000
+    assert old.coords.keys() == new.coords.keys()
+    for name in new.columns:
+        assert old.column(name).dtype == new.column(name).dtype
+        np.testing.assert_allclose(old.column(name), new.column(name), rtol=1e-6, atol=1e-8)
+    np.testing.assert_array_equal(old.isel(w3=3).time, old.time[3])
+    message = "must be new or a dipoletop basin, version 3, to go on with it, but .* version 2"
+    for repair in (False, True):
+        with pytest.raises(dt.StoreMismatch, match=message):
+            dt.sweep(reduced, GRID, store=version_2, repair=repair)
+    assert files(version_2) == before
+
+
+@pytest.mark.parametrize("victim", ["stop/c/1", "axis_phi/c/0", "done/c/0/0", "zarr.json"])
+def test_a_flipped_bit_in_a_store_of_version_2_is_damage(version_2, victim):
+    flip(version_2 / victim, 100)
+    with pytest.raises(dt.StoreDamaged, match=r"tile [01]|metadata"):
+        dt.Basin.load(version_2)

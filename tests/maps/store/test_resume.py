@@ -5,7 +5,7 @@ import shutil
 import jax
 import numpy as np
 import pytest
-from store_helpers import GRID, files, flip, numbers, reduced
+from store_helpers import GRID, HEADER, RECORDS, files, flip, numbers, reduced
 
 import dipoletop as dt
 from dipoletop._maps.store.tiles import Tiles
@@ -14,16 +14,16 @@ from dipoletop._maps.sweep_plan import Plan
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """Killed half-way, with a torn tile: the same bytes as a run in one go."""
-    monkeypatch.setattr("dipoletop._maps.sweep_plan.TILE", 128)
+    monkeypatch.setattr("dipoletop._maps.tiling.TILE", 128)
     grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
     whole = numbers(dt.sweep(reduced, grid, store=tmp_path / "whole.zarr"))
     place = tmp_path / "again.zarr"
     shutil.copytree(tmp_path / "whole.zarr", place)
     for tile in (0, 3, 7):
-        (place / "done" / "c" / str(tile) / "0").unlink()
-    (place / "omega_inf" / "c" / "3").unlink()
-    (place / "outcome" / "c" / "7").write_bytes(b"torn")
-    with pytest.raises(dt.StoreMismatch, match="lacks 3 of 8 tiles; run the sweep again with"):
+        (place / RECORDS / "c" / str(tile) / "0").unlink()
+    (place / "omega_inf" / "c" / "3" / "0").unlink()
+    (place / "outcome" / "c" / "7" / "0").write_bytes(b"torn")
+    with pytest.raises(dt.StoreMismatch, match="lacks 3 of 10 tiles; run the sweep again with"):
         dt.Basin.load(place)
 
     made = []
@@ -46,21 +46,23 @@ def test_tiles_that_share_a_queue_are_stored_as_ever(tmp_path, monkeypatch, engi
     tiles = []
     compute = Plan.compute
     monkeypatch.setattr(Plan, "compute", lambda *a: (tiles.append(len(a[1])), compute(*a))[1])
+    monkeypatch.setattr("dipoletop._maps.tiling.TILE", 128)
     monkeypatch.setattr("dipoletop._maps.sweep_plan.TILE", 128)
     monkeypatch.setattr("dipoletop._maps.sweep_plan.largest_tile", lambda devices: 400)
     dt.sweep(reduced, grid, store=tmp_path / "several.zarr", **settings)
     assert max(tiles) == 3
-    assert sum(tiles) == 8
+    assert sum(tiles) == 10
     assert files(tmp_path / "several.zarr") == files(tmp_path / "one.zarr")
 
 
 @pytest.mark.parametrize(
-    "victim", ["omega_inf/c/1", "done/c/0/0", "axis_phi/c/0", "time/zarr.json", "zarr.json"]
+    "victim",
+    ["omega_inf/c/1/0", f"{RECORDS}/c/0/0", "phi/c/0", "time/zarr.json", "zarr.json", HEADER],
 )
 @pytest.mark.parametrize("harm", [lambda file: file.unlink(), lambda file: flip(file, 200)])
 def test_a_sweep_finds_damage_and_repairs_it_to_the_same_bytes(good, copy, victim, harm):
     harm(copy / victim)
-    lacking = victim.startswith("done") and not (copy / victim).exists()
+    lacking = victim.startswith(RECORDS) and not (copy / victim).exists()
     if not lacking:
         with pytest.raises(dt.StoreDamaged, match=r"damaged, (tile|metadata)"):
             dt.sweep(reduced, GRID, store=copy)
@@ -70,7 +72,7 @@ def test_a_sweep_finds_damage_and_repairs_it_to_the_same_bytes(good, copy, victi
 
 
 def test_metadata_are_not_repaired_over_the_tiles_of_another_sweep(copy):
-    flip(copy / "zarr.json", 4000)
+    flip(copy / HEADER, 4000)
     before = files(copy)
     with pytest.raises(
         dt.StoreMismatch, match="`store` must be new or hold this very sweep, but th"

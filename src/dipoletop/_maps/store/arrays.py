@@ -1,17 +1,21 @@
-"""Arrays on disk in the format Zarr 3, for any program that reads it; chunks are rows of axis 0.
+"""Arrays on disk in the format Zarr 3, for any program that reads it.
 
 They are written and read here, not by the library zarr: for each chunk that takes longer than a
 thousand runs do, and its import as long as a small map. The bytes are the same.
 """
 
 import json
+import math
 import os
 import secrets
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from ..tiling import Tiling
 
 METADATA = "zarr.json"
 LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
@@ -24,24 +28,35 @@ CHECKSUM = 4  # bytes of a crc32c
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An array in a folder of its own.
+    """An array in a folder of its own, whose chunks are numbered in C order.
+
+    Chunks have one index on the first axes, a piece of one axis, and all of those behind it: so
+    the numbers of one that is shortened come first.
 
     Attributes:
         folder: its folder.
         shape: its shape.
-        rows: the number of rows in a chunk.
+        chunk: the shape of a chunk.
         dtype: the type of its numbers.
         codecs: what chunks go through: compression, and a checksum, which version 1 lacked.
+        fill: what stands for the numbers of chunks that are not written.
+        dims: names of the axes, if they have any.
+        attributes: what is said of the numbers.
+        staging: a folder for chunks that are not complete yet; None: beside their place.
     """
 
     folder: Path
     shape: tuple[int, ...]
-    rows: int
+    chunk: tuple[int, ...]
     dtype: np.dtype
     codecs: tuple[str, ...] = ("zstd", "crc32c")
+    fill: Any = 0
+    dims: tuple[str, ...] = ()
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    staging: Path | None = None
 
     @classmethod
-    def open(cls, folder: Path) -> "StoredArray":
+    def open(cls, folder: Path, staging: Path | None = None) -> "StoredArray":
         """The array in a folder.
 
         Raises:
@@ -56,51 +71,64 @@ class StoredArray:
         known = codecs in ((), ("zstd",), ("zstd", "crc32c")) and endian == "little"
         if not known or (keys["name"], separator) != ("default", "/"):
             raise ValueError(f"{folder} has chunks of another kind")
-        rows = metadata["chunk_grid"]["configuration"]["chunk_shape"][0]
+        chunk = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
         dtype = np.dtype(metadata["data_type"])
-        return cls(folder, tuple(metadata["shape"]), rows, dtype, codecs)
+        fill = np.dtype(dtype).type(metadata["fill_value"])
+        shape = tuple(metadata["shape"])
+        return cls(folder, shape, chunk, dtype, codecs, fill, staging=staging)
 
     def create(self) -> None:
         """Write the metadata; there are no chunks yet."""
+        write_json(self.folder / METADATA, self.metadata)
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What is written of an array beside its chunks."""
         plain = {"name": "bytes"}
         first = LITTLE if self.dtype.itemsize > 1 else plain
-        chunk_shape = [self.rows, *self.shape[1:]]
-        metadata = {
+        fill = self.dtype.type(self.fill).item()
+        return {
             "shape": list(self.shape),
             "data_type": self.dtype.name,
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk_shape}},
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(self.chunk)}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            "fill_value": np.zeros((), self.dtype).item(),
+            "fill_value": "NaN" if fill != fill else fill,
             "codecs": [first, *(CODECS[name] for name in self.codecs)],
-            "attributes": {},
+            "attributes": dict(self.attributes),
+            **({"dimension_names": list(self.dims)} if self.dims else {}),
             "zarr_format": 3,
             "node_type": "array",
             "storage_transformers": [],
         }
-        write_json(self.folder / METADATA, metadata)
 
     @property
-    def chunks(self) -> int:
-        """The number of chunks."""
-        return -(-self.shape[0] // self.rows)
+    def tiling(self) -> Tiling:
+        """How the numbers are cut into chunks."""
+        return Tiling(self.shape, self.chunk)
 
     def file(self, chunk: int) -> Path:
         """Where a chunk is."""
-        return self.folder.joinpath("c", str(chunk), *("0" for _ in self.shape[1:]))
+        return self.folder.joinpath("c", *(str(i) for i in self.tiling.place(chunk)))
 
     def write(self, chunk: int, values: np.ndarray) -> None:
-        """Write a chunk at once; the last one may have fewer rows, and is filled up with zeros."""
-        full = np.zeros((self.rows, *self.shape[1:]), self.dtype.newbyteorder("<"))
-        full[: len(values)] = values
+        """Write the numbers of a chunk at once; one that is shortened is filled up."""
+        full = np.full(math.prod(self.chunk), self.fill, self.dtype.newbyteorder("<"))
+        full[: values.size] = values.ravel()
         content = full.tobytes()
         if "zstd" in self.codecs:
             content = _zstd().encode(content)
         if "crc32c" in self.codecs:
             content += _crc32c(content).to_bytes(CHECKSUM, "little")
-        write_at_once(self.file(chunk), content)
+        write_at_once(self.file(chunk), content, self.staging)
+
+    def write_all(self, values: np.ndarray) -> None:
+        """Write every chunk."""
+        flat = values.ravel()
+        for chunk in range(self.tiling.count):
+            self.write(chunk, flat[self.tiling.span(chunk)])
 
     def read(self, chunk: int) -> np.ndarray:
-        """The rows of a chunk.
+        """The numbers of a chunk, flat.
 
         Raises:
             ValueError: it is damaged. Other errors where it is missing, or cannot be decompressed.
@@ -113,8 +141,9 @@ class StoredArray:
         if "zstd" in self.codecs:
             content = _zstd().decode(content)
         little = np.frombuffer(content, self.dtype.newbyteorder("<"))
-        full = little.astype(self.dtype, copy=False).reshape(self.rows, *self.shape[1:])
-        return full[: self.shape[0] - chunk * self.rows]
+        if little.size != math.prod(self.chunk):
+            raise ValueError("its length is wrong")
+        return little.astype(self.dtype, copy=False)[: self.tiling.length(chunk)]
 
 
 def write_json(file: Path, content: dict[str, Any]) -> None:
@@ -122,16 +151,21 @@ def write_json(file: Path, content: dict[str, Any]) -> None:
     write_at_once(file, json.dumps(content, indent=2).encode())
 
 
-def write_at_once(file: Path, content: bytes) -> None:
-    """Write a file of which nothing is seen until it is complete."""
-    part = file.with_name(f".{file.name}.{secrets.token_hex(8)}.partial")
+def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> None:
+    """Write a file of which nothing is seen until it is complete; until then it is in `staging`."""
+    folder = staging or file.parent
+    part = folder / f".{file.name}.{secrets.token_hex(8)}.partial"
     try:
         try:
             part.write_bytes(content)
         except FileNotFoundError:
-            file.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             part.write_bytes(content)
-        os.replace(part, file)
+        try:
+            os.replace(part, file)
+        except FileNotFoundError:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(part, file)
     except BaseException:
         part.unlink(missing_ok=True)
         raise

@@ -1,11 +1,15 @@
 """Whole basins on disk: saved, loaded, verified."""
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.digests import SIZE
-from ..columns import BasinParts
+from ..columns import BasinParts, is_result
+from ..tiling import TILE, Tiling
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists
 from .headers import with_value_digests
@@ -26,34 +30,50 @@ class Verification(NamedTuple):
 
 
 def save(parts: BasinParts, path: Any) -> None:
-    """Write a basin as one tile."""
+    """Write a whole basin."""
     folder = absolute_path("path", path)
     if exists("path", folder):
         raise StoreMismatch("path", folder, "not exist yet", f"{folder} does")
+    tiling = Tiling.of(parts.shape, TILE)
+    columns = {name: np.asarray(column[:]) for name, column in parts.columns.items()}
     header = {
         "dims": list(parts.dims),
         "shape": list(parts.shape),
-        "tile": int(np.prod(parts.shape)),
-        "columns": list(parts.columns),
+        "chunk": list(tiling.chunk),
+        "columns": list(columns),
+        "drawn": {name: x.shape[1:] for name, x in columns.items() if not is_result(name)},
         "attrs": parts.attrs,
         "axes": list(parts.coords),
     }
-    with atomic_folder("path", folder) as fresh:
+    with _new_folder(folder) as fresh:
         create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
-        open_tiles("path", fresh).write(0, dict(parts.columns), bytes(SIZE))
+        tiles = open_tiles("path", fresh)
+        for tile in range(tiling.count):
+            span = tiling.span(tile)
+            tiles.write(tile, {name: x[span] for name, x in columns.items()}, bytes(SIZE))
 
 
-def load(path: Any) -> BasinParts:
+@contextlib.contextmanager
+def _new_folder(folder: Path) -> Iterator[Path]:
+    try:
+        with atomic_folder("path", folder) as fresh:
+            yield fresh
+    except FileExistsError:
+        raise StoreMismatch("path", folder, "not exist yet", f"{folder} does") from None
+
+
+def load(path: Any, partial: bool = False) -> BasinParts:
     """The basin at `path`, all of it verified; its columns are read again when they are used."""
     tiles = open_store(path)
-    parts = tiles.contents()
-    if left := len(tiles.unfinished()):
+    parts, unfinished = tiles.contents(partial), tiles.unfinished()
+    if unfinished and not partial:
+        left = len(unfinished)
         reason = (
             f"{tiles.folder} lacks {left} of {tiles.tiling.count} tiles; "
             "run the sweep again with this store"
         )
         raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
-    tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
+    tiles.refuse_damaged(tiles.damaged(tiles.tiling.others(unfinished)))
     return parts
 
 

@@ -1,4 +1,4 @@
-"""Errors of stores: one is damaged, or a path does not lead to the one that was asked for."""
+"""Errors of stores: damaged ones, those that cannot be written, and paths that lead to no such."""
 
 from pathlib import Path
 
@@ -44,3 +44,24 @@ class StoreMismatch(ValueError):
 
     def __str__(self) -> str:
         return refusal(self.argument, self.must, self.reason)
+
+
+class StoreNotWritable(OSError):
+    """A store on disk cannot be written any more; what is there is kept.
+
+    Attributes:
+        path: the store.
+        finished: the number of its finished tiles.
+        tiles: the number of all its tiles.
+        reason: what the operating system says.
+    """
+
+    def __init__(self, path: Path, finished: int, tiles: int, reason: str) -> None:
+        super().__init__(path, finished, tiles, reason)
+        self.path, self.finished, self.tiles, self.reason = path, finished, tiles, reason
+
+    def __str__(self) -> str:
+        return (
+            f"The store {self.path} cannot be written ({self.reason}); {self.finished} of its "
+            f"{self.tiles} tiles are finished and kept, and the same sweep goes on from there."
+        )

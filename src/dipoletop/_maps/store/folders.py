@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import platform
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +11,8 @@ from typing import Any
 
 from ..._base.checks import refuse
 from .errors import StoreMismatch
+
+PREFIX = ".dipoletop-"
 
 
 def absolute_path(argument: str, path: Any) -> Path:
@@ -31,12 +35,17 @@ def exists(argument: str, path: Path) -> bool:
 
 @contextlib.contextmanager
 def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
-    """A hidden folder to be filled, which is moved to `path` at the end."""
+    """A hidden folder to be filled, which is moved to `path` at the end.
+
+    Raises:
+        FileExistsError: another process has made the folder in the meantime.
+        StoreMismatch: no folder can be made there.
+    """
     with contextlib.ExitStack() as stack:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Its name is short: that of `path` may be as long as the file system allows.
-            hidden = tempfile.TemporaryDirectory(prefix=".dipoletop-", dir=path.parent)
+            remove_left_folders(path.parent)
+            hidden = hidden_folder(path.parent)
             fresh = Path(stack.enter_context(hidden)) / path.name
             fresh.mkdir()
         except (OSError, ValueError) as error:
@@ -44,4 +53,36 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
             reason = f"{path} is not: {getattr(error, 'strerror', None) or error}"
             raise StoreMismatch(argument, path, must, reason) from None
         yield fresh
-        os.replace(fresh, path)
+        try:
+            os.replace(fresh, path)
+        except OSError as error:
+            if not path.exists():
+                raise
+            raise FileExistsError(f"{path} exists") from error
+
+
+def hidden_folder(parent: Path) -> "tempfile.TemporaryDirectory[str]":
+    """A temporary folder, whose name tells which process made it."""
+    # It is short: that of a store may be as long as the file system allows.
+    prefix = f"{PREFIX}{platform.node()[:60]}-{os.getpid()}-"
+    return tempfile.TemporaryDirectory(prefix=prefix, dir=parent)
+
+
+def remove_left_folders(parent: Path) -> None:
+    """Remove temporary folders of processes of this machine that have been killed."""
+    for folder in parent.glob(f"{PREFIX}{platform.node()[:60]}-*"):
+        process = folder.name.rsplit("-", 2)[1]
+        if process.isdigit() and not _is_alive(int(process)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    if os.name == "nt":  # where signal 0 is no question
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it belongs to somebody else
+        return True
+    return True

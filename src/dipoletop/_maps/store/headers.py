@@ -1,7 +1,8 @@
 """Headers of stores: their digests, which sweep they belong to, and how two of them differ.
 
-A header is a dict that JSON can hold: dims, shape, tile (starts in a chunk), columns (their names),
-axes (theirs), attrs, digests of the swept values, and digests of the traced programs.
+A header is a dict that JSON can hold: dims, shape, chunk (lengths of a tile), columns (their
+names), drawn (those that tell what the starts were, with their shapes), axes (their names), attrs,
+digests of the swept values, and digests of the traced programs.
 """
 
 import json
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..._base.digests import array_digest, digest
+from ..columns import without_versions
 
 Header = dict[str, Any]
 
@@ -34,8 +36,7 @@ def sweep_digest(header: Header) -> bytes:
 
 def _comparable(header: Header) -> Header:
     """The header without versions: a sweep may be resumed by another version."""
-    attrs = {key: x for key, x in header["attrs"].items() if not key.startswith("version_")}
-    return {**header, "attrs": attrs}
+    return {**header, "attrs": without_versions(header["attrs"])}
 
 
 def differences(old: Header, new: Header, of_values: Callable[[str], str]) -> str:

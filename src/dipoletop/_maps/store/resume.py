@@ -1,7 +1,7 @@
 """The store of a sweep: a new one, or one that the same sweep has begun and resumes."""
 
+import contextlib
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..columns import SLOW_COLUMNS
+from .arrays import METADATA
 from .errors import StoreDamaged, StoreMismatch
-from .folders import absolute_path, atomic_folder, exists
+from .folders import absolute_path, atomic_folder, exists, hidden_folder
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
-from .tiles import FORMAT, FORMAT_UNCHECKED, TileRecord, Tiles, create_arrays, open_tiles, tiling_of
+from .tiles import FORMAT, LAYOUT, TileRecord, Tiles, create_arrays, open_tiles, tiling_of
 
 THIS_SWEEP = "be new or hold this very sweep"
 
@@ -35,14 +36,14 @@ def begin_or_resume(
     folder = absolute_path("store", path)
     header = with_value_digests(header, values)
     if not exists("store", folder):
-        with atomic_folder("store", folder) as fresh:
+        # Another process may begin the same sweep at this moment.
+        with contextlib.suppress(FileExistsError), atomic_folder("store", folder) as fresh:
             create_arrays(fresh, header, values)
-        return open_tiles("store", folder)
     try:
         tiles = open_tiles("store", folder)
-        if not tiles.checked:
+        if (version := tiles.header["format"]) != FORMAT:
             must = f"be new or a {FORMAT}, to go on with it"
-            reason = f"{folder} is a {FORMAT_UNCHECKED} (`Basin.load` reads it)"
+            reason = f"{folder} is a {version} (`Basin.load` reads it if it is finished)"
             raise StoreMismatch("store", folder, must, reason)
         different = differences(
             tiles.header, header, lambda x: first_difference(x, tiles.values(x), values[x])
@@ -74,16 +75,17 @@ def _or_without_regimes(old: Header, new: Header, different: str) -> str:
 
 def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
     """The store with its metadata written again, if its records belong to this sweep."""
-    every = (TileRecord(folder, tile) for tile in range(tiling_of(header).count))
+    every = (TileRecord(folder / LAYOUT.records, tile) for tile in range(tiling_of(header).count))
     records = [record for record in every if record.is_sound]
     if not records or any(record.sweep != sweep_digest(header) for record in records):
         reason = f"the metadata of {folder} are damaged, and its tiles are of another one, or none"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
-    with tempfile.TemporaryDirectory(prefix=".dipoletop-", dir=folder.parent) as hidden:
+    with hidden_folder(folder.parent) as hidden:
         fresh = Path(hidden)
         create_arrays(fresh, header, values)
         # The header last: until then the store is known to be damaged.
-        for file in sorted(fresh.rglob("*"), key=lambda file: file == fresh / "zarr.json"):
+        header_file = fresh / LAYOUT.group / METADATA
+        for file in sorted(fresh.rglob("*"), key=lambda file: file == header_file):
             if file.is_file():
                 target = folder / file.relative_to(fresh)
                 target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,30 +1,62 @@
 """Tiles of a sweep on disk: how they are laid out, written, and read with every bit checked.
 
-A store is a Zarr group of flat columns, one chunk for each tile, of arrays with the swept values,
-and of one record for each finished tile: digests of its inputs and of its columns. Each chunk is
-written to a temporary name and renamed. A record is written after its columns, so a tile torn by a
-crash is simply not finished, and is computed again to the same bytes.
+A store is a Zarr group that xarray opens: columns in the shape of the grid, one chunk for each
+tile, and coordinates. A group inside it, which xarray passes over, keeps the sweep's header and one
+record for each finished tile: digests of its inputs and of its columns. Each chunk is written
+to a temporary name and renamed. A record is written after its columns, so a tile torn by a crash is
+simply not finished, and is computed again to the same bytes.
 """
 
 import contextlib
 import json
+import math
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..._base.digests import SIZE, array_digest, digest
-from ..columns import BasinParts, column_spec
+from ..columns import (
+    CONVENTIONS,
+    MISSING,
+    BasinParts,
+    column_spec,
+    component_dims,
+    coordinate_dims,
+    labels,
+    plain_attributes,
+)
 from ..tiling import Tiling
 from .arrays import METADATA, StoredArray, write_json
+from .claims import Claims
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
 
-FORMAT = "dipoletop basin, version 2"
-FORMAT_UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
+FORMAT = "dipoletop basin, version 3"
+LARGEST_CHUNK = 1 << 20  # numbers of coordinates; codecs take no more than 2 GiB at once
+
+
+class Layout(NamedTuple):
+    """Where a version of the format keeps what is no column."""
+
+    group: str
+    """The group whose attributes are the header."""
+    records: str
+    """The array of records."""
+    coordinates: str
+    """What the names of coordinates begin with on disk."""
+
+
+OLD_LAYOUT = Layout("", "done", "axis_")
+LAYOUT = Layout("dipoletop-tiles", "dipoletop-tiles/done", "")
+CLAIMS = f"{LAYOUT.group}/claims"
+STAGING = f"{LAYOUT.group}/partial"
+UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
+LAYOUTS = {UNCHECKED: OLD_LAYOUT, "dipoletop basin, version 2": OLD_LAYOUT, FORMAT: LAYOUT}
 
 
 @contextlib.contextmanager
@@ -48,44 +80,82 @@ def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exceptio
 
 def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
     """An empty store: metadata and the swept values, but no tile."""
-    tiling, names = tiling_of(header), header["columns"]
+    tiling, drawn = tiling_of(header), header["drawn"]
+    dims = tuple(header["dims"])
     new: dict[str, StoredArray] = {}
-    for name in names:
-        dtype = np.dtype(column_spec(name).dtype)
-        new[name] = StoredArray(folder / name, (tiling.size,), tiling.tile_size, dtype)
+    for name in header["columns"]:
+        dtype, rest = column_spec(name).dtype, tuple(drawn.get(name, ()))
+        kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
+        described = labels(name)
+        if kept != "float64":
+            described |= {"_FillValue": MISSING[kept]}
+        new[name] = StoredArray(
+            folder / name,
+            (*tiling.shape, *rest),
+            (*tiling.chunk, *rest),
+            np.dtype(kept),
+            fill=MISSING[kept],
+            dims=(*dims, *component_dims(name, len(rest))),
+            attributes=described,
+        )
     for name, array in values.items():
-        rows = min(len(array), 1 << 20)  # codecs take no more than 2 GiB at once
-        new[f"axis_{name}"] = StoredArray(folder / f"axis_{name}", array.shape, rows, array.dtype)
-    shape = tiling.count, SIZE * (3 + len(names))
+        of_array = Tiling.of(array.shape, LARGEST_CHUNK)
+        new[name] = StoredArray(
+            folder / name,
+            array.shape,
+            of_array.chunk,
+            array.dtype,
+            fill=MISSING["float64"],
+            dims=coordinate_dims(name, dims, array.ndim),
+            attributes=labels(name),
+        )
+    records, shape = LAYOUT.records, (tiling.count, SIZE * (3 + len(header["columns"])))
     # Not compressed: a record is its own checksum.
-    new["done"] = StoredArray(folder / "done", shape, 1, np.dtype("uint8"), codecs=())
+    new[records] = StoredArray(folder / records, shape, (1, shape[1]), np.dtype("uint8"), codecs=())
     for array in new.values():
         array.create()
     for name, numbers in values.items():
-        array = new[f"axis_{name}"]
-        for chunk in range(array.chunks):
-            array.write(chunk, numbers[chunk * array.rows :][: array.rows])
-    layout = {name: _metadata_digest(folder, name) for name in new}
-    full = {"format": FORMAT, "layout": layout, **header}
-    attributes = {**full, "digest": header_digest(full)}
-    group = {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
+        new[name].write_all(numbers)
+    others = [name for name in (*values, *drawn) if name not in dims]
+    attributes = {
+        "Conventions": CONVENTIONS,
+        **plain_attributes(header["attrs"]),
+        **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
+        **({"coordinates": " ".join(others)} if others else {}),
+    }
+    shown = {name: array.metadata for name, array in new.items() if name != records}
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": shown}
+    # Without it xarray warns that it opens many small files.
+    group = _group(attributes) | {"consolidated_metadata": consolidated}
     write_json(folder / METADATA, group)
+    (folder / CLAIMS).touch()
+    layout = {name: _metadata_digest(folder, name) for name in ("", *new)}
+    full = {"format": FORMAT, "layout": layout, **header}
+    own = {**full, "digest": header_digest(full)}
+    write_json(folder / LAYOUT.group / METADATA, _group(own))
+
+
+def _group(attributes: dict[str, Any]) -> dict[str, Any]:
+    return {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
 
 
 def tiling_of(header: Header) -> Tiling:
     """How the columns of a store are cut into tiles."""
-    return Tiling(int(np.prod(header["shape"])), int(header["tile"]))
+    shape = tuple(header["shape"])
+    if "tile" in header:  # columns were flat
+        return Tiling((math.prod(shape),), (int(header["tile"]),))
+    return Tiling(shape, tuple(header["chunk"]))
 
 
 def _metadata_digest(folder: Path, array: str) -> str:
-    return digest((folder / array / "zarr.json").read_bytes()).hex()
+    return digest((folder / array / METADATA).read_bytes()).hex()
 
 
 class TileRecord:
     """What is kept of a finished tile: digests of its sweep, of its inputs and of its columns."""
 
-    def __init__(self, folder: Path, tile: int) -> None:
-        file = folder / "done" / "c" / str(tile) / "0"
+    def __init__(self, records: Path, tile: int) -> None:
+        file = records / "c" / str(tile) / "0"
         content = file.read_bytes() if file.is_file() else b""
         offsets = range(0, max(len(content), 3 * SIZE), SIZE)
         seal, self.sweep, self.inputs, *self.columns = (
@@ -107,77 +177,126 @@ def _seal(tile: int, content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class StoredColumn:
-    """A column in a store, read and checked each time it is indexed."""
+    """A column in a store, flat, read and checked each time it is indexed.
+
+    Attributes:
+        tiles: the store.
+        name: the name of the column.
+        partial: whether tiles may be unfinished; their numbers are `MISSING`.
+    """
 
     tiles: "Tiles"
     name: str
+    partial: bool = False
 
     def __getitem__(self, key: Any) -> np.ndarray:
-        return self.tiles.column(self.name)[key]
+        return self.tiles.column(self.name, self.partial)[key]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """All of the column, read anew: without this NumPy would wrap the object itself."""
         return np.asarray(self[...], dtype)
 
+    def take(self, flat: np.ndarray, axis: int = 0) -> np.ndarray:
+        """The entries with these flat indices; only the tiles that hold them are read."""
+        return self.tiles.entries(self.name, flat, self.partial)
+
 
 class Tiles:
-    """An open store of either version, as `open_tiles` gives it.
+    """An open store of any version, as `open_tiles` gives it.
 
     Attributes:
         folder: its folder.
         header: what it says about the sweep; see `headers`.
-        checked: whether it has checksums, as version 2 does.
+        layout: where things are.
+        checked: whether it has checksums, as all versions but the first do.
         tiling: how its columns are cut into tiles.
         names: those of its columns.
         swept_names: those of the swept values.
     """
 
-    def __init__(self, folder: Path, header: Header, checked: bool) -> None:
+    def __init__(self, folder: Path, header: Header, layout: Layout, checked: bool) -> None:
         self.folder, self.header, self.checked = folder, header, checked
+        self.layout, self._records = layout, folder / layout.records
         with _reading(folder, (), "its header"):
             self.tiling, self.names = tiling_of(header), list(header["columns"])
             for name, expected in header.get("layout", {}).items():
                 if _metadata_digest(folder, name) != expected:
-                    raise StoreDamaged(folder, (), f"the metadata of {name} are not as written")
+                    what = f"the metadata of {name}" if name else "its attributes"
+                    raise StoreDamaged(folder, (), f"{what} are not as written")
             self.swept_names = list(header["values" if checked else "axes"])
-            axes = (f"axis_{name}" for name in self.swept_names)
-            names = (*self.names, "done", *axes)
-            self._arrays = {name: StoredArray.open(folder / name) for name in names}
+            swept = (f"{layout.coordinates}{name}" for name in self.swept_names)
+            names = (*self.names, layout.records, *swept)
+            staging = folder / STAGING if layout is LAYOUT else None
+            self._arrays = {name: StoredArray.open(folder / name, staging) for name in names}
         self._sweep = sweep_digest(header) if checked else b""
 
     def values(self, name: str) -> np.ndarray:
         """What was swept: an axis, or a column of points."""
         what = f"the values of {name}"
         with _reading(self.folder, (), what):
-            array = self._arrays[f"axis_{name}"]
-            chunks = range(array.chunks)
+            array = self._arrays[self.layout.coordinates + name]
+            chunks = range(array.tiling.count)
             if not all(array.file(chunk).is_file() for chunk in chunks):
                 raise StoreDamaged(self.folder, (), f"{what} are missing")
-            values = np.concatenate([array.read(chunk) for chunk in chunks])
+            parts = [array.read(chunk) for chunk in chunks]
+            values = np.concatenate(parts).reshape(array.shape)
         if self.checked and array_digest(values).hex() != self.header["values"][name]:
             raise StoreDamaged(self.folder, (), f"{what} are not what was written")
         return values
 
-    def write(self, tile: int, columns: dict[str, np.ndarray], inputs: bytes) -> None:
+    def write(self, tile: int, columns: Mapping[str, np.ndarray], inputs: bytes) -> None:
         """Write one tile, then its record; `inputs` is a digest."""
-        parts = [columns[name] for name in self.names]
-        for name, part in zip(self.names, parts, strict=True):
+        kept = {name: np.asarray(columns[name], self._arrays[name].dtype) for name in self.names}
+        for name, part in kept.items():
             self._arrays[name].write(tile, part)
-        record = TileRecord.encode(tile, self._sweep, inputs, parts)
-        self._arrays["done"].write(tile, np.frombuffer(record, np.uint8)[None])
+        record = TileRecord.encode(tile, self._sweep, inputs, list(kept.values()))
+        self._arrays[self.layout.records].write(tile, np.frombuffer(record, np.uint8))
+
+    def claims(self) -> Claims:
+        """The claims of this process on tiles."""
+        return Claims(self.folder, self.folder / CLAIMS)
+
+    def is_claimed(self) -> bool:
+        """Whether a sweep has claims on tiles at this moment."""
+        try:
+            claims = self.claims()
+        except StoreMismatch:  # one of this process
+            return True
+        try:
+            with claims.everything() as alone:
+                return claims.works and not alone
+        finally:
+            claims.close()
+
+    def written_at(self, tile: int) -> float:
+        """When a finished tile was written, in seconds since the epoch."""
+        return self._arrays[self.layout.records].file(tile).stat().st_mtime
+
+    def discard_partial_files(self) -> None:
+        """Remove what killed processes left behind; no process may be writing."""
+        with contextlib.suppress(OSError):  # they do no harm
+            shutil.rmtree(self.folder / STAGING)
+
+    def forget(self, tile: int) -> None:
+        """Make a tile one that is not computed yet."""
+        self._arrays[self.layout.records].file(tile).unlink(missing_ok=True)
+
+    def is_finished(self, tile: int) -> bool:
+        """Whether a tile has been computed."""
+        return TileRecord(self._records, tile).exists
 
     def unfinished(self) -> list[int]:
         """The tiles that have to be computed."""
         every = range(self.tiling.count)
         if self.checked:
-            return [tile for tile in every if not TileRecord(self.folder, tile).exists]
+            return [tile for tile in every if not self.is_finished(tile)]
         with _reading(self.folder, (), "the flags"):
-            flags = self._arrays["done"]
+            flags = self._arrays[self.layout.records]
             return [t for t in every if not (flags.file(t).is_file() and flags.read(t).any())]
 
     def record(self, tile: int) -> TileRecord:
         """The record of a finished tile."""
-        record = TileRecord(self.folder, tile)
+        record = TileRecord(self._records, tile)
         if not record.exists:
             raise StoreDamaged(self.folder, (tile,), "its record is missing")
         if not record.is_sound or record.sweep != self._sweep:
@@ -185,26 +304,45 @@ class Tiles:
         return record
 
     def read(self, name: str, tile: int) -> np.ndarray:
-        """The part of a column in a tile."""
-        if not self._arrays[name].file(tile).is_file():
+        """The part of a column in a tile, flat except for components."""
+        array = self._arrays[name]
+        if not array.file(tile).is_file():
             raise StoreDamaged(self.folder, (tile,), f"its {name} is missing")
         written = self.record(tile).columns[self.names.index(name)] if self.checked else None
         with _reading(self.folder, (tile,), f"its {name}"):
-            part = self._arrays[name].read(tile)
-        complete = len(part) == self.tiling.length(tile)
-        if not complete or (self.checked and array_digest(part) != written):
+            part = array.read(tile).reshape(self.tiling.length(tile), *self._components(name))
+        if self.checked and array_digest(part) != written:
             raise StoreDamaged(self.folder, (tile,), f"its {name} is not what was written")
-        return part
+        return part.astype(column_spec(name).dtype, copy=False)
 
-    def column(self, name: str) -> np.ndarray:
-        """A column of a finished sweep."""
-        return np.concatenate([self.read(name, tile) for tile in range(self.tiling.count)])
+    def _components(self, name: str) -> tuple[int, ...]:
+        return self._arrays[name].shape[len(self.tiling.shape) :]
 
-    def contents(self) -> BasinParts:
+    def column(self, name: str, partial: bool = False) -> np.ndarray:
+        """A column, flat except for components."""
+        every = range(self.tiling.count)
+        return np.concatenate([self._part(name, tile, partial) for tile in every])
+
+    def _part(self, name: str, tile: int, partial: bool) -> np.ndarray:
+        if not partial or self.is_finished(tile):
+            return self.read(name, tile)
+        dtype = column_spec(name).dtype
+        return np.full((self.tiling.length(tile), *self._components(name)), MISSING[dtype], dtype)
+
+    def entries(self, name: str, flat: np.ndarray, partial: bool = False) -> np.ndarray:
+        """Some entries of a column."""
+        found = np.empty((len(flat), *self._components(name)), column_spec(name).dtype)
+        of_entry = self.tiling.tiles_with(flat)
+        for tile in np.unique(of_entry).tolist():
+            here = of_entry == tile
+            found[here] = self._part(name, tile, partial)[flat[here] - self.tiling.span(tile).start]
+        return found
+
+    def contents(self, partial: bool = False) -> BasinParts:
         """The basin in the store; its columns are read from disk when they are used."""
         header = self.header
         coords = {name: self.values(name) for name in header["axes"]}
-        columns = {name: StoredColumn(self, name) for name in self.names}
+        columns = {name: StoredColumn(self, name, partial) for name in self.names}
         dims, shape = tuple(header["dims"]), tuple(header["shape"])
         return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
 
@@ -241,9 +379,11 @@ def open_tiles(argument: str, folder: Path) -> Tiles:
     must = "be a folder with a basin"
     if not exists(argument, folder):
         raise StoreMismatch(argument, folder, must, f"{folder} does not exist")
-    was_store = (folder / "done").is_dir()
+    layout = LAYOUT if (folder / LAYOUT.records).is_dir() else OLD_LAYOUT
+    was_store = (folder / layout.records).is_dir()
     try:
-        header = dict(json.loads((folder / METADATA).read_bytes())["attributes"])
+        metadata = json.loads((folder / layout.group / METADATA).read_bytes())
+        header = dict(metadata["attributes"])
     except MemoryError:
         raise
     except Exception as error:  # of any type, as in `_reading`
@@ -252,11 +392,11 @@ def open_tiles(argument: str, folder: Path) -> Tiles:
         reason = f"{folder} cannot be read as one ({error})"
         raise StoreMismatch(argument, folder, must, reason) from None
     version, written = header.get("format"), header.pop("digest", None)
-    is_known = version in (FORMAT, FORMAT_UNCHECKED)
-    checked = written is not None or version != FORMAT_UNCHECKED
+    is_known = version in LAYOUTS
+    checked = written is not None or version != UNCHECKED
     if checked and (is_known or was_store) and written != header_digest(header):
         raise StoreDamaged(folder, (), "its header is not what was written")
     if not is_known:
         reason = f"the format of {folder} is {version!r}"
         raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
-    return Tiles(folder, header, checked)
+    return Tiles(folder, header, layout, checked)

@@ -1,0 +1,114 @@
+"""Sweeps on a Dask cluster: its workers claim tiles, compute them, and write them to the store.
+
+A task is one tile. Nothing but its outcomes comes back. A worker that dies loses its claims, so
+that another one computes its tile; one that is slow keeps them, and the tile is computed once.
+"""
+
+import functools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._base.checks import refuse
+from .._base.digests import digest
+from .._base.parallel import as_worker
+from .grids import Grid, Points, Sample
+from .problems import Problem
+from .sweep_plan import Plan, Settings, plan_of
+from .sweep_stores import MemoryStore, ZarrStore
+
+LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
+AHEAD = 4  # tasks in flight for each thread of the cluster
+KEPT = 4  # sweeps whose plans a worker keeps
+RETRIES = 5  # of a tile whose worker died or whose task failed
+
+
+def on_cluster(
+    client: Any,
+    problem: Problem,
+    over: Grid | Points | Sample,
+    settings: Settings,
+    store: MemoryStore | ZarrStore,
+) -> Callable[[Sequence[int]], Iterator[tuple[int, np.ndarray | None]]]:
+    """A function that has tiles computed by the workers of a client, and yields those finished.
+
+    Raises:
+        ValueError: `client` is none, or there is no store.
+    """
+    try:
+        import cloudpickle
+        from distributed import Client
+    except ImportError:
+        must = "be None without the library distributed (`pip install 'dipoletop[dask]'`)"
+        refuse("client", must, f"is {client!r}")
+    if not isinstance(client, Client):
+        refuse("client", "be a distributed.Client, or None", f"is {client!r}")
+    if isinstance(store, MemoryStore):
+        refuse("store", "be a path that all workers see, with a `client`", "is None")
+    store.close()  # the workers claim tiles, which may be threads of this process
+    sweep = problem, over, settings._replace(devices=None)
+    config = {name: getattr(jax.config, name) for name in ("jax_enable_x64",)}
+    job = cloudpickle.dumps((*sweep, str(store.folder), config))
+    return functools.partial(_compute_once, client, job)
+
+
+def _compute_once(
+    client: Any, job: bytes, tiles: Sequence[int]
+) -> Iterator[tuple[int, np.ndarray | None]]:
+    from distributed import as_completed
+
+    name = digest(job).hex()
+    sent = client.scatter(job, broadcast=True, hash=False) if len(job) > LARGE else job
+    left, running = iter(tiles), as_completed()
+
+    def submit(count: int) -> None:
+        for _, tile in zip(range(count), left, strict=False):
+            settings = {"pure": False, "retries": RETRIES}
+            running.add(client.submit(_compute_tile, sent, name, tile, **settings))
+
+    threads = sum(client.nthreads().values()) or 1
+    try:
+        submit(AHEAD * threads)
+        for future in running:
+            tile, finished, outcomes = future.result()
+            submit(1)
+            if finished:
+                yield tile, outcomes
+    finally:
+        client.cancel(list(running.futures))
+
+
+_sweeps: dict[str, tuple[Plan, ZarrStore]] = {}
+_lock = threading.Lock()
+
+
+def _compute_tile(job: bytes, name: str, tile: int) -> tuple[int, bool, np.ndarray | None]:
+    """Compute a tile on a worker: its number, whether it is finished, and its outcomes if found."""
+    plan, store = _sweep(job, name)
+    if not store.claim(tile):
+        return tile, store.is_finished(tile), None
+    device = plan.devices[tile % len(plan.devices)]
+    with jax.default_device(device), as_worker():
+        (computed,) = plan.compute([tile], device)
+    store.write(computed)
+    return tile, True, computed.columns["outcome"]
+
+
+def _sweep(job: bytes, name: str) -> tuple[Plan, ZarrStore]:
+    """The plan and the store of a sweep on this worker, whose digests are compared."""
+    import cloudpickle
+
+    with _lock:
+        if name not in _sweeps:
+            problem, over, settings, folder, config = cloudpickle.loads(job)
+            for option, value in config.items():
+                jax.config.update(option, value)
+            plan = plan_of(problem, over, settings)
+            while len(_sweeps) >= KEPT:
+                _, old = _sweeps.pop(next(iter(_sweeps)))
+                old.close()
+            _sweeps[name] = plan, ZarrStore(folder, plan, repair=False)
+        return _sweeps[name]

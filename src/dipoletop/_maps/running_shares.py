@@ -1,0 +1,37 @@
+"""Shares of outcomes while a sweep runs, in a few words for its progress bar."""
+
+import numpy as np
+
+from .._base.statistics import share_of
+from .._base.types import Outcome
+
+
+class RunningShares:
+    """Counts of the outcomes that this process has found so far.
+
+    Args:
+        random: whether the starts are, so that shares have intervals.
+    """
+
+    def __init__(self, random: bool) -> None:
+        self._random = random
+        self._counts = dict.fromkeys(Outcome, 0)
+
+    def add(self, outcomes: np.ndarray) -> None:
+        """Count the outcomes of some more starts."""
+        values, counts = np.unique(outcomes, return_counts=True)
+        for value, count in zip(values.tolist(), counts.tolist(), strict=True):
+            self._counts[Outcome(value)] += count
+
+    def text(self) -> str:
+        """Such as "residual 46.6%, stop 53.4%", with 95 % intervals of random starts."""
+        size = sum(self._counts.values())
+        parts = []
+        for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED):
+            if count := self._counts[outcome]:
+                share = share_of(count, size)
+                part = f"{outcome.name.lower()} {share.share:.1%}"
+                if self._random:
+                    part += f" ({100 * share.low:.1f}-{100 * share.high:.1f})"
+                parts.append(part)
+        return ", ".join(parts)

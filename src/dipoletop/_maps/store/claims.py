@@ -1,0 +1,100 @@
+"""Claims of tiles: which process computes which, so that several work on one store.
+
+A claim is a lock on one byte of a file, which the operating system gives back when the process
+ends, however it ends. Where there are no such locks (Windows, some network file systems), every
+claim is granted: then two processes compute the same tiles, to the same bytes.
+"""
+
+import contextlib
+import errno
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from .errors import StoreMismatch
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+_in_use: set[tuple[int, int]] = set()  # files, since such locks do not part threads of one process
+_guard = threading.Lock()
+
+
+class Claims:
+    """The claims of one process on the tiles of one store.
+
+    Args:
+        store: the folder of the store.
+        file: the file that is locked; it is made if there is none.
+
+    Raises:
+        StoreMismatch: another sweep of this process has the store.
+    """
+
+    def __init__(self, store: Path, file: Path) -> None:
+        self._file: IO[bytes] | None = None
+        self._key: tuple[int, int] | None = None
+        with _guard:
+            try:
+                file.touch(exist_ok=True)
+                info = file.stat()
+                key = info.st_dev, info.st_ino
+                if key in _in_use:  # not opened: closing it would end the claims of that sweep
+                    must = "be used by one sweep of a process at a time"
+                    raise StoreMismatch("store", store, must, f"another one here uses {store}")
+                self._file = open(file, "r+b")  # noqa: SIM115 (closed by `close`)
+            except OSError:  # a store that may only be read: nothing can be computed twice
+                return
+            _in_use.add(key)
+            self._key = key
+
+    def take(self, tile: int) -> bool:
+        """Claim a tile; False if another process has it."""
+        return self._lock(1, tile)
+
+    @property
+    def works(self) -> bool:
+        """Whether there are locks of files here."""
+        return fcntl is not None and self._file is not None
+
+    @contextlib.contextmanager
+    def everything(self) -> Iterator[bool]:
+        """Claim the whole store for a moment; False if another process has any of it."""
+        free = self._file is not None and self._lock(0, 0)
+        try:
+            yield free
+        finally:
+            if free:
+                self._unlock(0, 0)
+
+    def give_back(self, tile: int) -> None:
+        """End a claim."""
+        self._unlock(1, tile)
+
+    def close(self) -> None:
+        """End all claims."""
+        if self._file is not None:
+            self._file.close()
+        with _guard:
+            _in_use.discard(self._key or (0, 0))
+        self._file = self._key = None
+
+    def _lock(self, length: int, first: int) -> bool:
+        """Lock so many bytes, or all that follow if `length` is 0."""
+        locks: Any = fcntl
+        if locks is None or self._file is None:
+            return True
+        try:
+            locks.lockf(self._file, locks.LOCK_EX | locks.LOCK_NB, length, first)
+        except OSError as error:
+            return error.errno not in (errno.EACCES, errno.EAGAIN)
+        return True
+
+    def _unlock(self, length: int, first: int) -> None:
+        locks: Any = fcntl
+        if locks is not None and self._file is not None:
+            with contextlib.suppress(OSError):
+                locks.lockf(self._file, locks.LOCK_UN, length, first)

@@ -1,0 +1,148 @@
+"""`dipoletop info`, `plot`, `export`: of a store that is finished, and of one that is not."""
+
+import numpy as np
+import pytest
+import xarray
+from command_line import invoke
+from matplotlib import image
+
+import dipoletop as dt
+
+
+def problem(delta, w3, phi):
+    return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
+
+
+GRID = dt.Grid(delta=[-0.4, -0.2], w3=np.linspace(0.0, 0.45, 20), phi=np.arange(16) * np.pi / 16)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    place = tmp_path_factory.mktemp("data") / "s.zarr"
+    dt.sweep(problem, GRID, store=place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def unfinished(tmp_path_factory):
+    place = tmp_path_factory.mktemp("data") / "u.zarr"
+    dt.sweep(problem, GRID, store=place)
+    for name in ("outcome", "omega_inf", "dipoletop-tiles/done"):
+        for chunk in (place / name / "c/4", place / name / "c/1/1"):
+            for file in chunk.rglob("*") if chunk.is_dir() else []:
+                if file.is_file():
+                    file.unlink()
+    return place
+
+
+def test_info_says_what_how_far_and_by_what(store, unfinished):
+    lines = invoke("info", store).output.splitlines()
+    said = dict(line.split(maxsplit=1) for line in lines if not line.startswith("Digest"))
+    assert said["Level"] == "reduced, order 1 (the paper's)"
+    assert "rtol 1e-08" in said["Settings"]
+    assert "w3: 20 values in [0, 0.45]" in said["Over"]
+    assert said["Tiles"].startswith("6 of 6 finished, 640 starts (100.0%)")
+    basin = dt.Basin.load(store)
+    assert f"RESIDUAL {basin.fractions()['RESIDUAL'].share:.2%}" in said["Outcomes"]
+    assert said["Work"] == "no process is at it"
+    assert "starts per second" in said["Speed"]
+    digests = [line for line in lines if line.startswith("Digest")]
+    problem_digest = xarray.open_zarr(store).attrs["problem_digest"]
+    assert any(problem_digest in line and line.endswith("of the problem") for line in digests)
+    lines = invoke("info", unfinished).output
+    assert "5 of 6 finished" in lines
+    assert "left at this rate" in lines
+
+
+def test_a_sweep_that_is_at_work_is_seen(store):
+    from dipoletop._maps.store.tiles import open_store
+
+    claims = open_store(store).claims()
+    try:
+        assert "a process is at it" in invoke("info", store).output
+    finally:
+        claims.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--at", "delta", "-0.21"),
+        ("--panels", "delta", "--shade", "time"),
+        ("--average", "--x", "phi", "--y", "w3"),
+        ("--at", "phi", "0.1", "--x", "w3", "--shade", "none"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["store", "unfinished"])
+def test_any_two_axes_are_drawn(request, tmp_path, kind, options):
+    place = request.getfixturevalue(kind)
+    result = invoke("plot", place, *options, "--output", tmp_path / "p.png")
+    assert result.exit_code == 0, result.output
+    assert result.output == f"Picture: {tmp_path / 'p.png'}\n"
+    assert image.imread(tmp_path / "p.png").std() > 0.1
+
+
+def test_shares_are_means_over_the_other_axes(store):
+    basin = dt.Basin.load(store)
+    drawn = dt.plots.shares(basin, "phi", "w3").collections[0].get_array()
+    expected = np.mean(basin.outcome == dt.Outcome.RESIDUAL, axis=0)
+    np.testing.assert_allclose(np.asarray(drawn).reshape(20, 16), expected)
+
+
+def test_what_is_not_computed_yet_is_no_outcome(unfinished):
+    with pytest.raises(dt.StoreMismatch, match="lacks 1 of 6 tiles"):
+        dt.Basin.load(unfinished)
+    basin = dt.Basin.load(unfinished, unfinished=True)
+    missing = basin.outcome == -128
+    assert 0 < np.sum(missing) < 640
+    assert np.all(np.isnan(basin.omega_inf[missing]))
+    assert sum(share.count for share in basin.fractions().values()) == np.sum(~missing)
+    assert f"not computed yet {np.mean(missing):.2%}" in repr(basin)
+    np.testing.assert_array_equal(basin.isel(delta=1).outcome, basin.outcome[1])
+
+
+def test_a_selection_is_exported_exactly(store, tmp_path):
+    basin = dt.Basin.load(store).sel(delta=-0.2).sel(w3=slice(0.1, 0.3))
+    for name in ("a.nc", "a.csv"):
+        result = invoke(
+            "export", store, tmp_path / name, "--at", "delta", "-0.2", "--range", "w3", "0.1", "0.3"
+        )
+        assert result.exit_code == 0, result.output
+    with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as read:
+        np.testing.assert_array_equal(read.omega_inf, basin.omega_inf)
+    table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True, dtype=None)
+    np.testing.assert_array_equal(table["omega_inf"], basin.omega_inf.ravel())
+    np.testing.assert_array_equal(table["outcome"], basin.outcome.ravel())
+    assert set(table["delta"]) == {-0.2}
+
+
+def test_starts_of_samples_are_columns_of_tables(tmp_path):
+    sample = dt.Sample(n=50, amplitude=0.2)
+    basin = dt.sweep(
+        lambda omega0: (dt.TransverseReduced(-0.2), omega0), sample, store=tmp_path / "s.zarr"
+    )
+    result = invoke("export", tmp_path / "s.zarr", tmp_path / "a.csv", "--column", "outcome")
+    assert result.exit_code == 0, result.output
+    table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True, dtype=None)
+    assert set(table.dtype.names) == {"sample", "outcome", "omega0_1", "omega0_2", "omega0_3"}
+    np.testing.assert_array_equal(table["omega0_2"], basin.omega0[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("export", "STORE", "a.txt"), "a.txt must end with .nc, .parquet, .csv"),
+        (("export", "STORE", "a.csv", "--column", "x"), "--column x: the columns are outcome,"),
+        (("export", "STORE", "a.csv", "--at", "psi", "1"), "`psi` must be an axis of this basin"),
+        (("plot", "STORE"), "`basin` must have exactly two axes of numbers"),
+        (("plot", "STORE", "--average"), "--average needs --x and --y"),
+        (("plot", "STORE", "--panels", "psi"), "`over` must be an axis of this basin"),
+        (("info", "nowhere.zarr"), "`path` must be a folder with a basin"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(store, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    result = invoke(*(store if word == "STORE" else word for word in arguments))
+    assert result.exit_code == 2
+    assert said in result.output
+    assert len(result.stderr.splitlines()) == 1

@@ -1,0 +1,81 @@
+"""A script for `test_cluster`: sweeps on a scheduler with three worker processes on this machine.
+
+Workers are started anew, not forked, so a script is run that they can import.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import dipoletop as dt
+
+GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 40), phi=np.linspace(0.0, 3.0, 64))
+POINTS = dt.Points(w3=np.linspace(0.0, 0.45, 90_000), phi=np.linspace(0.0, 3.0, 90_000))
+
+
+def slow_tiles(seconds):
+    """Run on a worker."""
+    from dipoletop._maps import sweep_plan
+
+    compute = sweep_plan.Plan.compute
+
+    def slowly(plan, tiles, device):
+        time.sleep(seconds)
+        return compute(plan, tiles, device)
+
+    sweep_plan.Plan.compute = slowly
+
+
+def main(folder):
+    from distributed import Client, LocalCluster
+
+    jax.config.update("jax_enable_x64", True)
+    shape = -0.2
+
+    def problem(w3, phi):
+        return dt.TransverseReduced(shape), dt.cylindrical(0.2, w3, phi)
+
+    def kill_two(client, store):
+        """One at once, one gently, when the first tile is there."""
+        first, second, _ = client.run(os.getpid).values()
+        while not list((store / "dipoletop-tiles/done").glob("c/*")):
+            time.sleep(0.02)
+        os.kill(first, signal.SIGKILL)
+        time.sleep(0.3)
+        os.kill(second, signal.SIGTERM)
+
+    said = {}
+    with (
+        LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        large = dt.sweep(problem, POINTS, store=folder / "large.zarr", client=client)
+        said["large"] = large == dt.sweep(problem, POINTS)
+        client.run(slow_tiles, 0.2)
+        store = folder / "killed.zarr"
+        killer = threading.Thread(target=kill_two, args=(client, store))
+        killer.start()
+        killed = dt.sweep(problem, GRID, store=store, client=client)
+        killer.join()
+        said["killed"] = killed == dt.sweep(problem, GRID)
+        dt.sweep(problem, GRID, store=folder / "alone.zarr")
+        for name, settings in {
+            "another": {"store": folder / "alone.zarr", "rtol": 1e-9},
+            "no store": {},
+        }.items():
+            try:
+                dt.sweep(problem, GRID, client=client, **settings)
+            except ValueError as error:
+                said[name] = str(error)
+    print(json.dumps(said))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,183 @@
+"""Several processes at one store: each tile is computed once, whoever is killed or waits."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from store_helpers import GRID, RECORDS, files, numbers, reduced
+
+import dipoletop as dt
+from dipoletop._maps.store.claims import Claims
+from dipoletop._maps.store.tiles import Tiles
+
+HERE = Path(__file__).parent
+SCRIPT = """
+import jax, os, sys
+import time
+jax.config.update("jax_enable_x64", True)
+sys.path.insert(0, {here!r})
+import dipoletop as dt
+from dipoletop._maps import tiling, sweep_plan
+from store_helpers import reduced
+import numpy as np
+tiling.TILE = 128
+compute = sweep_plan.Plan.compute
+def slowly(plan, tiles, device):
+    found = compute(plan, tiles, device)
+    os.write(1, f"{{tiles[0]}}\\n".encode())
+    time.sleep({pause})
+    return found
+sweep_plan.Plan.compute = slowly
+grid = dt.Grid(w3=np.linspace(0.0, 0.45, 40), phi=np.linspace(0.0, 3.0, 64))
+dt.sweep(reduced, grid, store={place!r})
+os.write(1, b"done")
+"""
+TILES = 20  # two rows each
+
+
+def process(place, pause=0.1):
+    """A process that sweeps into a store, and prints the tiles that it has computed."""
+    script = SCRIPT.format(here=str(HERE), place=str(place), pause=pause)
+    settings = {**os.environ, "DIPOLETOP_CACHE": "off"}
+    command = [sys.executable, "-c", script]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=settings)
+
+
+def rest(one):
+    """The lines that a process prints until its end; `communicate` loses what is read ahead."""
+    lines = one.stdout.read().splitlines()
+    one.stdout.close()
+    one.wait(timeout=120)
+    return lines
+
+
+def computed(output):
+    return [int(word) for line in output for word in line.split() if word.isdigit()]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    place = tmp_path_factory.mktemp("undisturbed") / "s.zarr"
+    assert sorted(computed(rest(process(place, pause=0)))) == list(range(TILES))
+    return files(place)
+
+
+def test_two_processes_share_the_tiles_of_a_store(tmp_path, undisturbed):
+    """They begin it at about the same time; each tile is computed by one of them."""
+    place = tmp_path / "s.zarr"
+    both = [process(place) for _ in range(2)]
+    outputs = [rest(one) for one in both]
+    assert all(output[-1] == "done" for output in outputs)
+    first, second = (computed(output) for output in outputs)
+    assert sorted(first + second) == list(range(TILES))
+    assert first
+    assert second
+    assert files(place) == undisturbed
+
+
+def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undisturbed):
+    place = tmp_path / "s.zarr"
+    doomed = process(place, pause=60)
+    assert doomed.stdout.readline()  # its first tile, which it has not written yet
+    other = process(place)
+    other.stdout.readline()
+    doomed.kill()
+    rest(doomed)
+    assert rest(other)[-1] == "done"
+    assert files(place) == undisturbed
+    assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
+
+
+@pytest.mark.slow
+def test_a_killed_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undisturbed):
+    """Partial files of a dead process, and the hidden folder of one that was making a store."""
+    place = tmp_path / "s.zarr"
+    one = process(place, pause=0.3)
+    one.stdout.readline()
+    one.kill()
+    rest(one)
+    partial = place / "dipoletop-tiles/partial"
+    partial.mkdir(exist_ok=True)
+    (partial / ".0.12.partial").write_bytes(b"torn")
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    hidden = tmp_path / f".dipoletop-{os.uname().nodename[:60]}-{gone.pid}-abc"
+    hidden.mkdir()
+    assert rest(process(place, pause=0))[-1] == "done"
+    assert files(place) == undisturbed
+    dt.sweep(reduced, dt.Grid(w3=0.2, phi=0.1), store=tmp_path / "another.zarr")
+    assert not hidden.exists()
+
+
+@pytest.mark.slow
+def test_an_interrupted_sweep_keeps_the_tiles_in_hand(tmp_path, undisturbed):
+    """Ctrl-C comes while a worker has a tile: it is written before the process ends."""
+    place = tmp_path / "s.zarr"
+    one = process(place, pause=0.5)
+    in_hand = int(one.stdout.readline().split()[0])
+    time.sleep(0.1)
+    one.send_signal(signal.SIGINT)
+    begun = {in_hand, *computed(rest(one))}
+    kept = {int(path.name) for path in (place / RECORDS / "c").iterdir()}
+    assert kept == begun
+    assert len(kept) < TILES
+    assert sorted([*computed(rest(process(place, pause=0))), *kept]) == list(range(TILES))
+    assert files(place) == undisturbed
+
+
+def test_a_second_sweep_of_this_process_is_refused(tmp_path):
+    place = tmp_path / "s.zarr"
+    dt.sweep(reduced, GRID, store=place)
+    claims = Claims(place, place / "dipoletop-tiles/claims")
+    with pytest.raises(dt.StoreMismatch, match="`store` must be used by one sweep of a process at"):
+        dt.sweep(reduced, GRID, store=place)
+    claims.close()
+    dt.sweep(reduced, GRID, store=place)
+
+
+def test_claims_of_one_process_are_seen_by_another(tmp_path):
+    file = tmp_path / "claims"
+    claims = Claims(tmp_path, file)
+    assert claims.take(3)
+    script = (
+        "import sys; from pathlib import Path; from dipoletop._maps.store.claims import Claims\n"
+        "claims = Claims(Path(), Path(sys.argv[1]))\n"
+        "with claims.everything() as alone: print(alone, claims.take(2), claims.take(3))\n"
+    )
+    command = [sys.executable, "-c", script, str(file)]
+    seen = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert seen.stdout.split() == ["False", "True", "False"]
+    claims.give_back(3)
+    seen = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert seen.stdout.split() == ["True", "True", "True"]
+    claims.close()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everything")
+def test_a_finished_store_that_may_only_be_read_is_read(tmp_path):
+    place = tmp_path / "s.zarr"
+    basin = dt.sweep(reduced, GRID, store=place)
+    for path in sorted(place.rglob("*")):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    assert numbers(dt.sweep(reduced, GRID, store=place)) == numbers(basin)
+
+
+def test_a_full_disk_is_told_with_what_is_kept(tmp_path, monkeypatch):
+    place, write, count = tmp_path / "s.zarr", Tiles.write, [0]
+
+    def full(tiles, *computed):
+        if count[0] == 1:
+            raise OSError(28, "No space left on device", str(place))
+        count[0] += 1
+        write(tiles, *computed)
+
+    monkeypatch.setattr(Tiles, "write", full)
+    said = r"s.zarr cannot be written \(No space left on device\); 1 of its 2 tiles are finished"
+    with pytest.raises(dt.StoreNotWritable, match=said):
+        dt.sweep(reduced, GRID, store=place)
+    monkeypatch.undo()
+    assert numbers(dt.sweep(reduced, GRID, store=place)) == numbers(dt.sweep(reduced, GRID))
