@@ -21,8 +21,8 @@ T = TypeVar("T")
 _thread = threading.local()
 _busy: list[Device] = []
 stop_requested = threading.Event()
-"""Set by a handler of signals that raises KeyboardInterrupt: Python drops an exception that comes in
-a callback, such as those of JAX at garbage collections."""
+"""Set by a handler of signals that raises KeyboardInterrupt, since Python drops an exception that
+comes in a callback, such as those of JAX at garbage collections."""
 LOOK = 1.0  # seconds until `stop_requested` is looked at again
 
 

@@ -92,7 +92,7 @@ def plot_command(path: str, **options: Any) -> None:
     """Draw the basin in the store PATH over any two of its axes, while its sweep runs or after.
 
     Other axes are fixed (--at), averaged (--average) or drawn as panels (--panels). What is not
-    computed yet is white.
+    computed yet is hatched.
     """
     from .. import plots
 
