@@ -30,6 +30,7 @@ def test_a_cluster_computes_what_one_process_does(tmp_path):
     assert run.returncode == 0, run.stderr
     said = json.loads(run.stdout.splitlines()[-1])
     assert said["large"]
+    assert said["again"]
     assert said["killed"]
     assert files(tmp_path / "killed.zarr") == files(tmp_path / "alone.zarr")
     assert "rtol is 1e-08 there and 1e-09 here" in said["another"]

@@ -7,7 +7,7 @@ that another one computes its tile; one that is slow keeps them, and the tile is
 import functools
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -22,7 +22,7 @@ from .sweep_stores import MemoryStore, ZarrStore
 
 LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
 AHEAD = 4  # tasks in flight for each thread of the cluster
-KEPT = 4  # sweeps whose plans a worker keeps
+KEPT = 4  # sweeps that a worker keeps at hand
 RETRIES = 5  # of a tile whose worker died or whose task failed
 
 
@@ -51,12 +51,12 @@ def on_cluster(
     store.close()  # the workers claim tiles, which may be threads of this process
     sweep = problem, over, settings._replace(devices=None)
     config = {name: getattr(jax.config, name) for name in ("jax_enable_x64",)}
-    job = cloudpickle.dumps((*sweep, str(store.folder), config))
-    return functools.partial(_compute_once, client, job)
+    job = cloudpickle.dumps((*sweep, config))
+    return functools.partial(_compute_once, client, job, str(store.folder))
 
 
 def _compute_once(
-    client: Any, job: bytes, tiles: Sequence[int]
+    client: Any, job: bytes, folder: str, tiles: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray | None]]:
     from distributed import as_completed
 
@@ -67,7 +67,7 @@ def _compute_once(
     def submit(count: int) -> None:
         for _, tile in zip(range(count), left, strict=False):
             settings = {"pure": False, "retries": RETRIES}
-            running.add(client.submit(_compute_tile, sent, name, tile, **settings))
+            running.add(client.submit(_compute_tile, sent, name, folder, tile, **settings))
 
     threads = sum(client.nthreads().values()) or 1
     try:
@@ -81,34 +81,50 @@ def _compute_once(
         client.cancel(list(running.futures))
 
 
-_sweeps: dict[str, tuple[Plan, ZarrStore]] = {}
+class _Session(NamedTuple):
+    """A sweep on a worker."""
+
+    name: str
+    plan: Plan
+    store: ZarrStore
+
+
+_sessions: dict[str, _Session] = {}  # by the folder of the store
 _lock = threading.Lock()
 
 
-def _compute_tile(job: bytes, name: str, tile: int) -> tuple[int, bool, np.ndarray | None]:
+def _compute_tile(
+    job: bytes, name: str, folder: str, tile: int
+) -> tuple[int, bool, np.ndarray | None]:
     """Compute a tile on a worker: its number, whether it is finished, and its outcomes if found."""
-    plan, store = _sweep(job, name)
+    _, plan, store = _session(job, name, folder)
     if not store.claim(tile):
         return tile, store.is_finished(tile), None
     device = plan.devices[tile % len(plan.devices)]
-    with jax.default_device(device), as_worker():
-        (computed,) = plan.compute([tile], device)
-    store.write(computed)
+    try:
+        with jax.default_device(device), as_worker():
+            (computed,) = plan.compute([tile], device)
+        store.write(computed)
+    except BaseException:
+        store.give_back(tile)
+        raise
     return tile, True, computed.columns["outcome"]
 
 
-def _sweep(job: bytes, name: str) -> tuple[Plan, ZarrStore]:
+def _session(job: bytes, name: str, folder: str) -> _Session:
     """The plan and the store of a sweep on this worker, whose digests are compared."""
     import cloudpickle
 
     with _lock:
-        if name not in _sweeps:
-            problem, over, settings, folder, config = cloudpickle.loads(job)
+        session = _sessions.get(folder)
+        if session is None or session.name != name:
+            problem, over, settings, config = cloudpickle.loads(job)
             for option, value in config.items():
                 jax.config.update(option, value)
             plan = plan_of(problem, over, settings)
-            while len(_sweeps) >= KEPT:
-                _, old = _sweeps.pop(next(iter(_sweeps)))
-                old.close()
-            _sweeps[name] = plan, ZarrStore(folder, plan, repair=False)
-        return _sweeps[name]
+            # A store has one sweep in a process; the oldest ones are given up.
+            for old in [folder, *list(_sessions)[: 1 - KEPT]]:
+                if old in _sessions:
+                    _sessions.pop(old).store.close()
+            session = _sessions[folder] = _Session(name, plan, ZarrStore(folder, plan, False))
+        return session

@@ -129,6 +129,10 @@ class ZarrStore:
             raise StoreNotWritable(tiles.folder, finished, count, reason) from error
         self._claims.give_back(computed.tile)
 
+    def give_back(self, tile: int) -> None:
+        """End the claim on a tile that is not written."""
+        self._claims.give_back(tile)
+
     def close(self) -> None:
         """Give the store back to other processes."""
         self._claims.close()
