@@ -75,6 +75,20 @@ def test_a_second_call_with_other_values_compiles_nothing():
     assert len(native_engine._programs) == count
 
 
+def test_programs_that_were_not_used_for_long_are_given_up(monkeypatch):
+    monkeypatch.setattr(native_engine, "_programs", {})
+    monkeypatch.setattr(native_engine, "KEPT", 2)
+    starts = np.array([[0.2, 0.01, 0.1], [0.1, 0.2, 0.3]])
+    levels = [dt.TransverseReduced(-0.2), dt.TransverseSemi(-0.2), dt.RotatorReduced()]
+    found = [dt.classify_many(level, starts, value=False).outcome for level in levels]
+    assert len(native_engine._programs) == 2
+    last = list(native_engine._programs)
+    dt.classify_many(levels[1], starts, value=False)  # is compiled no more, and now the newest
+    assert list(native_engine._programs) == last[::-1]
+    again = dt.classify_many(levels[0], starts, value=False).outcome
+    np.testing.assert_array_equal(again, found[0])
+
+
 def test_threads_share_the_queue():
     equation, starts, limits = problem(dt.TransverseReduced, n=1003)
 

@@ -276,6 +276,7 @@ def _is_array(leaf: Any) -> bool:
     return eqx.is_array(leaf) or isinstance(leaf, np.ndarray | jax.ShapeDtypeStruct)
 
 
+KEPT = 256  # programs; JAX keeps classes of equations for ever, so that these must be limited
 _programs: dict[Any, _Program | Unsupported] = {}
 _compile_lock = threading.Lock()
 
@@ -306,19 +307,22 @@ def _program(
     n = _lifted_size(structure, kinds) if n is None else n
     key = (structure, kinds, n, finish, until)
     with _compile_lock:
-        if key not in _programs:
+        program = _programs.pop(key, None)
+        if program is None:
             try:
                 with report_compile_time():
-                    _programs[key] = _Program.compile(equation, n, solver, until, finish)
+                    program = _Program.compile(equation, n, solver, until, finish)
             except Unsupported as reason:
-                _programs[key] = reason
-    program = _programs[key]
+                program = reason
+        _programs[key] = program  # behind all that were used earlier
+        while len(_programs) > KEPT:
+            del _programs[next(iter(_programs))]
     if isinstance(program, Unsupported):
         raise program
     return program
 
 
-@functools.cache
+@functools.lru_cache(maxsize=KEPT)
 def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
     """The size of a state that an equation lifts to."""
     lane = (jax.ShapeDtypeStruct((*x[0], 1), x[1]) if isinstance(x, tuple) else x for x in kinds)
