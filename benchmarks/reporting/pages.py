@@ -15,6 +15,7 @@ from benchmarks.reporting import (
     derivative_costs,
     derivatives,
     directions,
+    faults,
     label_precision,
     labels,
     precision,
@@ -39,6 +40,7 @@ PAGES: dict[str, tuple[ModuleType, ...]] = {
     "directions": (directions,),
     "stress": (stress,),
     "slow_flow": (slow_flow,),
+    "faults": (faults,),
 }
 """For each file of numbers the modules that make its pages."""
 BEGIN, END = "<!-- summary -->", "<!-- end of summary -->"

@@ -39,6 +39,7 @@ def body(results: dict[str, Any]) -> str:
         compared += [*_fresh(speed), _import(speed["import"])]
     parts = [("speed", _own_costs), ("label_precision", _lost), ("labels", _labels)]
     parts += [("stress", _stress), ("residual", _residual), ("slow_flow", _slow_flow)]
+    parts += [("faults", _faults)]
     for name, part in parts:
         if results[name]:
             lines += part(results[name])
@@ -219,6 +220,15 @@ def _labels(results: dict[str, Any]) -> list[Line]:
     checked, wrong = (sum(row[name] for row in results["rows"]) for name in ("plain", "wrong"))
     answer = f"{wrong} of {checked}, orders 1 to 4 and semi-reduced, all kinds of body"
     return [("Wrong labels, against long integration", answer, "labels")]
+
+
+def _faults(results: dict[str, Any]) -> list[Line]:
+    """Kills, and what became of the stores."""
+    kills = sum(row["kills"] for row in results["killed"])
+    wrong = sum(row["other_bytes"] for row in results["killed"])
+    stores = sum(row["stores"] for row in results["killed"])
+    asked = f"Stores that differ from undisturbed ones, after {kills} kills of their sweeps"
+    return [(asked, f"{wrong} of {stores}", "faults")]
 
 
 def _stress(results: dict[str, Any]) -> list[Line]:

@@ -73,6 +73,10 @@ class ZarrStore:
         values = plan.blocks.over.header.values
         self._tiles = begin_or_resume(path, plan.header(), values, repair)
         self._claims = self._tiles.claims()
+        self._tidy()
+
+    def _tidy(self) -> None:
+        """Remove what killed processes left behind, unless another process may be writing."""
         with self._claims.everything() as alone:
             if alone:
                 self._tiles.discard_partial_files()
@@ -135,6 +139,7 @@ class ZarrStore:
 
     def close(self) -> None:
         """Give the store back to other processes."""
+        self._tidy()
         self._claims.close()
 
     def contents(self) -> BasinParts:

@@ -87,6 +87,9 @@ def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undis
     other.stdout.readline()
     doomed.kill()
     rest(doomed)
+    partial = place / "dipoletop-tiles/partial"
+    partial.mkdir(exist_ok=True)
+    (partial / ".0.12.partial").write_bytes(b"what it was writing")
     assert rest(other)[-1] == "done"
     assert files(place) == undisturbed
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
