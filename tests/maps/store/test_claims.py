@@ -83,7 +83,7 @@ def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undis
     place = tmp_path / "s.zarr"
     doomed = process(place, pause=60)
     assert doomed.stdout.readline()  # its first tile, which it has not written yet
-    other = process(place)
+    other = process(place, pause=0.3)
     other.stdout.readline()
     doomed.kill()
     rest(doomed)
