@@ -119,6 +119,8 @@ def sweep(
         else:
             once = on_cluster(client, problem, over, settings, columns)
         _compute(plan, columns, once, progress)
+        if client is not None:  # what killed workers left is removed when the store is closed
+            columns.reopen()
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)
 
 

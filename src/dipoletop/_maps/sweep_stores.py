@@ -4,6 +4,7 @@ Both offer `unfinished()`, the tiles to compute; `claim(tile)`, whether it is fo
 so; `write(computed)`; `is_finished(tile)`; and `contents()`, the finished basin as plain values.
 """
 
+import contextlib
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -47,6 +48,9 @@ class MemoryStore:
         for name, values in computed.columns.items():
             self._columns[name][self._plan.tiling.span(computed.tile)] = values
         self._finished.add(computed.tile)
+
+    def reopen(self) -> None:
+        """Nothing is to be done."""
 
     def close(self) -> None:
         """Nothing is to be done."""
@@ -136,6 +140,11 @@ class ZarrStore:
     def give_back(self, tile: int) -> None:
         """End the claim on a tile that is not written."""
         self._claims.give_back(tile)
+
+    def reopen(self) -> None:
+        """Claim tiles again after `close`, unless a sweep of this process has the store."""
+        with contextlib.suppress(StoreMismatch):
+            self._claims = self._tiles.claims()
 
     def close(self) -> None:
         """Give the store back to other processes."""
