@@ -1,5 +1,7 @@
 """`dipoletop info`, `plot`, `export`: of a store that is finished, and of one that is not."""
 
+import shutil
+
 import numpy as np
 import pytest
 import xarray
@@ -99,6 +101,37 @@ def test_what_is_not_computed_yet_is_no_outcome(unfinished):
     assert sum(share.count for share in basin.fractions().values()) == np.sum(~missing)
     assert f"not computed yet {np.mean(missing):.2%}" in repr(basin)
     np.testing.assert_array_equal(basin.isel(delta=1).outcome, basin.outcome[1])
+    for name, values in basin.to_xarray().data_vars.items():
+        assert np.all(np.isnan(values.values[missing])), name
+        np.testing.assert_array_equal(values.values[~missing], basin.column(name)[~missing])
+
+
+def test_an_unfinished_basin_stays_as_it_was_loaded(tmp_path):
+    """While a sweep goes on, all of its columns are of the same tiles."""
+    place = tmp_path / "s.zarr"
+    whole = dt.sweep(problem, GRID, store=place)
+    record = place / "dipoletop-tiles/done/c/3/0"
+    kept = record.read_bytes()
+    record.unlink()
+    basin = dt.Basin.load(place, unfinished=True)
+    seen = basin.outcome
+    record.write_bytes(kept)
+    missing = basin.outcome == -128
+    np.testing.assert_array_equal(basin.outcome, seen)
+    assert np.all(np.isnan(basin.time[missing]))
+    assert dt.Basin.load(place, unfinished=True) == whole
+
+
+def test_only_what_is_chosen_is_read(store, tmp_path):
+    """One tile of a column is damaged: a part that needs neither is taken all the same."""
+    place = shutil.copytree(store, tmp_path / "s.zarr")
+    (place / "time/c/0/0/0").write_bytes(b"damaged")
+    basin = dt.Basin.load(place, unfinished=True)
+    part = basin.isel(delta=1)
+    assert np.all(np.isfinite(part.time))
+    assert basin.isel(delta=0, w3=0).outcome.shape == (16,)
+    with pytest.raises(dt.StoreDamaged, match="tile 0: its time cannot be read"):
+        _ = basin.isel(delta=0, w3=0).time
 
 
 def test_a_selection_is_exported_exactly(store, tmp_path):

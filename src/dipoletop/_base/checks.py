@@ -103,11 +103,14 @@ def real(
 
 
 def _on_device(value: Any) -> Any:
-    """`jnp.asarray(value)`, which compiles a program for every new shape of a NumPy array."""
+    """A copy of a value as an array of JAX.
+
+    `jnp.asarray` would compile a program for each new shape of a NumPy array.
+    """
     if not isinstance(value, np.ndarray):
         return jnp.asarray(value)
     with jax.ensure_compile_time_eval():
-        return jax.device_put(value)
+        return jax.device_put(value.copy())  # JAX may keep the memory that it is given
 
 
 def or_nan(value: Any, valid: Any) -> Any:

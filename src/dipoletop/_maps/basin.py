@@ -210,7 +210,11 @@ class Basin:
         for name, values in self.coords.items():
             coords[name] = (coordinate_dims(name, self.dims, values.ndim), values, labels(name))
         attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
-        return xarray.Dataset(variables, coords, attrs)
+        data = xarray.Dataset(variables, coords, attrs)
+        if "outcome" not in variables or np.all(computed := data.outcome != MISSING["int8"]):
+            return data
+        truths = {name: x.astype("int8") for name, x in data.items() if x.dtype == bool}
+        return data.assign(truths).where(computed)
 
     def isel(self, **positions: Any) -> "Basin":
         """The part at positions on axes; other axes are kept whole.
@@ -299,8 +303,10 @@ class Basin:
 
         Args:
             path: the folder.
-            unfinished: whether to load a sweep that is not finished, too. Where nothing is computed
-                yet, `outcome` is −128, which is no member of `Outcome`, and numbers are NaN.
+            unfinished: whether to load a sweep that is not finished, too, as far as it is now.
+                Where nothing is computed yet, `outcome`, `stop` and `regime` are −128, which is no
+                member of `Outcome`, `steps` is −2³¹, `certified` is False, and other numbers are
+                NaN; `to_xarray` has NaN everywhere there. Only what is used is verified.
 
         Raises:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.

@@ -23,6 +23,8 @@ from .sweep_stores import MemoryStore, ZarrStore
 LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
 AHEAD = 4  # tasks in flight for each thread of the cluster
 KEPT = 4  # sweeps that a worker keeps at hand
+CONFIG = "jax_enable_x64", "jax_threefry_partitionable", "jax_default_prng_impl"
+"""Settings of JAX on which numbers depend; they travel to the workers."""
 RETRIES = 5  # of a tile whose worker died or whose task failed
 
 
@@ -50,7 +52,7 @@ def on_cluster(
         refuse("store", "be a path that all workers see, with a `client`", "is None")
     store.close()  # the workers claim tiles, which may be threads of this process
     sweep = problem, over, settings._replace(devices=None)
-    config = {name: getattr(jax.config, name) for name in ("jax_enable_x64",)}
+    config = {name: getattr(jax.config, name) for name in CONFIG}
     job = cloudpickle.dumps((*sweep, config))
     return functools.partial(_compute_once, client, job, str(store.folder))
 

@@ -60,6 +60,9 @@ DERIVATIVE_PREFIX = "d_omega_inf_d_"
 CONVENTIONS = "CF-1.11"
 """By which attributes are named."""
 
+VERSION = "version_"
+"""What the attributes of versions begin with."""
+
 START = "omega0"
 """The column of starts, in basins of samples."""
 
@@ -136,7 +139,7 @@ def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
 
 def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Attributes without the versions of libraries, by which sweeps do not differ."""
-    return {key: x for key, x in attrs.items() if not key.startswith("version_")}
+    return {key: x for key, x in attrs.items() if not key.startswith(VERSION)}
 
 
 def labels(name: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from .._runs.classify_many import TILE, largest_tile
 from .._runs.doubt import finish_of
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
-from .columns import DERIVATIVE_PREFIX, START, check_arguments, columns_of_runs
+from .columns import DERIVATIVE_PREFIX, START, VERSION, check_arguments, columns_of_runs
 from .grids import Grid, Points, PointValues, Sample
 from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
 from .tiling import Tiling
@@ -270,4 +270,4 @@ def drawn_values(names: Iterable[str], points: Any, block: Block) -> dict[str, n
 
 @functools.cache  # it reads files
 def _versions() -> dict[str, str]:
-    return {f"version_{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}
+    return {f"{VERSION}{name}": version(name) for name in ("dipoletop", "jax", "diffrax")}

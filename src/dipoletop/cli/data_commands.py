@@ -6,8 +6,8 @@ from typing import Any
 import click
 
 from .._maps.basin import Basin
+from .._maps.columns import VERSION, without_versions
 from .._maps.grids import counted, described_axis
-from .._maps.store.contents import load
 from .._maps.store.state import State, state
 from .files import FORMATS, output_paths
 from .parameters import Number
@@ -28,18 +28,24 @@ AT = click.option(
 @computing
 def info_command(path: str) -> None:
     """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
-    for line in _described(state(path), Basin(*load(path, partial=True))):
+    for line in _described(state(path), Basin.load(path, unfinished=True)):
         click.echo(line)
 
 
 def _described(found: State, basin: Basin) -> list[str]:
     header, attrs = found.header, basin.attrs
-    plain = {k: x for k, x in attrs.items() if k != "level" and not k.startswith("version_")}
+    plain = without_versions(attrs)
+    settings = (f"{name} {value}" for name, value in plain.items() if name != "level")
+    versions = (
+        f"{name.removeprefix(VERSION)} {value}"
+        for name, value in attrs.items()
+        if name not in plain
+    )
     axes = [described_axis(name, values) for name, values in basin.coords.items()]
     shares = ", ".join(f"{name} {x.share:.2%}" for name, x in basin.fractions().items())
     lines = [
         f"Level     {attrs.get('level', 'not known')}",
-        f"Settings  {', '.join(f'{name} {value}' for name, value in plain.items())}",
+        f"Settings  {', '.join(settings)}",
         f"Over      {', '.join(axes) or ', '.join(basin.dims)}; {counted(basin.shape)}",
         f"Tiles     {found.finished} of {found.tiles} finished, {found.starts_done} starts "
         f"({found.starts_done / found.starts:.1%}); {found.bytes / 1e6:.3g} MB on disk",
@@ -47,14 +53,11 @@ def _described(found: State, basin: Basin) -> list[str]:
     if shares:
         lines.append(f"Outcomes  {shares}")
     if found.rate:
-        speed = f"{found.rate:,.0f} starts per second"
+        speed = f"{found.rate:,.0f} starts per second over the last tiles, pauses included"
         if found.finished < found.tiles:
             speed += f"; {duration(found.seconds_left or 0.0)} left at this rate"
         lines.append(f"Speed     {speed}")
     lines.append(f"Work      {'a process is at it' if found.at_work else 'no process is at it'}")
-    versions = (
-        f"{k.removeprefix('version_')} {x}" for k, x in attrs.items() if k[:8] == "version_"
-    )
     lines.append(f"Versions  {', '.join(versions)}")
     for name, digest in header.get("programs", {}).items():
         lines.append(f"Digest    {digest} of the {name}")
@@ -153,7 +156,7 @@ def _part(path: str, at: Any, ranges: Any = ()) -> Basin:
     if at:
         basin = basin.sel(method="nearest", **{_axis(name): value for name, value in at})
     within: dict[str, Any] = {_axis(name): slice(low, high) for name, low, high in ranges}
-    return basin.sel(**within)
+    return basin.sel(**within) if within else basin
 
 
 def _axis(name: str) -> str:

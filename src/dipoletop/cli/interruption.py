@@ -1,4 +1,4 @@
-"""How long commands end when they are stopped: by Ctrl-C, a batch system, or a time limit."""
+"""How long commands end when Ctrl-C, a batch system or a time limit stops them."""
 
 import contextlib
 import os
@@ -11,23 +11,24 @@ from typing import Any
 import click
 
 from .._base.parallel import stop_requested, workers_are_busy
+from .refusals import Refusal
 
 NAMES = "SIGINT", "SIGTERM", "SIGHUP"
 SIGNALS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 TIME_IS_UP = 124  # exit status, as of `timeout`
-
-
 _status: list[int] = []  # the exit status of the first signal
 
 
 @contextlib.contextmanager
 def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iterator[None]:
-    """End the command like Ctrl-C does if a batch system stops it, or if its time is up.
+    """End the command as Ctrl-C does if a batch system stops it, or if its time is up.
 
     Args:
         keeps_tiles: whether the same command goes on with what is finished.
         time_limit: seconds until it stops by itself, or None.
     """
+    if time_limit is not None and not hasattr(signal, "SIGALRM"):
+        raise Refusal("--time-limit: this system has no alarm signal.")
     # One that is ignored, as under `nohup`, stays so.
     listened = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
     if time_limit is not None:

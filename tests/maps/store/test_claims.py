@@ -1,6 +1,7 @@
 """Several processes at one store: each tile is computed once, whoever is killed or waits."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -184,3 +185,23 @@ def test_a_full_disk_is_told_with_what_is_kept(tmp_path, monkeypatch):
         dt.sweep(reduced, GRID, store=place)
     monkeypatch.undo()
     assert numbers(dt.sweep(reduced, GRID, store=place)) == numbers(dt.sweep(reduced, GRID))
+
+
+def test_what_is_told_of_a_full_disk_survives_the_way_to_another_process():
+    error = dt.StoreNotWritable(Path("s.zarr"), 1, 2, "No space left on device")
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.path, again.tiles) == (str(error), error.path, 2)
+
+
+def test_without_locks_nothing_is_taken_for_left_behind(tmp_path, monkeypatch):
+    """On some network file systems: every claim is granted, and no partial file is removed."""
+
+    def no_locks(*_):
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr("dipoletop._maps.store.claims.fcntl.lockf", no_locks)
+    claims = Claims(tmp_path, tmp_path / "claims")
+    assert claims.take(3)
+    with claims.everything() as alone:
+        assert not alone
+    claims.close()

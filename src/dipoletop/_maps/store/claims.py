@@ -53,7 +53,7 @@ class Claims:
 
     def take(self, tile: int) -> bool:
         """Claim a tile; False if another process has it."""
-        return self._lock(1, tile)
+        return self._lock(1, tile) is not False
 
     @property
     def works(self) -> bool:
@@ -62,8 +62,8 @@ class Claims:
 
     @contextlib.contextmanager
     def everything(self) -> Iterator[bool]:
-        """Claim the whole store for a moment; False if another process has any of it."""
-        free = self._file is not None and self._lock(0, 0)
+        """Claim the whole store for a moment; False if others have, or may have, any of it."""
+        free = self._lock(0, 0) is True
         try:
             yield free
         finally:
@@ -82,15 +82,15 @@ class Claims:
             _in_use.discard(self._key or (0, 0))
         self._file = self._key = None
 
-    def _lock(self, length: int, first: int) -> bool:
-        """Lock so many bytes, or all that follow if `length` is 0."""
+    def _lock(self, length: int, first: int) -> bool | None:
+        """Lock so many bytes, all that follow if `length` is 0; None where there are no locks."""
         locks: Any = fcntl
         if locks is None or self._file is None:
-            return True
+            return None
         try:
             locks.lockf(self._file, locks.LOCK_EX | locks.LOCK_NB, length, first)
         except OSError as error:
-            return error.errno not in (errno.EACCES, errno.EAGAIN)
+            return False if error.errno in (errno.EACCES, errno.EAGAIN) else None
         return True
 
     def _unlock(self, length: int, first: int) -> None:

@@ -1,4 +1,4 @@
-"""Whole basins on disk: saved, loaded, verified."""
+"""Basins on disk: saved, loaded, verified."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,7 +13,8 @@ from ..tiling import TILE, Tiling
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists
 from .headers import with_value_digests
-from .tiles import create_arrays, open_store, open_tiles
+from .layout import create_arrays
+from .tiles import open_store, open_tiles
 
 
 class Verification(NamedTuple):
@@ -63,17 +64,22 @@ def _new_folder(folder: Path) -> Iterator[Path]:
 
 
 def load(path: Any, partial: bool = False) -> BasinParts:
-    """The basin at `path`, all of it verified; its columns are read again when they are used."""
+    """The basin at `path`; its columns are read, and checked, when they are used.
+
+    All of a finished one is verified at once. With `partial` it may be unfinished, and is not
+    verified beforehand, which would take long for a large store that is only looked at.
+    """
     tiles = open_store(path)
-    parts, unfinished = tiles.contents(partial), tiles.unfinished()
-    if unfinished and not partial:
-        left = len(unfinished)
+    if partial:
+        return tiles.contents(partial=True)
+    parts = tiles.contents()
+    if left := len(tiles.unfinished()):
         reason = (
             f"{tiles.folder} lacks {left} of {tiles.tiling.count} tiles; "
             "run the sweep again with this store"
         )
         raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
-    tiles.refuse_damaged(tiles.damaged(tiles.tiling.others(unfinished)))
+    tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
     return parts
 
 

@@ -1,6 +1,7 @@
 """Errors of stores: damaged ones, those that cannot be written, and paths that lead to no such."""
 
 from pathlib import Path
+from typing import Any
 
 from ..._base.checks import one_line, refusal
 
@@ -59,6 +60,10 @@ class StoreNotWritable(OSError):
     def __init__(self, path: Path, finished: int, tiles: int, reason: str) -> None:
         super().__init__(path, finished, tiles, reason)
         self.path, self.finished, self.tiles, self.reason = path, finished, tiles, reason
+
+    def __reduce__(self) -> Any:
+        # OSError would keep two arguments only, when a worker sends it to another process.
+        return type(self), (self.path, self.finished, self.tiles, self.reason)
 
     def __str__(self) -> str:
         return (

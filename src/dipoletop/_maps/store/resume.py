@@ -13,7 +13,8 @@ from .arrays import METADATA
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists, hidden_folder
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
-from .tiles import FORMAT, LAYOUT, TileRecord, Tiles, create_arrays, open_tiles, tiling_of
+from .layout import FORMAT, LAYOUT, create_arrays, tiling_of
+from .tiles import TileRecord, Tiles, open_tiles
 
 THIS_SWEEP = "be new or hold this very sweep"
 

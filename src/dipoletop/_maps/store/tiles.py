@@ -1,62 +1,39 @@
-"""Tiles of a sweep on disk: how they are laid out, written, and read with every bit checked.
+"""Tiles of a sweep on disk: how they are written, and read with every bit checked.
 
-A store is a Zarr group that xarray opens: columns in the shape of the grid, one chunk for each
-tile, and coordinates. A group inside it, which xarray passes over, keeps the sweep's header and one
-record for each finished tile: digests of its inputs and of its columns. Each chunk is written
-to a temporary name and renamed. A record is written after its columns, so a tile torn by a crash is
-simply not finished, and is computed again to the same bytes.
+Each chunk is written to a temporary name and renamed. The record of a tile holds digests of its
+inputs and of its columns, and is written after them: so a tile torn by a crash is simply not
+finished, and is computed again to the same bytes.
 """
 
 import contextlib
 import json
-import math
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Set
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..._base.digests import SIZE, array_digest, digest
-from ..columns import (
-    CONVENTIONS,
-    MISSING,
-    BasinParts,
-    column_spec,
-    component_dims,
-    coordinate_dims,
-    labels,
-    plain_attributes,
-)
-from ..tiling import Tiling
-from .arrays import METADATA, StoredArray, write_json
+from ..columns import MISSING, BasinParts, column_spec
+from .arrays import METADATA, StoredArray
 from .claims import Claims
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
-
-FORMAT = "dipoletop basin, version 3"
-LARGEST_CHUNK = 1 << 20  # numbers of coordinates; codecs take no more than 2 GiB at once
-
-
-class Layout(NamedTuple):
-    """Where a version of the format keeps what is no column."""
-
-    group: str
-    """The group whose attributes are the header."""
-    records: str
-    """The array of records."""
-    coordinates: str
-    """What the names of coordinates begin with on disk."""
-
-
-OLD_LAYOUT = Layout("", "done", "axis_")
-LAYOUT = Layout("dipoletop-tiles", "dipoletop-tiles/done", "")
-CLAIMS = f"{LAYOUT.group}/claims"
-STAGING = f"{LAYOUT.group}/partial"
-UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
-LAYOUTS = {UNCHECKED: OLD_LAYOUT, "dipoletop basin, version 2": OLD_LAYOUT, FORMAT: LAYOUT}
+from .layout import (
+    CLAIMS,
+    FORMAT,
+    LAYOUT,
+    LAYOUTS,
+    OLD_LAYOUT,
+    STAGING,
+    UNCHECKED,
+    Layout,
+    metadata_digest,
+    tiling_of,
+)
 
 
 @contextlib.contextmanager
@@ -76,79 +53,6 @@ def _reading(folder: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
 def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exception) -> StoreDamaged:
     why = " ".join(f"{type(error).__name__} {error}".split())
     return StoreDamaged(folder, tiles, f"{what} cannot be read ({why})")
-
-
-def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
-    """An empty store: metadata and the swept values, but no tile."""
-    tiling, drawn = tiling_of(header), header["drawn"]
-    dims = tuple(header["dims"])
-    new: dict[str, StoredArray] = {}
-    for name in header["columns"]:
-        dtype, rest = column_spec(name).dtype, tuple(drawn.get(name, ()))
-        kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
-        described = labels(name)
-        if kept != "float64":
-            described |= {"_FillValue": MISSING[kept]}
-        new[name] = StoredArray(
-            folder / name,
-            (*tiling.shape, *rest),
-            (*tiling.chunk, *rest),
-            np.dtype(kept),
-            fill=MISSING[kept],
-            dims=(*dims, *component_dims(name, len(rest))),
-            attributes=described,
-        )
-    for name, array in values.items():
-        of_array = Tiling.of(array.shape, LARGEST_CHUNK)
-        new[name] = StoredArray(
-            folder / name,
-            array.shape,
-            of_array.chunk,
-            array.dtype,
-            fill=MISSING["float64"],
-            dims=coordinate_dims(name, dims, array.ndim),
-            attributes=labels(name),
-        )
-    records, shape = LAYOUT.records, (tiling.count, SIZE * (3 + len(header["columns"])))
-    # Not compressed: a record is its own checksum.
-    new[records] = StoredArray(folder / records, shape, (1, shape[1]), np.dtype("uint8"), codecs=())
-    for array in new.values():
-        array.create()
-    for name, numbers in values.items():
-        new[name].write_all(numbers)
-    others = [name for name in (*values, *drawn) if name not in dims]
-    attributes = {
-        "Conventions": CONVENTIONS,
-        **plain_attributes(header["attrs"]),
-        **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
-        **({"coordinates": " ".join(others)} if others else {}),
-    }
-    shown = {name: array.metadata for name, array in new.items() if name != records}
-    consolidated = {"kind": "inline", "must_understand": False, "metadata": shown}
-    # Without it xarray warns that it opens many small files.
-    group = _group(attributes) | {"consolidated_metadata": consolidated}
-    write_json(folder / METADATA, group)
-    (folder / CLAIMS).touch()
-    layout = {name: _metadata_digest(folder, name) for name in ("", *new)}
-    full = {"format": FORMAT, "layout": layout, **header}
-    own = {**full, "digest": header_digest(full)}
-    write_json(folder / LAYOUT.group / METADATA, _group(own))
-
-
-def _group(attributes: dict[str, Any]) -> dict[str, Any]:
-    return {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
-
-
-def tiling_of(header: Header) -> Tiling:
-    """How the columns of a store are cut into tiles."""
-    shape = tuple(header["shape"])
-    if "tile" in header:  # columns were flat
-        return Tiling((math.prod(shape),), (int(header["tile"]),))
-    return Tiling(shape, tuple(header["chunk"]))
-
-
-def _metadata_digest(folder: Path, array: str) -> str:
-    return digest((folder / array / METADATA).read_bytes()).hex()
 
 
 class TileRecord:
@@ -182,23 +86,27 @@ class StoredColumn:
     Attributes:
         tiles: the store.
         name: the name of the column.
-        partial: whether tiles may be unfinished; their numbers are `MISSING`.
+        finished: the tiles that are read; the numbers of others are `MISSING`. None: all are.
+        chosen: the flat indices of the entries that it holds; None: all of them.
     """
 
     tiles: "Tiles"
     name: str
-    partial: bool = False
+    finished: frozenset[int] | None = None
+    chosen: np.ndarray | None = None
 
     def __getitem__(self, key: Any) -> np.ndarray:
-        return self.tiles.column(self.name, self.partial)[key]
+        if self.chosen is None:
+            return self.tiles.column(self.name, self.finished)[key]
+        return self.tiles.entries(self.name, self.chosen, self.finished)[key]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """All of the column, read anew: without this NumPy would wrap the object itself."""
         return np.asarray(self[...], dtype)
 
-    def take(self, flat: np.ndarray, axis: int = 0) -> np.ndarray:
-        """The entries with these flat indices; only the tiles that hold them are read."""
-        return self.tiles.entries(self.name, flat, self.partial)
+    def take(self, flat: np.ndarray, axis: int = 0) -> "StoredColumn":
+        """The entries with these flat indices; only the tiles that hold them will be read."""
+        return replace(self, chosen=flat if self.chosen is None else self.chosen[flat])
 
 
 class Tiles:
@@ -220,7 +128,7 @@ class Tiles:
         with _reading(folder, (), "its header"):
             self.tiling, self.names = tiling_of(header), list(header["columns"])
             for name, expected in header.get("layout", {}).items():
-                if _metadata_digest(folder, name) != expected:
+                if metadata_digest(folder, name) != expected:
                     what = f"the metadata of {name}" if name else "its attributes"
                     raise StoreDamaged(folder, (), f"{what} are not as written")
             self.swept_names = list(header["values" if checked else "axes"])
@@ -318,31 +226,35 @@ class Tiles:
     def _components(self, name: str) -> tuple[int, ...]:
         return self._arrays[name].shape[len(self.tiling.shape) :]
 
-    def column(self, name: str, partial: bool = False) -> np.ndarray:
-        """A column, flat except for components."""
+    def column(self, name: str, finished: Set[int] | None = None) -> np.ndarray:
+        """A column, flat except for components; of the finished tiles only, if these are given."""
         every = range(self.tiling.count)
-        return np.concatenate([self._part(name, tile, partial) for tile in every])
+        return np.concatenate([self._part(name, tile, finished) for tile in every])
 
-    def _part(self, name: str, tile: int, partial: bool) -> np.ndarray:
-        if not partial or self.is_finished(tile):
-            return self.read(name, tile)
-        dtype = column_spec(name).dtype
-        return np.full((self.tiling.length(tile), *self._components(name)), MISSING[dtype], dtype)
-
-    def entries(self, name: str, flat: np.ndarray, partial: bool = False) -> np.ndarray:
+    def entries(self, name: str, flat: np.ndarray, finished: Set[int] | None = None) -> np.ndarray:
         """Some entries of a column."""
         found = np.empty((len(flat), *self._components(name)), column_spec(name).dtype)
         of_entry = self.tiling.tiles_with(flat)
         for tile in np.unique(of_entry).tolist():
-            here = of_entry == tile
-            found[here] = self._part(name, tile, partial)[flat[here] - self.tiling.span(tile).start]
+            here, first = of_entry == tile, self.tiling.span(tile).start
+            found[here] = self._part(name, tile, finished)[flat[here] - first]
         return found
 
+    def _part(self, name: str, tile: int, finished: Set[int] | None) -> np.ndarray:
+        if finished is None or tile in finished:
+            return self.read(name, tile)
+        dtype = column_spec(name).dtype
+        return np.full((self.tiling.length(tile), *self._components(name)), MISSING[dtype], dtype)
+
     def contents(self, partial: bool = False) -> BasinParts:
-        """The basin in the store; its columns are read from disk when they are used."""
+        """The basin in the store; its columns are read from disk when they are used.
+
+        With `partial` it is what is finished now, however far the sweep is when they are used.
+        """
         header = self.header
+        finished = frozenset(self.tiling.others(self.unfinished())) if partial else None
         coords = {name: self.values(name) for name in header["axes"]}
-        columns = {name: StoredColumn(self, name, partial) for name in self.names}
+        columns = {name: StoredColumn(self, name, finished) for name in self.names}
         dims, shape = tuple(header["dims"]), tuple(header["shape"])
         return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
 

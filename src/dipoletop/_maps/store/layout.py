@@ -1,0 +1,132 @@
+"""How a store is laid out on disk, in every version of its format, and how an empty one is made.
+
+A store is a Zarr group that xarray opens: columns in the shape of the grid, one chunk for each
+tile, and coordinates. A group inside it, which xarray passes over, keeps the sweep's header and one
+record for each finished tile.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._base.digests import SIZE, digest
+from ..columns import (
+    CONVENTIONS,
+    MISSING,
+    column_spec,
+    component_dims,
+    coordinate_dims,
+    labels,
+    plain_attributes,
+)
+from ..tiling import Tiling
+from .arrays import METADATA, StoredArray, write_json
+from .headers import Header, header_digest
+
+FORMAT = "dipoletop basin, version 3"
+LARGEST_CHUNK = 1 << 20  # numbers of coordinates; codecs take no more than 2 GiB at once
+
+
+class Layout(NamedTuple):
+    """Where a version of the format keeps what is no column."""
+
+    group: str
+    """The group whose attributes are the header."""
+    records: str
+    """The array of records."""
+    coordinates: str
+    """What the names of coordinates begin with on disk."""
+
+
+OLD_LAYOUT = Layout("", "done", "axis_")
+LAYOUT = Layout("dipoletop-tiles", "dipoletop-tiles/done", "")
+CLAIMS = f"{LAYOUT.group}/claims"
+STAGING = f"{LAYOUT.group}/partial"
+UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
+LAYOUTS = {UNCHECKED: OLD_LAYOUT, "dipoletop basin, version 2": OLD_LAYOUT, FORMAT: LAYOUT}
+
+
+def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
+    """An empty store: metadata and the swept values, but no tile."""
+    dims, drawn, names = tuple(header["dims"]), header["drawn"], header["columns"]
+    arrays = {name: _column(folder / name, header) for name in names}
+    for name, array in values.items():
+        arrays[name] = _coordinates(folder / name, array, dims)
+    shown = {name: array.metadata for name, array in arrays.items()}
+    shape = tiling_of(header).count, SIZE * (3 + len(names))
+    arrays[LAYOUT.records] = StoredArray(
+        folder / LAYOUT.records,
+        shape,
+        (1, shape[1]),
+        np.dtype("uint8"),
+        codecs=(),  # a record is its own checksum
+    )
+    for array in arrays.values():
+        array.create()
+    for name, numbers in values.items():
+        arrays[name].write_all(numbers)
+    (folder / CLAIMS).touch()
+    others = [name for name in (*values, *drawn) if name not in dims]
+    attributes = {
+        "Conventions": CONVENTIONS,
+        **plain_attributes(header["attrs"]),
+        **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
+        **({"coordinates": " ".join(others)} if others else {}),
+    }
+    # Without this xarray warns that it opens many small files.
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": shown}
+    write_json(folder / METADATA, _group(attributes) | {"consolidated_metadata": consolidated})
+    layout = {name: metadata_digest(folder, name) for name in ("", *arrays)}
+    full = {"format": FORMAT, "layout": layout, **header}
+    own = {**full, "digest": header_digest(full)}
+    write_json(folder / LAYOUT.group / METADATA, _group(own))
+
+
+def _column(folder: Path, header: Header) -> StoredArray:
+    """The array of a column, in the shape of the grid, with components behind."""
+    name, tiling, dims = folder.name, tiling_of(header), tuple(header["dims"])
+    dtype, components = column_spec(name).dtype, tuple(header["drawn"].get(name, ()))
+    kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
+    missing = {} if kept == "float64" else {"_FillValue": MISSING[kept]}
+    return StoredArray(
+        folder,
+        (*tiling.shape, *components),
+        (*tiling.chunk, *components),
+        np.dtype(kept),
+        fill=MISSING[kept],
+        dims=(*dims, *component_dims(name, len(components))),
+        attributes=labels(name) | missing,
+    )
+
+
+def _coordinates(folder: Path, values: np.ndarray, dims: tuple[str, ...]) -> StoredArray:
+    """The array of the values on an axis, or of points."""
+    return StoredArray(
+        folder,
+        values.shape,
+        Tiling.of(values.shape, LARGEST_CHUNK).chunk,
+        values.dtype,
+        fill=MISSING["float64"],
+        dims=coordinate_dims(folder.name, dims, values.ndim),
+        attributes=labels(folder.name),
+    )
+
+
+def _group(attributes: dict[str, Any]) -> dict[str, Any]:
+    return {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
+
+
+def tiling_of(header: Header) -> Tiling:
+    """How the columns of a store are cut into tiles."""
+    shape = tuple(header["shape"])
+    if "tile" in header:  # columns were flat
+        return Tiling((math.prod(shape),), (int(header["tile"]),))
+    return Tiling(shape, tuple(header["chunk"]))
+
+
+def metadata_digest(folder: Path, array: str) -> str:
+    """Digest of the metadata of an array, or of the store itself ("")."""
+    return digest((folder / array / METADATA).read_bytes()).hex()
