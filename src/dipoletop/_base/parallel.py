@@ -84,7 +84,7 @@ def workers_are_busy() -> bool:
     return bool(_busy)
 
 
-class Crew(Generic[T]):
+class ParallelJobs(Generic[T]):
     """Jobs on all devices: at most two for each worker are in flight, to bound memory.
 
     Args:
@@ -154,9 +154,9 @@ class Crew(Generic[T]):
 def in_parallel(
     task: Callable[[int, Device], T], jobs: Iterable[int], devices: Sequence[Device]
 ) -> Iterator[tuple[int, T]]:
-    """Yield (job, task(job, device)) as the jobs are done; see `Crew`."""
-    crew = Crew(task, jobs, devices)
+    """Yield (job, task(job, device)) as the jobs are done; see `ParallelJobs`."""
+    running = ParallelJobs(task, jobs, devices)
     try:
-        yield from crew.results()
+        yield from running.results()
     finally:
-        crew.wait()
+        running.wait()

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._base.parallel import Crew, Device
+from .._base.parallel import Device, ParallelJobs
 from .._base.tolerances import MAX_STEPS
 from .._runs.classification import Value
 from .._runs.slow_runs import SlowFlow
@@ -173,9 +173,9 @@ def _compute_once(
         claimed = [tile for tile in queues[queue] if store.claim(tile)]
         return plan.compute(claimed, device) if claimed else []
 
-    crew = Crew(work, range(len(queues)), plan.devices)
+    jobs = ParallelJobs(work, range(len(queues)), plan.devices)
     try:
-        for queue, results in crew.results():
+        for queue, results in jobs.results():
             unwritten += results
             outcomes = {found.tile: found.columns["outcome"] for found in results}
             while unwritten:
@@ -185,11 +185,11 @@ def _compute_once(
                 if store.is_finished(tile):
                     yield tile, outcomes.get(tile)
     except KeyboardInterrupt:
-        for _, results in crew.rest(store.patience):
+        for _, results in jobs.rest(store.patience):
             unwritten += results
         for computed in unwritten:
             store.write(computed)
         raise
     except BaseException:
-        crew.wait()
+        jobs.wait()
         raise

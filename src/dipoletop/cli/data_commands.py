@@ -8,7 +8,7 @@ import click
 from .._maps.basin import Basin
 from .._maps.columns import VERSION, without_versions
 from .._maps.grids import counted, described_axis
-from .._maps.store.state import State, state
+from .._maps.store.status import Status, status
 from .files import FORMATS, output_paths
 from .parameters import Number
 from .refusals import Refusal, computing
@@ -28,11 +28,11 @@ AT = click.option(
 @computing
 def info_command(path: str) -> None:
     """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
-    for line in _described(state(path), Basin.load(path, unfinished=True)):
+    for line in _described(status(path), Basin.load(path, unfinished=True)):
         click.echo(line)
 
 
-def _described(found: State, basin: Basin) -> list[str]:
+def _described(found: Status, basin: Basin) -> list[str]:
     header, attrs = found.header, basin.attrs
     plain = without_versions(attrs)
     settings = (f"{name} {value}" for name, value in plain.items() if name != "level")

@@ -8,8 +8,8 @@ from .tiles import Tiles, open_store
 RECENT = 100  # tiles from which the rate is found
 
 
-class State(NamedTuple):
-    """The state of a store."""
+class Status(NamedTuple):
+    """How far the sweep of a store is."""
 
     folder: Path
     header: dict[str, Any]
@@ -31,8 +31,8 @@ class State(NamedTuple):
         return (self.starts - self.starts_done) / self.rate if self.rate else None
 
 
-def state(path: Any) -> State:
-    """The state of the store at a path.
+def status(path: Any) -> Status:
+    """How far the sweep of the store at a path is.
 
     Raises:
         StoreMismatch: there is none.
@@ -44,7 +44,7 @@ def state(path: Any) -> State:
     done = sum(tiling.length(tile) for tile in finished)
     size = sum(file.stat().st_size for file in _files(store.folder))
     rate, at_work = _rate(store, finished), store.is_claimed()
-    return State(
+    return Status(
         store.folder,
         store.header,
         tiling.count,
