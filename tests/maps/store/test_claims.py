@@ -40,9 +40,12 @@ os.write(1, b"done")
 TILES = 20  # two rows each
 
 
-def process(place, pause=0.1):
-    """A process that sweeps into a store, and prints the tiles that it has computed."""
-    script = SCRIPT.format(here=str(HERE), place=str(place), pause=pause)
+def process(place, pause=0.1, wait=""):
+    """A process that sweeps into a store, and prints the tiles that it has computed.
+
+    It keeps each tile in hand for `pause` seconds, and as long as the file `wait` exists.
+    """
+    script = SCRIPT.format(here=str(HERE), place=str(place), pause=pause, wait=str(wait))
     settings = {**os.environ, "DIPOLETOP_CACHE": "off"}
     command = [sys.executable, "-c", script]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=settings)
@@ -68,15 +71,15 @@ def undisturbed(tmp_path_factory):
 
 
 def test_two_processes_share_the_tiles_of_a_store(tmp_path, undisturbed):
-    """They begin it at about the same time; each tile is computed by one of them."""
-    place = tmp_path / "s.zarr"
-    both = [process(place) for _ in range(2)]
+    """Each has a tile in hand before the other goes on; each tile is computed by one of them."""
+    place, wait = tmp_path / "s.zarr", tmp_path / "wait"
+    wait.touch()
+    both = [process(place, wait=wait) for _ in range(2)]
+    begun = [one.stdout.readline() for one in both]
+    wait.unlink()
     outputs = [rest(one) for one in both]
     assert all(output[-1] == "done" for output in outputs)
-    first, second = (computed(output) for output in outputs)
-    assert sorted(first + second) == list(range(TILES))
-    assert first
-    assert second
+    assert sorted(computed([*begun, *sum(outputs, [])])) == list(range(TILES))
     assert files(place) == undisturbed
 
 
