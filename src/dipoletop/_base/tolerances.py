@@ -1,12 +1,11 @@
 """Tolerances and budgets of runs: their checks, and the meaning of `None`."""
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .checks import concrete, real, refuse
 from .linalg import length
@@ -39,11 +38,11 @@ class Tolerances(NamedTuple):
 
 
 def step_tolerances(
-    rtol: Any, atol: Any, omega0: Float[Array, "3"], *, label_only: bool = False
+    rtol: Any, atol: Any, omega0: Float[Array, "3"], exact_when_slow: Any = True
 ) -> Tolerances:
     """The tolerances of a run from ω₀; see `absolute` for what atol = None means."""
     rtol = tolerance("rtol", rtol)
-    return Tolerances(rtol, jnp.asarray(absolute(atol, rtol, omega0, label_only=label_only)))
+    return Tolerances(rtol, jnp.asarray(absolute(atol, rtol, omega0, exact_when_slow)))
 
 
 def tolerance(name: str, value: Any, xp: Any = jnp) -> Any:
@@ -63,18 +62,17 @@ def absolute(
     atol: Any,
     rtol: Float[Array, ""] | Float[np.ndarray, ""],
     omega0: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"],
-    *,
-    label_only: bool = False,
+    exact_when_slow: Any = True,
 ) -> Float[Array, "*n"] | Float[np.ndarray, "*n"]:
     """The absolute tolerance; None means 0, since errors are measured by the present |ω|.
 
-    An outcome does not depend on how exact a motion is once it has become slow: with `label_only`
-    None means rtol·|ω₀|.
+    Where motions need not be exact once they have become slow, None means rtol·|ω₀|.
+    `exact_when_slow` is a truth value, or one for each start.
     """
-    if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol):
-        return _default_atol_in_numpy(rtol, omega0, label_only)
+    if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol, exact_when_slow):
+        return _default_atol_in_numpy(rtol, omega0, np.asarray(exact_when_slow))
     if atol is None:
-        return _default_atol(jnp.asarray(rtol), omega0, label_only)
+        return _default_atol(jnp.asarray(rtol), omega0, jnp.asarray(exact_when_slow))
     shape = omega0.shape[1:]
     return jnp.broadcast_to(check_atol(atol, shape), shape)
 
@@ -89,30 +87,32 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     return array
 
 
-@functools.partial(jax.jit, static_argnames="label_only")
+@jax.jit
 def _default_atol(
-    rtol: Float[Array, ""], omega0: Float[Array, "3 *n"], label_only: bool
+    rtol: Float[Array, ""], omega0: Float[Array, "3 *n"], exact_when_slow: Bool[Array, "..."]
 ) -> Float[Array, "*n"]:
     size = length(omega0)
     # A top at rest stays at rest; any positive tolerance serves it.
-    return rtol * jnp.where(size > 0, size if label_only else 0.0, 1.0)
+    return rtol * jnp.where(size > 0, jnp.where(exact_when_slow, 0.0, size), 1.0)
 
 
 def _default_atol_in_numpy(
-    rtol: Any, omega0: Float[np.ndarray, "3 *n"], label_only: bool
+    rtol: Any, omega0: Float[np.ndarray, "3 *n"], exact_when_slow: Bool[np.ndarray, "..."]
 ) -> Float[np.ndarray, "*n"]:
     """The same for known starts, for which JAX would compile a program for every number of them."""
     with np.errstate(all="ignore"):
         # In place: to get memory from the system takes longer than to compute.
         atol = np.asarray(np.einsum("i...,i...->...", omega0, omega0))
         if np.all(atol > np.finfo(atol.dtype).tiny):
-            if not label_only:
+            if np.all(exact_when_slow):
                 return np.zeros_like(atol)
-            return np.multiply(np.sqrt(atol, out=atol), float(rtol), out=atol)
+            atol = np.multiply(np.sqrt(atol, out=atol), float(rtol), out=atol)
+            atol[np.broadcast_to(exact_when_slow, atol.shape)] = 0.0
+            return atol
         most = np.max(np.abs(omega0), axis=0)  # squares may have underflowed
         unit = np.where(most > 0, most, 1.0)
         size = most * np.sqrt(np.sum(np.square(omega0 / unit), axis=0))
-    scale = np.where(size > 0, size if label_only else 0.0, 1.0)
+    scale = np.where(size > 0, np.where(exact_when_slow, 0.0, size), 1.0)
     return np.asarray(float(rtol) * scale, omega0.dtype)
 
 

@@ -51,8 +51,8 @@ def sweep(
             name) or the sample's start. It is vectorised, so it must be pure JAX.
         over: a `Grid`, `Points` or a `Sample`.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
-        atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or
-            rtol·|ω₀| for each start with `value=False`.
+        atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or,
+            with `value=False`, rtol·|ω₀| for tops all of whose slow motions have the same outcome.
         max_steps: budget of each run; one that would exceed it is predicted, or UNDECIDED.
         value: whether ω∞ is wanted, not only the outcome; see the table below.
         derivatives: arguments of the problem, each a number; `basin.derivative(name)` is then

@@ -21,6 +21,7 @@ from .._runs.blocks import classify_block
 from .._runs.classification import Value, stopping_rule
 from .._runs.classify_many import TILE, largest_tile
 from .._runs.doubt import finish_of
+from .._runs.slow_labels import exact_when_slow
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
 from .columns import DERIVATIVE_PREFIX, START, VERSION, check_arguments, columns_of_runs
@@ -29,6 +30,7 @@ from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, j
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
+ATOL_OF_LABELS = "rtol*|omega_0| where all slow motions have the same outcome, else 0"
 
 
 class ComputedTile(NamedTuple):
@@ -128,7 +130,7 @@ class Plan:
         return {
             "level": level_of(self.equation),
             "rtol": float(rtols[0]),
-            "atol": float(atol or 0) if value or atol is not None else "rtol*|omega_0|",
+            "atol": float(atol or 0) if value or atol is not None else ATOL_OF_LABELS,
             "max_steps": max_steps,
             "value": value,
             "engine": self.engines[self.devices[0]].name,
@@ -216,7 +218,7 @@ class Plan:
     ) -> Columns:
         (equation, omegas), (_, atol, max_steps, value, slow_flow) = block, self.rules
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
-        atol = absolute(atol, rtol, omegas, label_only=not value)
+        atol = absolute(atol, rtol, omegas, exact_when_slow(equation, value))
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
         where = {"engine": self.engines[device], "device": device}
         rules = {"value": value, "slow_flow": slow_flow, "loosely": loosely}

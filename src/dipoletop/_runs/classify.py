@@ -29,6 +29,7 @@ from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from .classification import Classification, Value, classification_of, stopping_rule
 from .conditioning import run_with_error_estimate, without_error_estimates
+from .slow_labels import exact_when_slow
 from .slow_runs import (
     SlowFlow,
     check_slow_flow,
@@ -80,7 +81,8 @@ def classify(
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance of every step; None means 0, since errors are measured by the
-            present |ω|, or rtol·|ω₀| with `value=False`.
+            present |ω|; or, with `value=False`, rtol·|ω₀| if all slow motions of this top have
+            the same outcome.
         max_steps: largest number of steps; a run that needs more is predicted, or UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error; see the table.
         slow_flow: whether runs are predicted; see the table.
@@ -170,8 +172,8 @@ def classify_with_tangents(
         equation = physical(equation)
     y0 = initial_state(equation, omega0)
     until = stopping_rule(equation, value)
-    label_only = until == "outcome"
-    tolerances = step_tolerances(rtol, atol, equation.omega(y0), label_only=label_only)
+    exact = exact_when_slow(equation, value)
+    tolerances = step_tolerances(rtol, atol, equation.omega(y0), exact)
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:

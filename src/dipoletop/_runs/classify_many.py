@@ -25,6 +25,7 @@ from .._engines.select import select_engines
 from .blocks import classify_block
 from .classification import Classification, Value, stopping_rule
 from .doubt import finish_of
+from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
 TILE = 16384  # starts handed to an engine at once, at most
@@ -56,7 +57,8 @@ def classify_many(
             other.
         rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
         atol: absolute tolerance of every step, a number or shape (N,); None means 0, since errors
-            are measured by the present |ω|, or rtol·|ω₀| for each start with `value=False`.
+            are measured by the present |ω|; or, with `value=False`, rtol·|ω₀| for each start of a
+            top all of whose slow motions have the same outcome.
         max_steps: largest number of steps of a run; a run that needs more is predicted, or
             UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
@@ -88,7 +90,7 @@ def classify_many(
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
     relative = tolerance("rtol", rtol, xp=np)
-    atol = absolute(atol, relative, starts.T, label_only=value is False)
+    atol = absolute(atol, relative, starts.T, exact_when_slow(equations, value))
     steps = np.asarray(budget("max_steps", max_steps))
     single = is_single(equations)
     if not single:

@@ -27,13 +27,13 @@ from .._base.types import DecidingEquation, Flag, Outcome, Real, Vector, Verdict
 from .._engines.interface import EndStates, Finish
 from ..equations._common import has_body_field
 from ..equations._verdicts.transverse import has_boundary
-from ..equations.levels import Level
 from ..equations.rigid import Reduced, SemiReduced
 from ..equations.transverse import TransverseReduced, TransverseSemi
 from .classification import Classification, Value, classification_of
 from .conditioning import without_error_estimates
+from .slow_labels import level_of_top
 
-CERTAIN = 1.0  # a label with less doubt is certain: no wrong one was found that had less than 2
+CERTAIN = 4.0  # a label with less doubt is certain: no wrong one was found that had less than 8
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a label is in doubt although no boundary exists
 SHAKY = 20.0  # displacement of the last state that must not change the outcome, in tolerances
 
@@ -103,6 +103,4 @@ def _is_bounded(equation: Any) -> Any:
     """Whether there is a boundary between outcomes."""
     if type(equation) not in (TransverseReduced, TransverseSemi):
         return True
-    order = getattr(equation, "order", None)
-    level = Level.SEMI if order is None else Level.of_order(order)
-    return has_boundary(equation.delta, level)
+    return has_boundary(equation.delta, level_of_top(equation))

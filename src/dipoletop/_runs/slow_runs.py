@@ -29,20 +29,14 @@ from .._base.checks import refuse
 from .._base.types import Outcome, Regime, Stop, implied_probability
 from .._engines.interface import Limits
 from ..equations._common import is_full
-from ..equations.longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
-from ..equations.rigid import Full, Reduced, SemiReduced
+from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
-from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 from .classification import Classification
 from .lanes import part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
 wherever the first state does not decide (True), or not at all (False)."""
-
-RIGID = Reduced, SemiReduced, Full
-TRANSVERSE = TransverseReduced, TransverseSemi, TransverseFull
-LONGITUDINAL = LongitudinalReduced, LongitudinalSemi, LongitudinalFull
 
 PER_PHASE, PER_NEEDLE = (1.0, 1.2), (1.95, 1.7)
 """Steps per radian, for the outcome and with ω∞, at rtol = 1e-8: of a body, of a needle."""

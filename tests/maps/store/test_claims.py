@@ -79,7 +79,7 @@ def test_two_processes_share_the_tiles_of_a_store(tmp_path, undisturbed):
     wait.unlink()
     outputs = [rest(one) for one in both]
     assert all(output[-1] == "done" for output in outputs)
-    assert sorted(computed([*begun, *sum(outputs, [])])) == list(range(TILES))
+    assert sorted(n for output in [begun, *outputs] for n in computed(output)) == list(range(TILES))
     assert files(place) == undisturbed
 
 

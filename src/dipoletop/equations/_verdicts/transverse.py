@@ -54,11 +54,18 @@ def has_boundary(delta: Any, level: Level) -> Any:
     Elsewhere runs are residual, but for starts on an axis and on a surface (section 4.2), and no
     region but that of residual rotation ever decides. From order 2 on runs may diverge, too.
     """
-    if level is Level.ORDER_1:
-        return delta < 0
-    if level is Level.SEMI:
-        return (delta < 0) | (delta > WOBBLING_FROM)
+    if level in (Level.ORDER_1, Level.SEMI):
+        return has_boundary_at_rest(delta, level)
     return (delta < 0) | (delta >= 0)
+
+
+def has_boundary_at_rest(delta: Any, level: Level) -> Any:
+    """Whether a basin boundary exists among motions that are as slow as you like.
+
+    There all consistent levels have the same outcomes.
+    """
+    stops = delta < 0
+    return stops | (delta > WOBBLING_FROM) if level.consistent else stops
 
 
 def _log_below(q: Real) -> Real:

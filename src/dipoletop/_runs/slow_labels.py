@@ -1,0 +1,34 @@
+"""How exact a motion must be once it has become slow, if no more than its outcome is wanted.
+
+Where all slow motions have the same outcome it does not matter which of them a run is on. There an
+absolute tolerance saves a third of the steps. Elsewhere a slow motion may still be near the
+boundary between outcomes, and an error that is large against it would decide in its place.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from .._base.checks import concrete
+from ..equations._families import LONGITUDINAL, TRANSVERSE
+from ..equations._verdicts.transverse import has_boundary_at_rest
+from ..equations.levels import Level
+from .classification import Value
+
+
+def exact_when_slow(equation: Any, value: Value) -> Any:
+    """Whether runs are to be exact to their ends: one truth value, or one for each δ."""
+    if value or type(equation) not in (*TRANSVERSE, *LONGITUDINAL):
+        return True
+    if type(equation) in LONGITUDINAL:  # always residual
+        return False
+    delta = equation.delta
+    if concrete(delta):  # in NumPy, since JAX compiles for each number of lanes
+        delta = np.asarray(delta)
+    return has_boundary_at_rest(delta, level_of_top(equation))
+
+
+def level_of_top(equation: Any) -> Level:
+    """The level whose boundaries a transverse top has; those of the full one are semi-reduced."""
+    order = getattr(equation, "order", None)
+    return Level.SEMI if order is None else Level.of_order(order)
