@@ -18,7 +18,7 @@ compared with those of one pass at rtol = 1e-11, where both are decided.
   default. A label that the default has wrong and one pass has right is **lost**; its row is bold.
   **margin**: the largest (\\|ω\\|/\\|ω₀\\|)²/(rtol n²) at the end of a first pass with a wrong
   label, n its steps; 0 if a small displacement of its last state would change the verdict, as at
-  order 1 next to the boundary. The run is made again if that is at most 1.
+  order 1 next to the boundary. The run is made again if that is at most 1/4.
   Tops: δ uniform in (−0.99, 0.99), (−½, 0), (−0.05, 0.05), or (0.7532, 0.99) with |ω₀| at most 0.05;
   |ω₀| over two decades and a half, up to 1, or 0.2 from order 2 on. Bodies: `problems/random_bodies.py`.
 - **The wall**: starts on both sides of the separatrix, against Taylor series in long double

@@ -179,3 +179,14 @@ def test_what_cannot_be_is_refused_in_one_line(store, tmp_path, monkeypatch, arg
     assert result.exit_code == 2
     assert said in result.output
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_info_tells_what_a_tally_counts(tmp_path):
+    place, bins = tmp_path / "t.zarr", {"time": [0, 10]}
+    dt.tally(problem, GRID, keep="w3", histograms=bins, store=place)
+    said = invoke("info", place).output
+    assert "640 starts; counted by w3" in said
+    assert "finished, 640 starts (100.0%)" in said
+    assert "Outcomes  RESIDUAL" in said
+    assert "counts of outcomes, histogram of time" in said
+    assert "is a tally (`Tally.load` reads it)" in invoke("plot", place).output

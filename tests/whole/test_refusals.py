@@ -117,7 +117,7 @@ CASES = {
     "dt.cylindrical([0.1, 0.2], 0.2, [0.3] * 3)": "`w_perp` must have, with `w3` and",
     "dt.symmetry_cell(0, 0)": "`n_phi` must be a positive whole number, but is 0",
     "dt.symmetry_cell(4, 4, -1.0)": "`w3_max` must be positive, but is -1.0",
-    "dt.Sample(2**31)": "`n` must be at most 2147483647, but is 2147483648",
+    "dt.Sample(2**63)": "`n` must be at most 9223372036854775807, but is 9223372036854775808",
     "dt.Sample(3, seed=2**70)": "`seed` must be at most",
 }
 

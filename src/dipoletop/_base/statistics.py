@@ -21,7 +21,9 @@ def share_of(count: int, n: int) -> Share:
     return Share(count / n, float(low), float(high), count)
 
 
-def wilson(counts: Int[np.ndarray, "*any"], n: int) -> tuple[np.ndarray, np.ndarray]:
+def wilson(
+    counts: Int[np.ndarray, "*any"], n: int | Int[np.ndarray, "*any"]
+) -> tuple[np.ndarray, np.ndarray]:
     """95 % intervals of shares counts/n: all p with (p − k/n)² ≤ z²p(1 − p)/n (Wilson)."""
     z2 = 1.959963984540054**2  # the 97.5 % point of the normal distribution, squared
     p = counts / n

@@ -1,7 +1,8 @@
 """Sweeps on a Dask cluster: its workers claim tiles, compute them, and write them to the store.
 
-A task is one tile. Nothing but its outcomes comes back. A worker that dies loses its claims, so
-that another one computes its tile; one that is slow keeps them, and the tile is computed once.
+A task is one tile. Nothing comes back but how many of its starts have each outcome. A worker that
+dies loses its claims, so that another one computes its tile; one that is slow keeps them, and the
+tile is computed once.
 """
 
 import functools
@@ -15,10 +16,8 @@ import numpy as np
 from .._base.checks import refuse
 from .._base.digests import digest
 from .._base.parallel import as_worker
-from .grids import Grid, Points, Sample
-from .problems import Problem
-from .sweep_plan import Plan, Settings, plan_of
-from .sweep_stores import MemoryStore, ZarrStore
+from .sweep_plan import Plan, plan_of
+from .sweep_stores import Store, ZarrStore
 
 LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
 AHEAD = 4  # tasks in flight for each thread of the cluster
@@ -29,11 +28,7 @@ RETRIES = 5  # of a tile whose worker died or whose task failed
 
 
 def on_cluster(
-    client: Any,
-    problem: Problem,
-    over: Grid | Points | Sample,
-    settings: Settings,
-    store: MemoryStore | ZarrStore,
+    client: Any, plan: Plan, store: Store
 ) -> Callable[[Sequence[int]], Iterator[tuple[int, np.ndarray | None]]]:
     """A function that has tiles computed by the workers of a client, and yields those finished.
 
@@ -48,10 +43,10 @@ def on_cluster(
         refuse("client", must, f"is {client!r}")
     if not isinstance(client, Client):
         refuse("client", "be a distributed.Client, or None", f"is {client!r}")
-    if isinstance(store, MemoryStore):
+    if not isinstance(store, ZarrStore):
         refuse("store", "be a path that all workers see, with a `client`", "is None")
     store.close()  # the workers claim tiles, which may be threads of this process
-    sweep = problem, over, settings._replace(devices=None)
+    sweep = plan.blocks.problem, plan.blocks.over, plan.settings._replace(devices=None)
     config = {name: getattr(jax.config, name) for name in CONFIG}
     job = cloudpickle.dumps((*sweep, config))
     return functools.partial(_compute_once, client, job, str(store.folder))
@@ -75,10 +70,10 @@ def _compute_once(
     try:
         submit(AHEAD * threads)
         for future in running:
-            tile, finished, outcomes = future.result()
+            tile, finished, counts = future.result()
             submit(1)
             if finished:
-                yield tile, outcomes
+                yield tile, counts
     finally:
         client.cancel(list(running.futures))
 
@@ -98,7 +93,7 @@ _lock = threading.Lock()
 def _compute_tile(
     job: bytes, name: str, folder: str, tile: int
 ) -> tuple[int, bool, np.ndarray | None]:
-    """Compute a tile on a worker: its number, whether it is finished, and its outcomes if found."""
+    """Compute a tile on a worker: its number, whether it is finished, and its counts if found."""
     _, plan, store = _session(job, name, folder)
     if not store.claim(tile):
         return tile, store.is_finished(tile), None
@@ -110,7 +105,7 @@ def _compute_tile(
     except BaseException:
         store.give_back(tile)
         raise
-    return tile, True, computed.columns["outcome"]
+    return tile, True, computed.outcomes
 
 
 def _session(job: bytes, name: str, folder: str) -> _Session:

@@ -48,10 +48,17 @@ SLOW_COLUMNS: dict[str, ColumnSpec] = {
 OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
     "changed": ColumnSpec("bool", "1", "whether the outcome differs at the second tolerance"),
     "computed": ColumnSpec("bool", "1", "whether the start was integrated, not filled in"),
+    "counts": ColumnSpec("int64", "1", "how many starts, see the header"),
 }
-"""Columns of some basins."""
+"""Columns of some basins, and that of a tally."""
 
-MISSING: dict[str, Any] = {"int8": -128, "int32": -(2**31), "float64": nan, "bool": False}
+MISSING: dict[str, Any] = {
+    "int8": -128,
+    "int32": -(2**31),
+    "int64": -1,
+    "float64": nan,
+    "bool": False,
+}
 """What stands for numbers that are not computed yet, by their type."""
 
 DERIVATIVE_PREFIX = "d_omega_inf_d_"

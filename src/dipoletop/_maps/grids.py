@@ -15,6 +15,8 @@ PointValues = Array | dict[str, Array]
 """What a problem takes: the start ω₀, or its named arguments."""
 Draw = Callable[[Array], PointValues]
 """From a random key to one point."""
+BLOCK = 1 << 32  # starts of a sample that are told apart by one number of 32 bits
+MOST_STARTS = BLOCK**2 // 2 - 1
 Numbers = ArrayLike | Sequence[Any]
 """Numbers as an array, or as nested lists."""
 
@@ -207,7 +209,8 @@ class Sample:
         self, n: int, amplitude: Numbers = 1.0, *, seed: int = 0, draw: Draw | None = None
     ) -> None:
         must = "be a whole number"
-        self.n, self.seed = budget("n", n), whole("seed", seed, -(2**63), must)
+        self.n = whole("n", n, 1, "be a positive whole number", MOST_STARTS)
+        self.seed = whole("seed", seed, -(2**63), must)
         if draw is not None and not callable(draw):
             refuse("draw", "be a function of a random key, or None", described(draw))
         self.amplitude = None if draw else amplitude
@@ -234,7 +237,17 @@ class Sample:
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
         """The starts with these numbers, shape (n, 3), or a dict of arrays."""
         key = jax.random.key(self.seed)
-        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.asarray(index))
+        # A key takes 32 bits at once.
+        high, low = (jnp.asarray(part, "uint32") for part in np.divmod(index, BLOCK))
+
+        def key_of(high: Array, low: Array) -> Array:
+            block = jnp.where(high > 0, jax.random.fold_in(key, high), key)
+            return jax.random.fold_in(block, low)
+
+        if np.all(index < BLOCK):
+            keys = jax.vmap(lambda low: jax.random.fold_in(key, low))(low)
+        else:
+            keys = jax.vmap(key_of)(high, low)
         return jax.vmap(self.draw)(keys)
 
     def __repr__(self) -> str:

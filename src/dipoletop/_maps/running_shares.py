@@ -1,6 +1,7 @@
 """Shares of outcomes while a sweep runs, in a few words for its progress bar."""
 
 import numpy as np
+from jaxtyping import Int
 
 from .._base.statistics import share_of
 from .._base.types import Outcome
@@ -17,11 +18,10 @@ class RunningShares:
         self._random = random
         self._counts = dict.fromkeys(Outcome, 0)
 
-    def add(self, outcomes: np.ndarray) -> None:
-        """Count the outcomes of some more starts."""
-        values, counts = np.unique(outcomes, return_counts=True)
-        for value, count in zip(values.tolist(), counts.tolist(), strict=True):
-            self._counts[Outcome(value)] += count
+    def add(self, counts: Int[np.ndarray, "outcomes"]) -> None:
+        """Add the numbers of some more starts that have each outcome; see `counted_outcomes`."""
+        for outcome, count in zip(Outcome, counts.tolist(), strict=True):
+            self._counts[outcome] += count
 
     def text(self) -> str:
         """Such as "residual 46.6%, stop 53.4%", with 95 % intervals of random starts."""

@@ -1,29 +1,21 @@
 """Sweeps: the outcomes of a problem on a grid, points or a sample, tile by tile, on all devices."""
 
-import contextlib
-import functools
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
 from jaxtyping import ArrayLike
 
-from .._base.parallel import Device, ParallelJobs
 from .._base.tolerances import MAX_STEPS
 from .._runs.classification import Value
 from .._runs.slow_runs import SlowFlow
 from .basin import Basin
-from .cluster import on_cluster
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .running_shares import RunningShares
-from .sweep_plan import ComputedTile, Plan, Settings, plan_of
+from .running import finish
+from .sweep_plan import Settings, plan_of
 from .sweep_stores import MemoryStore, ZarrStore
-
-POLL = 0.2  # seconds until the tiles of other processes are looked for again
 
 
 def sweep(
@@ -113,83 +105,5 @@ def sweep(
     )
     plan = plan_of(problem, over, settings)
     columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
-    with contextlib.closing(columns):
-        if client is None:
-            once = functools.partial(_compute_once, plan, columns)
-        else:
-            once = on_cluster(client, problem, over, settings, columns)
-        _compute(plan, columns, once, progress)
-        if client is not None:  # what killed workers left is removed when the store is closed
-            columns.reopen()
+    finish(plan, columns, progress, client)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)
-
-
-Finished: TypeAlias = tuple[int, np.ndarray | None]
-"""A finished tile, and its outcomes if they were found by this sweep."""
-
-
-def _compute(
-    plan: Plan,
-    store: MemoryStore | ZarrStore,
-    once: Callable[[Sequence[int]], Iterator[Finished]],
-    progress: bool | str | None,
-) -> None:
-    """Compute every unfinished tile that no other process computes, with a progress bar."""
-    from tqdm import tqdm
-
-    tiles = store.unfinished()
-    left = sum(plan.tiling.length(tile) for tile in tiles)
-    with tqdm(
-        desc=progress if isinstance(progress, str) else None,
-        total=plan.tiling.size,
-        initial=plan.tiling.size - left,
-        unit="start",
-        unit_scale=True,
-        disable=None if progress is None else not progress,
-        file=sys.stderr,
-    ) as bar:
-        waiting, shares = set(tiles), RunningShares(plan.is_sample)
-        while waiting:
-            for tile, outcomes in once(sorted(waiting)):
-                if outcomes is not None:
-                    shares.add(outcomes)
-                    bar.set_postfix_str(shares.text(), refresh=False)
-                bar.update(plan.tiling.length(tile))
-                waiting.discard(tile)
-            if waiting:
-                time.sleep(POLL)
-
-
-def _compute_once(
-    plan: Plan, store: MemoryStore | ZarrStore, tiles: Sequence[int]
-) -> Iterator[Finished]:
-    """Yield the tiles as they are finished, here or by other processes; some may be left over.
-
-    After an interruption, the tiles in hand are kept if they do not take much longer.
-    """
-    queues, unwritten = plan.queues(tiles), []
-
-    def work(queue: int, device: Device) -> list[ComputedTile]:
-        claimed = [tile for tile in queues[queue] if store.claim(tile)]
-        return plan.compute(claimed, device) if claimed else []
-
-    jobs = ParallelJobs(work, range(len(queues)), plan.devices)
-    try:
-        for queue, results in jobs.results():
-            unwritten += results
-            outcomes = {found.tile: found.columns["outcome"] for found in results}
-            while unwritten:
-                store.write(unwritten[0])
-                unwritten.pop(0)
-            for tile in queues[queue]:
-                if store.is_finished(tile):
-                    yield tile, outcomes.get(tile)
-    except KeyboardInterrupt:
-        for _, results in jobs.rest(store.patience):
-            unwritten += results
-        for computed in unwritten:
-            store.write(computed)
-        raise
-    except BaseException:
-        jobs.wait()
-        raise

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._base.checks import check_verdict, names_of, refuse
 from .._base.parallel import Device, worker_devices
-from .._base.tolerances import absolute, budget, check_atol, tolerance
+from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
 from .._engines.select import select_engines
@@ -27,6 +27,7 @@ from ..equations.levels import level_of
 from .columns import DERIVATIVE_PREFIX, START, VERSION, check_arguments, columns_of_runs
 from .grids import Grid, Points, PointValues, Sample
 from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
+from .reduction import Reduction, counted_outcomes
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
@@ -38,8 +39,11 @@ class ComputedTile(NamedTuple):
 
     tile: int
     columns: Columns
+    """What is kept of it."""
     inputs: bytes
     """A digest of its equations and starts."""
+    outcomes: Int[np.ndarray, "outcomes"]
+    """How many of its starts have each outcome."""
 
 
 def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[str, ...]:
@@ -70,15 +74,17 @@ class Rules(NamedTuple):
 class Settings(NamedTuple):
     """The arguments of a sweep that tell how it is computed, as the user gave them; see `sweep`."""
 
-    rtol: Any
-    atol: Any
-    max_steps: Any
-    value: Value
-    derivatives: str | Sequence[str]
-    confirm: Any
-    engine: str
-    slow_flow: SlowFlow
+    rtol: Any = 1e-8
+    atol: Any = None
+    max_steps: Any = MAX_STEPS
+    value: Value = True
+    derivatives: str | Sequence[str] = ()
+    confirm: Any = None
+    engine: str = "auto"
+    slow_flow: SlowFlow = "auto"
     devices: Sequence[Any] | None = None
+    reduction: Reduction | None = None
+    """What is counted, if starts are not kept one by one."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,7 @@ class Plan:
         rules: tolerances and budgets.
         devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
+        settings: what `blocks` and `rules` do not tell, and the arguments as the user gave them.
     """
 
     blocks: BlockBuilder
@@ -98,6 +105,7 @@ class Plan:
     rules: Rules
     devices: list[Device]
     engines: dict[Device, Engine]
+    settings: Settings
 
     @functools.cached_property
     def tiling(self) -> Tiling:
@@ -107,9 +115,7 @@ class Plan:
     @property
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
-        derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
-        confirmed = ["changed"] if len(self.rules.rtols) > 1 else []
-        return [*columns_of_runs(self.rules.slow_flow), *derivatives, *confirmed, *self.drawn]
+        return [*column_names(self.settings, self.blocks.derivatives), *self.drawn]
 
     @property
     def is_sample(self) -> bool:
@@ -143,9 +149,9 @@ class Plan:
 
     def header(self) -> dict[str, Any]:
         """All that tells this sweep from another one, except the swept values."""
-        over = self.blocks.over
+        over, reduction = self.blocks.over, self.settings.reduction
         digests = self.blocks.program_digests()
-        return {
+        header = {
             "dims": list(over.dims),
             "shape": list(over.shape),
             "chunk": list(self.tiling.chunk),
@@ -157,6 +163,7 @@ class Plan:
             "type": str(jnp.result_type(float)),
             "programs": {name: program.hex() for name, program in digests.items()},
         }
+        return header if reduction is None else reduction.header(header, self.tiling)
 
     def points(self, tile: int, device: Device) -> PointValues:
         """The points of a tile, filled up to one length for all: programs are made for it."""
@@ -203,8 +210,12 @@ class Plan:
         for i, tile in enumerate(tiles):
             lanes = slice(firsts[i], firsts[i] + lengths[i])
             found = {name: x[lanes] for name, x in columns.items()}
-            found |= drawn_values(self.drawn, points[i], real[i])
-            results.append(ComputedTile(tile, found, block_digest(real[i])))
+            outcomes = counted_outcomes(found["outcome"])
+            if reduction := self.settings.reduction:
+                kept = {"counts": reduction.counts(found, self.tiling, tile)[None]}
+            else:
+                kept = found | drawn_values(self.drawn, points[i], real[i])
+            results.append(ComputedTile(tile, kept, block_digest(real[i]), outcomes))
         return results
 
     def _columns(
@@ -236,7 +247,7 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
     Raises:
         ValueError: bad arguments.
     """
-    rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices = settings
+    rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices, _ = settings
     # convert
     blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
     if atol is not None:
@@ -252,7 +263,14 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
     until, finish = stopping_rule(equation, value), finish_of(value)
     engines = select_engines(engine, equation, devices, until, finish)
     rules = Rules(rtols, atol, max_steps, value, slow_flow)
-    return Plan(blocks, equation, rules, devices, engines)
+    return Plan(blocks, equation, rules, devices, engines, settings)
+
+
+def column_names(settings: Settings, derivatives: Iterable[str]) -> list[str]:
+    """Names of the columns of results, in order."""
+    confirmed = [] if settings.confirm is None else ["changed"]
+    names = [DERIVATIVE_PREFIX + name for name in derivatives]
+    return [*columns_of_runs(settings.slow_flow), *names, *confirmed]
 
 
 def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:

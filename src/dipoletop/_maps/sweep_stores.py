@@ -1,12 +1,8 @@
-"""Where a sweep keeps its columns: in memory, or in a store on disk, which it may resume.
-
-Both offer `unfinished()`, the tiles to compute; `claim(tile)`, whether it is for this process to do
-so; `write(computed)`; `is_finished(tile)`; and `contents()`, the finished basin as plain values.
-"""
+"""Where a sweep keeps its columns: in memory, or in a store on disk, which it may resume."""
 
 import contextlib
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -14,21 +10,49 @@ from .._base.parallel import in_parallel
 from .columns import BasinParts, column_spec
 from .store.errors import StoreMismatch, StoreNotWritable
 from .store.resume import THIS_SWEEP, begin_or_resume
+from .store.tiles import Tiles
 from .sweep_plan import ComputedTile, Plan
 
 
-class MemoryStore:
-    """Columns in memory."""
+@runtime_checkable
+class Store(Protocol):
+    """What a sweep needs of the place where its columns are kept."""
+
+    patience: ClassVar[float]
+    """Seconds for which an interrupted sweep waits for its tiles in hand, to keep them."""
+
+    def unfinished(self) -> list[int]:
+        """The tiles to compute."""
+        ...
+
+    def claim(self, tile: int) -> bool:
+        """Whether this process is to compute a tile."""
+        ...
+
+    def is_finished(self, tile: int) -> bool:
+        """Whether a tile is in place."""
+        ...
+
+    def write(self, computed: ComputedTile) -> None:
+        """Put a claimed tile in its place."""
+        ...
+
+    def reopen(self) -> None:
+        """Claim tiles again after `close`."""
+        ...
+
+    def close(self) -> None:
+        """Claim no more tiles."""
+        ...
+
+
+class InMemory:
+    """A store of this process alone, whose tiles in hand are lost by an interruption."""
 
     patience: ClassVar[float] = 0.0
-    """Seconds for which an interrupted sweep waits for its tiles in hand, which are lost here."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._columns = {
-            name: np.empty((plan.tiling.size, *plan.drawn.get(name, ())), column_spec(name).dtype)
-            for name in plan.column_names
-        }
         self._finished: set[int] = set()
 
     def unfinished(self) -> list[int]:
@@ -43,17 +67,28 @@ class MemoryStore:
         """Whether a tile is in place."""
         return tile in self._finished
 
-    def write(self, computed: ComputedTile) -> None:
-        """Copy the columns of a tile."""
-        for name, values in computed.columns.items():
-            self._columns[name][self._plan.tiling.span(computed.tile)] = values
-        self._finished.add(computed.tile)
-
     def reopen(self) -> None:
         """Nothing is to be done."""
 
     def close(self) -> None:
         """Nothing is to be done."""
+
+
+class MemoryStore(InMemory):
+    """Columns in memory."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self._columns = {
+            name: np.empty((plan.tiling.size, *plan.drawn.get(name, ())), column_spec(name).dtype)
+            for name in plan.column_names
+        }
+
+    def write(self, computed: ComputedTile) -> None:
+        """Copy the columns of a tile."""
+        for name, values in computed.columns.items():
+            self._columns[name][self._plan.tiling.span(computed.tile)] = values
+        self._finished.add(computed.tile)
 
     def contents(self) -> BasinParts:
         """The finished basin."""
@@ -70,7 +105,6 @@ class ZarrStore:
     """
 
     patience: ClassVar[float] = 10.0
-    """Seconds for which an interrupted sweep waits for its tiles in hand, to keep them."""
 
     def __init__(self, path: Any, plan: Plan, repair: bool) -> None:
         self._plan, self._repair = plan, repair
@@ -130,7 +164,7 @@ class ZarrStore:
         """Write a claimed tile to disk, with the digest of its inputs."""
         tiles = self._tiles
         try:
-            tiles.write(*computed)
+            tiles.write(computed.tile, computed.columns, computed.inputs)
         except OSError as error:
             count = tiles.tiling.count
             finished, reason = count - len(tiles.unfinished()), error.strerror or str(error)
@@ -150,6 +184,11 @@ class ZarrStore:
         """Give the store back to other processes."""
         self._tidy()
         self._claims.close()
+
+    @property
+    def tiles(self) -> Tiles:
+        """The tiles on disk."""
+        return self._tiles
 
     def contents(self) -> BasinParts:
         """The finished basin, whose columns are read from disk when they are used."""

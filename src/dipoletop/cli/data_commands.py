@@ -1,7 +1,8 @@
 """`dipoletop info`, `plot` and `export`: what is in a store, while its sweep runs or after."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -9,6 +10,7 @@ from .._maps.basin import Basin
 from .._maps.columns import VERSION, without_versions
 from .._maps.grids import counted, described_axis
 from .._maps.store.status import Status, status
+from .._maps.tallies import Tally
 from .files import FORMATS, output_paths
 from .parameters import Number
 from .refusals import Refusal, computing
@@ -28,12 +30,32 @@ AT = click.option(
 @computing
 def info_command(path: str) -> None:
     """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
-    for line in _described(status(path), Basin.load(path, unfinished=True)):
+    found = status(path)
+    if "tally" in found.header:
+        tally = Tally.load(path, unfinished=True)
+        shares: Any = tally.merged.fractions()
+        kept = f"; counted by {', '.join(tally.dims)}" if tally.dims else ""
+        described = _Described(tally.coords, f"{counted((tally.size,))}{kept}", shares)
+        names = ["counts of outcomes", *(f"histogram of {name}" for name in tally.reduction.edges)]
+    else:
+        basin = Basin.load(path, unfinished=True)
+        size = "" if basin.coords else f"{', '.join(basin.dims)}; "
+        described = _Described(basin.coords, f"{size}{counted(basin.shape)}", basin.fractions())
+        names = list(basin.columns)
+    for line in _lines(found, described, names):
         click.echo(line)
 
 
-def _described(found: Status, basin: Basin) -> list[str]:
-    header, attrs = found.header, basin.attrs
+class _Described(NamedTuple):
+    """What a store holds."""
+
+    coords: Mapping[str, Any]
+    size: str
+    shares: Mapping[str, Any]
+
+
+def _lines(found: Status, described: _Described, names: list[str]) -> list[str]:
+    header, attrs = found.header, found.header["attrs"]
     plain = without_versions(attrs)
     settings = (f"{name} {value}" for name, value in plain.items() if name != "level")
     versions = (
@@ -41,12 +63,12 @@ def _described(found: Status, basin: Basin) -> list[str]:
         for name, value in attrs.items()
         if name not in plain
     )
-    axes = [described_axis(name, values) for name, values in basin.coords.items()]
-    shares = ", ".join(f"{name} {x.share:.2%}" for name, x in basin.fractions().items())
+    axes = ", ".join(described_axis(*axis) for axis in described.coords.items())
+    shares = ", ".join(f"{name} {x.share:.2%}" for name, x in described.shares.items())
     lines = [
         f"Level     {attrs.get('level', 'not known')}",
         f"Settings  {', '.join(settings)}",
-        f"Over      {', '.join(axes) or ', '.join(basin.dims)}; {counted(basin.shape)}",
+        f"Over      {axes}{'; ' if axes else ''}{described.size}",
         f"Tiles     {found.finished} of {found.tiles} finished, {found.starts_done} starts "
         f"({found.starts_done / found.starts:.1%}); {found.bytes / 1e6:.3g} MB on disk",
     ]
@@ -61,7 +83,7 @@ def _described(found: Status, basin: Basin) -> list[str]:
     lines.append(f"Versions  {', '.join(versions)}")
     for name, digest in header.get("programs", {}).items():
         lines.append(f"Digest    {digest} of the {name}")
-    return [*lines, f"Format    {header['format']}, {', '.join(basin.columns)}"]
+    return [*lines, f"Format    {header['format']}, {', '.join(names)}"]
 
 
 def duration(seconds: float) -> str:

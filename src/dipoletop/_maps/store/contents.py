@@ -13,7 +13,7 @@ from ..tiling import TILE, Tiling
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists
 from .headers import with_value_digests
-from .layout import create_arrays
+from .layout import create_arrays, tiling_of_starts
 from .tiles import open_store, open_tiles
 
 
@@ -70,6 +70,9 @@ def load(path: Any, partial: bool = False) -> BasinParts:
     verified beforehand, which would take long for a large store that is only looked at.
     """
     tiles = open_store(path)
+    if "tally" in tiles.header:
+        reason = f"{tiles.folder} is a tally (`Tally.load` reads it)"
+        raise StoreMismatch("path", tiles.folder, "be a basin", reason)
     if partial:
         return tiles.contents(partial=True)
     parts = tiles.contents()
@@ -107,4 +110,5 @@ def starts_done(path: Any, repair: bool = False) -> int:
             left += tiles.damaged(tiles.tiling.others(left))
     except (StoreDamaged, StoreMismatch):  # the sweep itself reports it
         return 0
-    return tiles.tiling.size - sum(tiles.tiling.length(tile) for tile in left)
+    tiling = tiling_of_starts(tiles.header)
+    return tiling.size - sum(tiling.length(tile) for tile in left)

@@ -2,7 +2,8 @@
 
 A header is a dict that JSON can hold: dims, shape, chunk (lengths of a tile), columns (their
 names), drawn (those that tell what the starts were, with their shapes), axes (their names), attrs,
-digests of the swept values, and digests of the traced programs.
+digests of the swept values, and digests of the traced programs. A tally has one row of counts for
+each tile; its header tells the shape of a row (components) and what is counted (tally).
 """
 
 import json

@@ -51,7 +51,8 @@ LAYOUTS = {UNCHECKED: OLD_LAYOUT, "dipoletop basin, version 2": OLD_LAYOUT, FORM
 
 def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
     """An empty store: metadata and the swept values, but no tile."""
-    dims, drawn, names = tuple(header["dims"]), header["drawn"], header["columns"]
+    names, drawn = header["columns"], header["drawn"]
+    dims = tuple(header.get("tally", header)["dims"])
     arrays = {name: _column(folder / name, header) for name in names}
     for name, array in values.items():
         arrays[name] = _coordinates(folder / name, array, dims)
@@ -88,7 +89,8 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
 def _column(folder: Path, header: Header) -> StoredArray:
     """The array of a column, in the shape of the grid, with components behind."""
     name, tiling, dims = folder.name, tiling_of(header), tuple(header["dims"])
-    dtype, components = column_spec(name).dtype, tuple(header["drawn"].get(name, ()))
+    dtype = column_spec(name).dtype
+    components = tuple((header["drawn"] | header.get("components", {})).get(name, ()))
     kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
     missing = {} if kept == "float64" else {"_FillValue": MISSING[kept]}
     return StoredArray(
@@ -125,6 +127,12 @@ def tiling_of(header: Header) -> Tiling:
     if "tile" in header:  # columns were flat
         return Tiling((math.prod(shape),), (int(header["tile"]),))
     return Tiling(shape, tuple(header["chunk"]))
+
+
+def tiling_of_starts(header: Header) -> Tiling:
+    """How the starts of the sweep are cut into tiles, whose counts alone may be kept."""
+    tally = header.get("tally")
+    return Tiling(tuple(tally["shape"]), tuple(tally["chunk"])) if tally else tiling_of(header)
 
 
 def metadata_digest(folder: Path, array: str) -> str:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .layout import tiling_of_starts
 from .tiles import Tiles, open_store
 
 RECENT = 100  # tiles from which the rate is found
@@ -39,7 +40,7 @@ def status(path: Any) -> Status:
         StoreDamaged: its metadata are damaged.
     """
     store = open_store(path)
-    tiling, left = store.tiling, store.unfinished()
+    tiling, left = tiling_of_starts(store.header), store.unfinished()
     finished = tiling.others(left)
     done = sum(tiling.length(tile) for tile in finished)
     size = sum(file.stat().st_size for file in _files(store.folder))
@@ -66,5 +67,6 @@ def _rate(store: Tiles, finished: list[int]) -> float | None:
     times = sorted((store.written_at(tile), tile) for tile in finished)[-RECENT:]
     if len(times) < 2 or times[-1][0] <= times[0][0]:
         return None
-    starts = sum(store.tiling.length(tile) for _, tile in times[1:])
+    tiling = tiling_of_starts(store.header)
+    starts = sum(tiling.length(tile) for _, tile in times[1:])
     return starts / (times[-1][0] - times[0][0])

@@ -1,0 +1,177 @@
+"""What is counted of the starts of a sweep that does not keep them one by one.
+
+A cell is a combination of values on the axes that are kept; all starts of a cell are counted
+together. The counts of a cell are, one behind the other: the starts of each outcome, those with a
+certified label, and for each histogram the values below its first edge, in each bin, and above its
+last edge. A bin holds its lower edge; the last bin holds both.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._base.checks import finite, instance, names_of, refuse
+from .._base.types import Outcome
+from .columns import DERIVATIVE_PREFIX
+from .grids import Grid, Points, Sample
+from .tiling import Tiling
+
+CERTIFIED = len(Outcome)  # the place of the certified starts, behind those of each outcome
+HEAD = CERTIFIED + 1
+ROTATION = "omega_inf", "omega_inf_error"
+MOTION = "time", "steps"
+LARGEST = 1 << 16  # bins of a histogram
+
+
+def counted_outcomes(outcomes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "outcomes"]:
+    """How many starts have each outcome, in the order of `Outcome`."""
+    return np.bincount(outcomes.astype(int) - min(Outcome), minlength=len(Outcome))
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Which starts are counted together, and in which bins.
+
+    Attributes:
+        keep: the axes that are kept; they come first among those of the grid.
+        edges: the edges of the bins, by the column that is counted.
+    """
+
+    keep: tuple[str, ...]
+    edges: dict[str, Float[np.ndarray, "edges"]]
+
+    @property
+    def width(self) -> int:
+        """Number of counts of a cell."""
+        return HEAD + sum(len(edges) + 1 for edges in self.edges.values())
+
+    def place(self, column: str) -> slice:
+        """Where the counts of a histogram are among those of a cell."""
+        first = HEAD
+        for name, edges in self.edges.items():
+            if name == column:
+                return slice(first, first + len(edges) + 1)
+            first += len(edges) + 1
+        refuse(
+            "column", f"have a histogram ({', '.join(self.edges) or 'none has'})", f"is {column!r}"
+        )
+
+    def shape(self, tiling: Tiling) -> tuple[int, ...]:
+        """The shape of the counts of a tile that is not shortened."""
+        return (*tiling.chunk[: len(self.keep)], self.width)
+
+    def counts(
+        self, columns: Mapping[str, np.ndarray], tiling: Tiling, tile: int
+    ) -> Int[np.ndarray, "..."]:
+        """The counts of a tile from its columns; cells that a shortened tile lacks have none."""
+        lengths = [indices.stop - indices.start for indices in tiling.box(tile)]
+        kept, others = lengths[: len(self.keep)], math.prod(lengths[len(self.keep) :])
+        outcome = columns["outcome"]
+        cell, cells = np.arange(outcome.size) // others, math.prod(kept)
+        result = np.zeros((cells, self.width), np.int64)
+
+        def count(places: np.ndarray, which: np.ndarray, width: int) -> np.ndarray:
+            flat = np.bincount(cell[which] * width + places[which], minlength=cells * width)
+            return flat.reshape(cells, width)
+
+        every = np.ones(outcome.size, bool)
+        result[:, :CERTIFIED] = count(outcome.astype(int) - min(Outcome), every, len(Outcome))
+        result[:, CERTIFIED] = count(np.zeros(outcome.size, int), columns["certified"], 1)[:, 0]
+        for name, edges in self.edges.items():
+            values = columns[name]
+            result[:, self.place(name)] = count(
+                bins_of(values, edges), is_counted(name, values, outcome), len(edges) + 1
+            )
+        whole = np.zeros(self.shape(tiling), np.int64)
+        whole[tuple(slice(n) for n in kept)] = result.reshape(*kept, self.width)
+        return whole
+
+    def header(self, plain: Mapping[str, Any], tiling: Tiling) -> dict[str, Any]:
+        """The header of the store of a tally, from that of the same sweep with every start."""
+        return {
+            **plain,
+            "dims": ["tile"],
+            "shape": [tiling.count],
+            "chunk": [1],
+            "columns": ["counts"],
+            "drawn": {},
+            "components": {"counts": list(self.shape(tiling))},
+            "tally": {
+                "keep": list(self.keep),
+                "edges": {name: edges.tolist() for name, edges in self.edges.items()},
+                "dims": plain["dims"],
+                "shape": plain["shape"],
+                "chunk": plain["chunk"],
+            },
+        }
+
+
+def bins_of(
+    values: Float[np.ndarray, "n"] | Int[np.ndarray, "n"], edges: Float[np.ndarray, "edges"]
+) -> Int[np.ndarray, "n"]:
+    """The bins of values: 0 below the first edge, then 1 …, and len(edges) above the last one."""
+    places = np.searchsorted(edges, values, side="right")
+    return np.where(values == edges[-1], len(edges) - 1, places)
+
+
+def is_counted(column: str, values: np.ndarray, outcome: Int[np.ndarray, "n"]) -> np.ndarray:
+    """Which values a histogram counts: those of residual rotations, or of all that is decided."""
+    residual = outcome == Outcome.RESIDUAL
+    of_motion = column in MOTION
+    which = residual | (outcome == Outcome.STOP) if of_motion else residual
+    return which & ~np.isnan(values)
+
+
+def reduction_of(
+    over: Grid | Points | Sample, keep: str | Sequence[str], histograms: Any, columns: Sequence[str]
+) -> Reduction:
+    """The reduction that is asked for, checked.
+
+    Args:
+        over: what is swept.
+        keep: names of axes of a grid.
+        histograms: edges of bins by the names of columns.
+        columns: what can be counted.
+    """
+    names = names_of("keep", keep)
+    known = over.dims if isinstance(over, Grid) else ()
+    for name in names:
+        if name not in known:
+            axes = ", ".join(known) or "none: no grid is swept"
+            refuse("keep", f"name axes of the grid ({axes})", f"names {name!r}")
+    if len(set(names)) < len(names):
+        refuse("keep", "name each axis once", f"is {', '.join(names)}")
+    instance("histograms", histograms, Mapping, "be a mapping from columns to edges of bins")
+    countable = [
+        name for name in columns if name in ROTATION + MOTION or name.startswith(DERIVATIVE_PREFIX)
+    ]
+    for name in histograms:
+        if name not in countable:
+            refuse(
+                "histograms",
+                f"be of columns with numbers ({', '.join(countable)})",
+                f"has {name!r}",
+            )
+    return Reduction(tuple(names), {name: _edges(name, x) for name, x in histograms.items()})
+
+
+def _edges(column: str, values: Any) -> Float[np.ndarray, "edges"]:
+    argument = f"histograms[{column!r}]"
+    edges = np.asarray(finite(argument, values, (-1,)), float)
+    if not 2 <= len(edges) <= LARGEST + 1:
+        refuse(argument, f"have from 2 to {LARGEST + 1} edges", f"has {len(edges)}")
+    if not np.all(np.diff(edges) > 0):
+        refuse(argument, "be edges that increase", "does not")
+    return edges
+
+
+def with_kept_first(over: Grid | Points | Sample, keep: Sequence[str]) -> Grid | Points | Sample:
+    """The same points, those of a grid in another order: its tiles lie in few cells then."""
+    if not isinstance(over, Grid) or not keep:
+        return over
+    others = [name for name in over.dims if name not in keep]
+    return Grid(**{name: over.axes[name] for name in (*keep, *others)})

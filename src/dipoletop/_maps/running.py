@@ -1,0 +1,99 @@
+"""The tiles of a sweep that are not finished yet: computed here, on a cluster, or by others."""
+
+import contextlib
+import functools
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Int
+
+from .._base.parallel import Device, ParallelJobs
+from .cluster import on_cluster
+from .running_shares import RunningShares
+from .sweep_plan import ComputedTile, Plan
+from .sweep_stores import Store
+
+POLL = 0.2  # seconds until the tiles of other processes are looked for again
+
+Finished: TypeAlias = tuple[int, Int[np.ndarray, "outcomes"] | None]
+"""A finished tile, and how many starts have each outcome if this sweep has found them."""
+
+
+def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
+    """Compute what is left of a sweep, and close its store, which can be read then."""
+    with contextlib.closing(store):
+        if client is None:
+            once = functools.partial(_compute_once, plan, store)
+        else:
+            once = on_cluster(client, plan, store)
+        _compute(plan, store, once, progress)
+        if client is not None:  # what killed workers left is removed when the store is closed
+            store.reopen()
+
+
+def _compute(
+    plan: Plan,
+    store: Store,
+    once: Callable[[Sequence[int]], Iterator[Finished]],
+    progress: bool | str | None,
+) -> None:
+    """Compute every unfinished tile that no other process computes, with a progress bar."""
+    from tqdm import tqdm
+
+    tiles = store.unfinished()
+    left = sum(plan.tiling.length(tile) for tile in tiles)
+    with tqdm(
+        desc=progress if isinstance(progress, str) else None,
+        total=plan.tiling.size,
+        initial=plan.tiling.size - left,
+        unit="start",
+        unit_scale=True,
+        disable=None if progress is None else not progress,
+        file=sys.stderr,
+    ) as bar:
+        waiting, shares = set(tiles), RunningShares(plan.is_sample)
+        while waiting:
+            for tile, counts in once(sorted(waiting)):
+                if counts is not None:
+                    shares.add(counts)
+                    bar.set_postfix_str(shares.text(), refresh=False)
+                bar.update(plan.tiling.length(tile))
+                waiting.discard(tile)
+            if waiting:
+                time.sleep(POLL)
+
+
+def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:
+    """Yield the tiles as they are finished, here or by other processes; some may be left over.
+
+    After an interruption, the tiles in hand are kept if they do not take much longer.
+    """
+    queues, unwritten = plan.queues(tiles), []
+
+    def work(queue: int, device: Device) -> list[ComputedTile]:
+        claimed = [tile for tile in queues[queue] if store.claim(tile)]
+        return plan.compute(claimed, device) if claimed else []
+
+    jobs = ParallelJobs(work, range(len(queues)), plan.devices)
+    try:
+        for queue, results in jobs.results():
+            unwritten += results
+            counts = {found.tile: found.outcomes for found in results}
+            while unwritten:
+                store.write(unwritten[0])
+                unwritten.pop(0)
+            for tile in queues[queue]:
+                if store.is_finished(tile):
+                    yield tile, counts.get(tile)
+    except KeyboardInterrupt:
+        for _, results in jobs.rest(store.patience):
+            unwritten += results
+        for computed in unwritten:
+            store.write(computed)
+        raise
+    except BaseException:
+        jobs.wait()
+        raise

@@ -1,0 +1,284 @@
+"""Tallies: how many starts have each outcome, and histograms, without keeping every start."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._base.checks import flag, refuse
+from .._base.statistics import wilson
+from .._base.types import Outcome
+from .columns import CONVENTIONS, column_spec, coordinate_dims, labels, plain_attributes
+from .grids import counted, described_axis
+from .reduction import CERTIFIED, Reduction
+from .store.errors import StoreMismatch
+from .store.layout import tiling_of_starts
+from .store.tiles import Tiles, open_store
+from .sweep_plan import ComputedTile, Plan
+from .sweep_stores import InMemory
+from .tiling import Tiling
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class Shares(NamedTuple):
+    """Shares of the starts of every cell, with their 95 % intervals (Wilson)."""
+
+    share: Float[np.ndarray, "*cells"]
+    low: Float[np.ndarray, "*cells"]
+    high: Float[np.ndarray, "*cells"]
+    count: Int[np.ndarray, "*cells"]
+
+
+class Bounds(NamedTuple):
+    """The edges of the bin that holds a number of every cell; NaN if nothing was counted."""
+
+    low: Float[np.ndarray, "*cells"]
+    high: Float[np.ndarray, "*cells"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """Counts of the starts of a sweep, in every cell: a combination of values on the kept axes.
+
+    Attributes:
+        dims: names of the kept axes.
+        shape: their lengths.
+        coords: the values on all axes, kept or not, or of points.
+        counts: the numbers of starts, shape (cells, …); use the methods below.
+        reduction: what is counted where.
+        size: number of starts of the sweep; `starts` is less while it is not finished.
+        attrs: level of the equation, settings, versions.
+        seconds: wall time of the sweep, compilation included; NaN for a loaded tally.
+    """
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    coords: dict[str, Float[np.ndarray, "..."]]
+    counts: Int[np.ndarray, "..."]
+    reduction: Reduction
+    size: int
+    attrs: dict[str, Any]
+    seconds: float = np.nan
+
+    @property
+    def starts(self) -> int:
+        """Number of starts that are counted."""
+        return int(np.sum(self.counts[..., :CERTIFIED]))
+
+    @property
+    def level(self) -> str:
+        """The level of the equation of motion that was integrated."""
+        return self.attrs["level"]
+
+    @property
+    def certified(self) -> Int[np.ndarray, "*cells"]:
+        """How many starts ended in a region that is proven to decide."""
+        return np.asarray(self.counts[..., CERTIFIED])
+
+    def count(self, outcome: Outcome) -> Int[np.ndarray, "*cells"]:
+        """How many starts have an outcome."""
+        return np.asarray(self.counts[..., int(Outcome(outcome)) - min(Outcome)])
+
+    def fractions(self) -> dict[str, Shares]:
+        """Share of every outcome that occurs, in every cell, with 95 % intervals (Wilson).
+
+        The intervals are those of independent random starts; on a regular grid they overstate the
+        error. Of an unfinished sweep the shares are of what is counted already.
+        """
+        counts = {outcome: self.count(outcome) for outcome in Outcome}
+        sizes = np.asarray(np.sum(self.counts[..., :CERTIFIED], axis=-1))
+        with np.errstate(invalid="ignore", divide="ignore"):  # of cells not counted yet
+            return {
+                outcome.name: Shares(np.asarray(count / sizes), *wilson(count, sizes), count)
+                for outcome, count in counts.items()
+                if np.any(count)
+            }
+
+    def edges(self, column: str) -> Float[np.ndarray, "edges"]:
+        """The edges of the bins of a histogram."""
+        self.reduction.place(column)
+        return self.reduction.edges[column]
+
+    def histogram(self, column: str) -> Int[np.ndarray, "*cells bins"]:
+        """How many values of a column lie in each bin; see `outside` for the others.
+
+        Of `omega_inf`, its error and derivatives these are the values of RESIDUAL starts; of `time`
+        and `steps` those of RESIDUAL and STOP. Numbers that are not known (NaN) are not counted.
+        A bin holds its lower edge; the last one holds both.
+
+        Raises:
+            ValueError: the column has no histogram.
+        """
+        return self.counts[..., self.reduction.place(column)][..., 1:-1]
+
+    def outside(self, column: str) -> tuple[Int[np.ndarray, "*cells"], Int[np.ndarray, "*cells"]]:
+        """How many values of a column lie below the first edge, and above the last one."""
+        every = self.counts[..., self.reduction.place(column)]
+        return np.asarray(every[..., 0]), np.asarray(every[..., -1])
+
+    def quantile(self, column: str, q: Any) -> Bounds:
+        """The bin that holds the q-quantile of the counted values of a column, in every cell.
+
+        The smallest value with at least the share q of all values at or below it lies there; it is
+        known to the width of that bin, which is infinite outside of all edges.
+
+        Args:
+            column: one that has a histogram.
+            q: from 0 to 1.
+        """
+        if not (isinstance(q, int | float | np.number) and 0 <= q <= 1):
+            refuse("q", "be a number from 0 to 1", f"is {q!r}")
+        every = self.counts[..., self.reduction.place(column)]
+        below = np.cumsum(every, axis=-1)
+        total = below[..., -1:]
+        place = np.argmax(below >= np.maximum(np.ceil(q * total), 1), axis=-1)
+        ends = np.concatenate([[-np.inf], self.edges(column), [np.inf]])
+        known = total[..., 0] > 0
+        return Bounds(*(np.where(known, ends[place + k], np.nan) for k in (0, 1)))
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """The counts as an `xarray.Dataset` over the kept axes.
+
+        `starts` has the axis `outcome`; a histogram has an axis of bins, whose edges are the
+        coordinates `…_low` and `…_high`. What lies outside is in the first and the last bin.
+        """
+        import xarray
+
+        by_outcome = ((*self.dims, "outcome"), self.counts[..., :CERTIFIED])
+        variables: dict[str, Any] = {"starts": by_outcome, "certified": (self.dims, self.certified)}
+        coords: dict[str, Any] = {"outcome": [outcome.name for outcome in Outcome]}
+        for name in self.reduction.edges:
+            axis = f"{name}_bin"
+            every = self.counts[..., self.reduction.place(name)]
+            variables[f"histogram_{name}"] = ((*self.dims, axis), every)
+            ends = np.concatenate([[-np.inf], self.edges(name), [np.inf]])
+            unit = {"units": column_spec(name).unit}
+            coords |= {
+                f"{axis}_low": (axis, ends[:-1], unit),
+                f"{axis}_high": (axis, ends[1:], unit),
+            }
+        for name in self.dims:
+            values = self.coords[name]
+            dims = coordinate_dims(name, self.dims, values.ndim)
+            coords[name] = (dims, values, labels(name))
+        attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
+        return xarray.Dataset(variables, coords, attrs)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all counts are the same, of the same cells and bins."""
+        if not isinstance(other, Tally):
+            return NotImplemented
+        same = (self.dims, self.size) == (other.dims, other.size)
+        same = same and self.reduction.edges.keys() == other.reduction.edges.keys()
+        pairs = [
+            (x, other.reduction.edges[name]) for name, x in self.reduction.edges.items() if same
+        ]
+        pairs += [(x, other.coords.get(name, np.nan)) for name, x in self.coords.items()]
+        pairs += [(self.counts, other.counts)]
+        return same and all(np.array_equal(*pair) for pair in pairs)
+
+    __hash__ = None  # pyright: ignore[reportAssignmentType]
+
+    @staticmethod
+    def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Tally":
+        """The tally in the `store` of `tally`.
+
+        Args:
+            path: the folder.
+            unfinished: whether to load one that is not finished, too, as far as it is now.
+
+        Raises:
+            StoreMismatch: it is missing, no tally, or one that is not finished.
+            StoreDamaged: it is not what was written.
+        """
+        tiles = open_store(path)
+        if "tally" not in tiles.header:
+            must, reason = "be a tally", f"{tiles.folder} is none (`Basin.load` reads a basin)"
+            raise StoreMismatch("path", tiles.folder, must, reason)
+        left = tiles.unfinished()
+        if left and not flag("unfinished", unfinished):
+            reason = (
+                f"{tiles.folder} lacks {len(left)} of {tiles.tiling.count} tiles; "
+                "run the tally again with this store"
+            )
+            raise StoreMismatch("path", tiles.folder, "hold a finished tally", reason)
+        return tally_on_disk(tiles, tiles.tiling.others(left))
+
+    @property
+    def merged(self) -> "Tally":
+        """The counts of all cells together."""
+        counts = np.sum(self.counts, axis=tuple(range(len(self.dims))))
+        reduction = replace(self.reduction, keep=())
+        return replace(self, dims=(), shape=(), counts=counts, reduction=reduction)
+
+    def __repr__(self) -> str:
+        axes = [described_axis(name, values) for name, values in self.coords.items()]
+        shares = [f"{name} {x.share:.2%}" for name, x in self.merged.fractions().items()]
+        if self.starts < self.size:
+            shares.append(f"not counted yet {1 - self.starts / self.size:.2%}")
+        kept = ", ".join(self.dims) or "no axis"
+        lines = [
+            f"Tally({self.attrs.get('level', 'level not known')}; rtol {self.attrs.get('rtol')}",
+            f"{', '.join(axes) or 'a sample'}; {counted((self.size,))}; kept: {kept}",
+            ", ".join(shares),
+        ]
+        if self.reduction.edges:
+            lines.append(f"histograms: {', '.join(self.reduction.edges)}")
+        return "\n      ".join(lines) + ")"
+
+
+class MemoryTally(InMemory):
+    """The counts of a sweep in memory."""
+
+    def __init__(self, plan: Plan, reduction: Reduction) -> None:
+        super().__init__(plan)
+        self.counts = no_counts(reduction, plan.tiling)
+
+    def write(self, computed: ComputedTile) -> None:
+        """Add the counts of a tile."""
+        add_counts(self.counts, computed.columns["counts"][0], self._plan.tiling, computed.tile)
+        self._finished.add(computed.tile)
+
+
+def no_counts(reduction: Reduction, tiling: Tiling) -> Int[np.ndarray, "..."]:
+    """Zeros for all counts."""
+    return np.zeros((*tiling.shape[: len(reduction.keep)], reduction.width), np.int64)
+
+
+def add_counts(
+    counts: Int[np.ndarray, "..."], part: Int[np.ndarray, "..."], tiling: Tiling, tile: int
+) -> None:
+    """Add the counts of a tile to those of all cells, in place."""
+    cells = tiling.box(tile)[: part.ndim - 1]
+    counts[cells] += part[tuple(slice(cell.stop - cell.start) for cell in cells)]
+
+
+def tally_on_disk(tiles: Tiles, finished: Iterable[int]) -> Tally:
+    """The sum of the counts of these tiles."""
+    header = tiles.header
+    own, tiling = header["tally"], tiling_of_starts(header)
+    edges = {name: np.asarray(values) for name, values in own["edges"].items()}
+    reduction = Reduction(tuple(own["keep"]), edges)
+    counts = no_counts(reduction, tiling)
+    for tile in finished:
+        add_counts(counts, tiles.read("counts", tile)[0], tiling, tile)
+    coords = {name: tiles.values(name) for name in header["axes"]}
+    return tally_of(reduction, tiling, coords, counts, dict(header["attrs"]))
+
+
+def tally_of(
+    reduction: Reduction,
+    tiling: Tiling,
+    coords: dict[str, np.ndarray],
+    counts: Int[np.ndarray, "..."],
+    attrs: dict[str, Any],
+    seconds: float = np.nan,
+) -> Tally:
+    """A tally of these counts."""
+    shape = tiling.shape[: len(reduction.keep)]
+    return Tally(reduction.keep, shape, coords, counts, reduction, tiling.size, attrs, seconds)

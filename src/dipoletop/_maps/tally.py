@@ -1,0 +1,97 @@
+"""The function `tally`: a sweep of which no more than counts is kept."""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+from .._base.checks import refuse
+from .._base.tolerances import check_settings
+from .._runs.classification import Value
+from .grids import Grid, Points, Sample
+from .problems import Problem
+from .reduction import ROTATION, reduction_of, with_kept_first
+from .running import finish
+from .sweep_plan import Settings, column_names, derivative_names, plan_of
+from .sweep_stores import ZarrStore
+from .tallies import MemoryTally, Tally, tally_of, tally_on_disk
+
+
+def tally(
+    problem: Problem,
+    over: Grid | Points | Sample,
+    *,
+    keep: str | Sequence[str] = (),
+    histograms: Any = None,
+    value: Value | None = None,
+    derivatives: str | Sequence[str] = (),
+    store: str | bytes | PathLike[Any] | None = None,
+    repair: bool = False,
+    progress: bool | str | None = None,
+    client: Any = None,
+    **settings: Any,
+) -> Tally:
+    """Count the outcomes of a sweep, without keeping every start: for more starts than disks hold.
+
+    A store holds no more than the counts of each tile, so that 1e10 starts take some 100 MB. A tile
+    counts once, however often the sweep is killed and run again.
+
+    Args:
+        problem: as in `sweep`.
+        over: as in `sweep`; a `Sample` may have up to 2⁶³ − 1 starts.
+        keep: names of axes of a `Grid`; the starts of each combination of their values are counted
+            together. Without any all starts are.
+        histograms: a mapping to edges of bins, which increase, from the column that is counted:
+            "omega_inf", "omega_inf_error", "time", "steps", or a derivative ("d_omega_inf_d_" and
+            its name).
+        value: whether ω∞ is wanted, as in `sweep`; None: if a histogram counts it.
+        derivatives: as in `sweep`.
+        store: a folder for the counts of each tile, which the same tally resumes; `Tally.load`
+            reads it.
+        repair: as in `sweep`.
+        progress: as in `sweep`.
+        client: as in `sweep`.
+        settings: rtol, atol, max_steps, devices, engine and slow_flow, as in `sweep`.
+
+    Returns:
+        A `Tally`.
+
+    Raises:
+        ValueError: bad arguments.
+        StoreMismatch: the store holds something else, or its path cannot be used.
+        StoreDamaged: the store is not as it was written.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> def problem(delta, omega0):
+        ...     return dt.TransverseSemi(delta), omega0
+        >>> starts = [[0.2, 0.0, 0.1], [0.0, 0.2, 0.1], [0.1, 0.1, 0.3]]
+        >>> grid = dt.Grid(delta=[-0.2, 0.2], omega0=starts)
+        >>> found = dt.tally(problem, grid, keep="delta")
+        >>> found.count(dt.Outcome.RESIDUAL)
+        array([1, 3])
+    """
+    began = time.perf_counter()
+    names = derivative_names(derivatives, value is not False)
+    check_settings(settings)
+    given = Settings(derivatives=derivatives, **settings)
+    reduction = reduction_of(
+        over, keep, {} if histograms is None else histograms, column_names(given, names)
+    )
+    counts_rotation = any(column in ROTATION for column in reduction.edges)
+    if counts_rotation and value is False:
+        refuse("value", "be True or None if there are histograms of ω∞", "is False")
+    if value is None:
+        value = bool(names) or counts_rotation
+    given = given._replace(value=value, reduction=reduction)
+    plan = plan_of(problem, with_kept_first(over, reduction.keep), given)
+    counts = MemoryTally(plan, reduction) if store is None else ZarrStore(store, plan, repair)
+    finish(plan, counts, progress, client)
+    seconds = time.perf_counter() - began
+    if isinstance(counts, ZarrStore):
+        found = tally_on_disk(counts.tiles, range(plan.tiling.count))
+        return dataclasses.replace(found, seconds=seconds)
+    return tally_of(
+        reduction, plan.tiling, plan.blocks.over.coords, counts.counts, plan.attrs, seconds
+    )
