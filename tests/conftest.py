@@ -28,14 +28,6 @@ hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=Tr
 hypothesis.settings.load_profile("repeatable")
 
 
-def compile_lanes_as_users_do():
-    """With the older emitters the last bits of a lane depend on its place."""
-    from dipoletop._engines.jax_engine import CPU_OPTIONS
-
-    if quick.OLDER_EMITTERS:
-        CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
-
-
 @pytest.fixture(autouse=True, scope="session")
 def lanes_as_users_compile_them():
-    compile_lanes_as_users_do()
+    quick.compile_lanes_as_users_do()

@@ -11,5 +11,14 @@ OLDER_EMITTERS = version("jaxlib").startswith("0.10.")
 if OLDER_EMITTERS:
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 
+
+def compile_lanes_as_users_do():
+    """With the older emitters the last bits of a lane depend on its place."""
+    from dipoletop._engines.jax_engine import CPU_OPTIONS
+
+    if OLDER_EMITTERS:
+        CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
+
+
 if __name__ == "__main__":
     print(FLAGS)

@@ -20,7 +20,7 @@ import dipoletop as dt
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.columns import COLUMNS
-from dipoletop._runs import classify_many as outcomes
+from dipoletop._runs import memory
 
 COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
 ENGINES = ["jax", "native"]
@@ -68,7 +68,7 @@ def swept(devices, engine):
 def classified(engine, device=None):
     points = GRID.points(np.arange(TILE * TILES))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(outcomes, "TILE", TILE)
+        patch.setattr(memory, "TILE", TILE)
         starts = jax.device_put(points["omega0"], device)
         tops = Braked(points["rate"])
         return dt.classify_many(tops, starts, engine=engine, value="unchecked")
@@ -126,7 +126,7 @@ def runs():
         "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {COUNT}={DEVICES}",
         "JAX_ENABLE_X64": "1",
         "JAX_PLATFORMS": "cpu",
-        "PYTHONPATH": os.pathsep.join(sys.path),  # with that of `conftest`
+        "PYTHONPATH": os.pathsep.join(sys.path),  # with that of `quick`
     }
     command = [sys.executable, __file__]
     run = subprocess.run(command, env=os.environ | settings, capture_output=True, check=False)
@@ -156,7 +156,7 @@ def test_a_forked_process_has_threads_of_its_own():
 
 
 if __name__ == "__main__":
-    from conftest import compile_lanes_as_users_do
+    from quick import compile_lanes_as_users_do
 
     compile_lanes_as_users_do()
     print(json.dumps({engine: everything(engine) for engine in ENGINES}))

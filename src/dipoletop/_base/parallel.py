@@ -38,7 +38,7 @@ def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
             "not itself call `sweep` or `classify_many`, whose workers would wait for each other",
             "does (find what it needs beforehand, and let it use the numbers)",
         )
-    devices = jax.devices() if devices is None else _device_list(devices)
+    devices = jax.local_devices() if devices is None else _device_list(devices)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hosts = [device for device in devices if device.platform == "cpu"]
     others = [device for device in devices if device.platform != "cpu"]

@@ -19,8 +19,8 @@ from .._engines.interface import Engine, Limits, power_of_two
 from .._engines.select import select_engines
 from .._runs.blocks import classify_block
 from .._runs.classification import Value, stopping_rule
-from .._runs.classify_many import TILE, largest_tile
 from .._runs.doubt import finish_of
+from .._runs.memory import TILE, largest_tile
 from .._runs.slow_labels import exact_when_slow
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of

@@ -22,6 +22,7 @@ from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
 from .doubt import CERTAIN, Ended, finish_of, made_twice
 from .lanes import Lanes, part_of, put_back
+from .memory import in_fitting_parts
 from .slow_runs import SlowFlow, is_predictable, with_predictions
 
 LOOSE = 1e-4  # relative tolerance of the first pass
@@ -42,7 +43,27 @@ def classify_block(
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
 
     With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
+    What does not fit into the memory of the device is divided.
     """
+
+    def classified(runs: tuple[Any, Any, Any]) -> Classification:
+        return _classified(*runs, value, engine, device, slow_flow, threads, loosely)
+
+    return in_fitting_parts(classified, (equation, omegas, limits), omegas.shape[1], device)
+
+
+def _classified(
+    equation: Equation,
+    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
+    limits: Limits,
+    value: Value,
+    engine: Engine,
+    device: Device,
+    slow_flow: SlowFlow,
+    threads: int,
+    loosely: bool,
+) -> Classification:
+    """The same, all at once."""
     deciding: DecidingEquation = physical(equation)
     rule, finish = stopping_rule(equation, value), finish_of(value)
     block = Block(deciding, omegas, rule, finish, engine, device, threads)

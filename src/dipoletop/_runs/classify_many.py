@@ -1,6 +1,5 @@
 """The outcomes of many runs, by the engines, on all cores or devices."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,12 +24,11 @@ from .._engines.select import select_engines
 from .blocks import classify_block
 from .classification import Classification, Value, stopping_rule
 from .doubt import finish_of
+from .memory import largest_tile
 from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
-TILE = 16384  # starts handed to an engine at once, at most
-PIECE = 65536  # the same where no program is compiled for a number of starts
-ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
+PIECE = 65536  # starts handed to an engine at once, at most, that compiles for no number of them
 
 
 def classify_many(
@@ -118,11 +116,6 @@ def classify_many(
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1)[..., :size], *tiles)
-
-
-def largest_tile(devices: Sequence[Device]) -> int:
-    """How many starts suit all of these devices."""
-    return TILE if any(device.platform == "cpu" for device in devices) else ACCELERATOR_TILE
 
 
 class _Runs(NamedTuple):

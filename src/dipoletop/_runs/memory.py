@@ -1,0 +1,64 @@
+"""Blocks that do not fit into the memory of a device are halved until they do."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+
+from .._base.parallel import Device
+from .lanes import part_of
+
+T = TypeVar("T")
+SMALLEST = 128  # runs of a block that is not halved any more
+PER_START = 4096  # bytes that a run takes at most, its share of the program's arrays included
+TILE = 16384  # starts handed to an engine at once, at most
+ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
+
+_fitting: dict[Device, int] = {}
+"""How many runs fit, on the devices whose memory was exhausted."""
+
+
+def largest_tile(devices: Sequence[Any]) -> int:
+    """How many starts suit all of these devices, by their kind and their free memory."""
+    if any(device.platform == "cpu" for device in devices):
+        return TILE
+    starts = min(_free_memory(device) for device in devices) // PER_START
+    return min(max(1 << (max(starts, 1).bit_length() - 1), TILE), ACCELERATOR_TILE)
+
+
+def _free_memory(device: Any) -> int:
+    """Bytes; as many as the largest tile takes if the device does not tell."""
+    stats = device.memory_stats() or {}
+    if "bytes_limit" not in stats:
+        return ACCELERATOR_TILE * PER_START
+    return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
+
+
+def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Device) -> T:
+    """What `run` gives for runs with trailing axes of this size, in as many parts as memory needs.
+
+    Args:
+        run: from runs in NumPy to a pytree of arrays with the same trailing axis.
+        runs: a pytree of arrays.
+        size: the number of runs.
+        device: where they are made.
+    """
+    if size <= _fitting.get(device, size):
+        try:
+            return run(runs)
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if size <= SMALLEST or not _is_of_memory(error):
+                raise
+            _fitting[device] = max(size // 2, SMALLEST)
+    half = size // 2
+    parts = [
+        in_fitting_parts(run, part_of(runs, lanes, size), len(lanes), device)
+        for lanes in (np.arange(half), np.arange(half, size))
+    ]
+    return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1), *parts)
+
+
+def _is_of_memory(error: Exception) -> bool:
+    """Whether the error says that memory is exhausted, as XLA does in the words of its status."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
