@@ -13,7 +13,7 @@ from jaxtyping import Int
 from .._base.parallel import Device, ParallelJobs
 from .cluster import on_cluster
 from .running_shares import RunningShares
-from .sweep_plan import ComputedTile, Plan
+from .sweep_plan import Plan
 from .sweep_stores import Store
 
 POLL = 0.2  # seconds until the tiles of other processes are looked for again
@@ -69,30 +69,27 @@ def _compute(
 def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:
     """Yield the tiles as they are finished, here or by other processes; some may be left over.
 
+    The worker that has computed a tile writes it, too: to create files takes as long as to compute.
     After an interruption, the tiles in hand are kept if they do not take much longer.
     """
-    queues, unwritten = plan.queues(tiles), []
+    queues = plan.queues(tiles)
 
-    def work(queue: int, device: Device) -> list[ComputedTile]:
+    def work(queue: int, device: Device) -> dict[int, Int[np.ndarray, "outcomes"]]:
         claimed = [tile for tile in queues[queue] if store.claim(tile)]
-        return plan.compute(claimed, device) if claimed else []
+        computed = plan.compute(claimed, device) if claimed else []
+        for found in computed:
+            store.write(found)
+        return {found.tile: found.outcomes for found in computed}
 
     jobs = ParallelJobs(work, range(len(queues)), plan.devices)
     try:
-        for queue, results in jobs.results():
-            unwritten += results
-            counts = {found.tile: found.outcomes for found in results}
-            while unwritten:
-                store.write(unwritten[0])
-                unwritten.pop(0)
+        for queue, counts in jobs.results():
             for tile in queues[queue]:
                 if store.is_finished(tile):
                     yield tile, counts.get(tile)
     except KeyboardInterrupt:
-        for _, results in jobs.rest(store.patience):
-            unwritten += results
-        for computed in unwritten:
-            store.write(computed)
+        for _ in jobs.rest(store.patience):
+            pass
         raise
     except BaseException:
         jobs.wait()

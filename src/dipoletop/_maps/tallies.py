@@ -1,5 +1,6 @@
 """Tallies: how many starts have each outcome, and histograms, without keeping every start."""
 
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -238,10 +239,13 @@ class MemoryTally(InMemory):
     def __init__(self, plan: Plan, reduction: Reduction) -> None:
         super().__init__(plan)
         self.counts = no_counts(reduction, plan.tiling)
+        self._adding = threading.Lock()
 
     def write(self, computed: ComputedTile) -> None:
-        """Add the counts of a tile."""
-        add_counts(self.counts, computed.columns["counts"][0], self._plan.tiling, computed.tile)
+        """Add the counts of a tile; tiles of other workers may have the same cells."""
+        part = computed.columns["counts"][0]
+        with self._adding:
+            add_counts(self.counts, part, self._plan.tiling, computed.tile)
         self._finished.add(computed.tile)
 
 
