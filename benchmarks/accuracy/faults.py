@@ -190,6 +190,10 @@ def main() -> None:
     }
     results |= measure.machine()  # which starts JAX: nothing is forked after it
     pages.show("faults", results, keep=args.write)
+    disk = results["full_disk"]
+    wrong = sum(row["other_bytes"] + row["left_behind"] for row in results["killed"])
+    if wrong or not disk.get("same_bytes", True):
+        raise SystemExit("Stores were not as an undisturbed sweep leaves them.")
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from benchmarks.reporting import (
     speed,
     stress,
     summary,
+    surveys,
 )
 from benchmarks.reporting.measure import ROOT
 
@@ -41,6 +42,7 @@ PAGES: dict[str, tuple[ModuleType, ...]] = {
     "stress": (stress,),
     "slow_flow": (slow_flow,),
     "faults": (faults,),
+    "surveys": (surveys,),
 }
 """For each file of numbers the modules that make its pages."""
 BEGIN, END = "<!-- summary -->", "<!-- end of summary -->"

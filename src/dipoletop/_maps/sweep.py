@@ -15,7 +15,7 @@ from .grids import Grid, Points, Sample
 from .problems import Problem
 from .running import finish
 from .sweep_plan import Settings, plan_of
-from .sweep_stores import MemoryStore, ZarrStore
+from .sweep_stores import ColumnsInMemory, MemoryStore, Store, ZarrStore
 
 
 def sweep(
@@ -56,7 +56,8 @@ def sweep(
             `StoreDamaged`.
         progress: whether to show a progress bar; None shows it on a terminal only. A text is its
             label.
-        devices: which devices to use; None means all.
+        devices: which devices to use, with a thread each; None means all GPUs of this process if
+            there are any, else all cores. A list may name both.
         engine: "jax", "native" (machine code, for float64 on processors; it needs llvmlite), or
             "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
         slow_flow: whether runs that would take more than `max_steps` are predicted by the average
@@ -104,6 +105,10 @@ def sweep(
         rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices
     )
     plan = plan_of(problem, over, settings)
-    columns = MemoryStore(plan) if store is None else ZarrStore(store, plan, repair)
-    finish(plan, columns, progress, client)
+    if store is None:
+        columns = ColumnsInMemory(plan)
+        place: Store = MemoryStore(plan, columns.add)
+    else:
+        columns = place = ZarrStore(store, plan, repair)
+    finish(plan, place, progress, client)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)

@@ -1,6 +1,7 @@
 """Where a sweep keeps its columns: in memory, or in a store on disk, which it may resume."""
 
 import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -46,18 +47,23 @@ class Store(Protocol):
         ...
 
 
-class InMemory:
-    """A store of this process alone, whose tiles in hand are lost by an interruption."""
+class MemoryStore:
+    """A store of this process alone, whose tiles in hand are lost by an interruption.
+
+    Args:
+        plan: the sweep.
+        keep: what takes the columns of a tile.
+    """
 
     patience: ClassVar[float] = 0.0
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, keep: Callable[[ComputedTile], None]) -> None:
+        self._count, self._keep = plan.tiling.count, keep
         self._finished: set[int] = set()
 
     def unfinished(self) -> list[int]:
         """Every tile."""
-        return list(range(self._plan.tiling.count))
+        return list(range(self._count))
 
     def claim(self, tile: int) -> bool:
         """Whether this process is to compute a tile: always."""
@@ -67,6 +73,11 @@ class InMemory:
         """Whether a tile is in place."""
         return tile in self._finished
 
+    def write(self, computed: ComputedTile) -> None:
+        """Keep the columns of a tile."""
+        self._keep(computed)
+        self._finished.add(computed.tile)
+
     def reopen(self) -> None:
         """Nothing is to be done."""
 
@@ -74,21 +85,20 @@ class InMemory:
         """Nothing is to be done."""
 
 
-class MemoryStore(InMemory):
-    """Columns in memory."""
+class ColumnsInMemory:
+    """The columns of every start, in memory."""
 
     def __init__(self, plan: Plan) -> None:
-        super().__init__(plan)
+        self._plan = plan
         self._columns = {
             name: np.empty((plan.tiling.size, *plan.drawn.get(name, ())), column_spec(name).dtype)
             for name in plan.column_names
         }
 
-    def write(self, computed: ComputedTile) -> None:
+    def add(self, computed: ComputedTile) -> None:
         """Copy the columns of a tile."""
         for name, values in computed.columns.items():
             self._columns[name][self._plan.tiling.span(computed.tile)] = values
-        self._finished.add(computed.tile)
 
     def contents(self) -> BasinParts:
         """The finished basin."""

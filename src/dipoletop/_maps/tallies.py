@@ -18,8 +18,7 @@ from .reduction import CERTIFIED, Reduction
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
 from .store.tiles import Tiles, open_store
-from .sweep_plan import ComputedTile, Plan
-from .sweep_stores import InMemory
+from .sweep_plan import ComputedTile
 from .tiling import Tiling
 
 if TYPE_CHECKING:
@@ -233,20 +232,18 @@ class Tally:
         return "\n      ".join(lines) + ")"
 
 
-class MemoryTally(InMemory):
-    """The counts of a sweep in memory."""
+class CountsInMemory:
+    """The counts of a sweep, in memory."""
 
-    def __init__(self, plan: Plan, reduction: Reduction) -> None:
-        super().__init__(plan)
-        self.counts = no_counts(reduction, plan.tiling)
-        self._adding = threading.Lock()
+    def __init__(self, reduction: Reduction, tiling: Tiling) -> None:
+        self._tiling, self._adding = tiling, threading.Lock()
+        self.counts = no_counts(reduction, tiling)
 
-    def write(self, computed: ComputedTile) -> None:
+    def add(self, computed: ComputedTile) -> None:
         """Add the counts of a tile; tiles of other workers may have the same cells."""
         part = computed.columns["counts"][0]
         with self._adding:
-            add_counts(self.counts, part, self._plan.tiling, computed.tile)
-        self._finished.add(computed.tile)
+            add_counts(self.counts, part, self._tiling, computed.tile)
 
 
 def no_counts(reduction: Reduction, tiling: Tiling) -> Int[np.ndarray, "..."]:
@@ -281,8 +278,7 @@ def tally_of(
     coords: dict[str, np.ndarray],
     counts: Int[np.ndarray, "..."],
     attrs: dict[str, Any],
-    seconds: float = np.nan,
 ) -> Tally:
     """A tally of these counts."""
     shape = tiling.shape[: len(reduction.keep)]
-    return Tally(reduction.keep, shape, coords, counts, reduction, tiling.size, attrs, seconds)
+    return Tally(reduction.keep, shape, coords, counts, reduction, tiling.size, attrs)

@@ -14,8 +14,8 @@ from .problems import Problem
 from .reduction import ROTATION, reduction_of, with_kept_first
 from .running import finish
 from .sweep_plan import Settings, column_names, derivative_names, plan_of
-from .sweep_stores import ZarrStore
-from .tallies import MemoryTally, Tally, tally_of, tally_on_disk
+from .sweep_stores import MemoryStore, ZarrStore
+from .tallies import CountsInMemory, Tally, tally_of, tally_on_disk
 
 
 def tally(
@@ -86,12 +86,13 @@ def tally(
         value = bool(names) or counts_rotation
     given = given._replace(value=value, reduction=reduction)
     plan = plan_of(problem, with_kept_first(over, reduction.keep), given)
-    counts = MemoryTally(plan, reduction) if store is None else ZarrStore(store, plan, repair)
-    finish(plan, counts, progress, client)
-    seconds = time.perf_counter() - began
-    if isinstance(counts, ZarrStore):
-        found = tally_on_disk(counts.tiles, range(plan.tiling.count))
-        return dataclasses.replace(found, seconds=seconds)
-    return tally_of(
-        reduction, plan.tiling, plan.blocks.over.coords, counts.counts, plan.attrs, seconds
-    )
+    if store is None:
+        kept = CountsInMemory(reduction, plan.tiling)
+        finish(plan, MemoryStore(plan, kept.add), progress, client)
+        coords = plan.blocks.over.coords
+        found = tally_of(reduction, plan.tiling, coords, kept.counts, plan.attrs)
+    else:
+        place = ZarrStore(store, plan, repair)
+        finish(plan, place, progress, client)
+        found = tally_on_disk(place.tiles, range(plan.tiling.count))
+    return dataclasses.replace(found, seconds=time.perf_counter() - began)
