@@ -10,11 +10,13 @@ import sys
 import threading
 import time
 from pathlib import Path
+from unittest import mock
 
 import jax
 import numpy as np
 
 import dipoletop as dt
+from dipoletop._maps import cluster, cluster_workers
 
 GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 40), phi=np.linspace(0.0, 3.0, 64))
 POINTS = dt.Points(w3=np.linspace(0.0, 0.45, 90_000), phi=np.linspace(0.0, 3.0, 90_000))
@@ -31,6 +33,27 @@ def slow_tiles(seconds):
         return compute(plan, tiles, device)
 
     sweep_plan.Plan.compute = slowly
+
+
+def submitted_as_workers_join(problem, store, client):
+    """How many tasks there are at each count of the workers, of which there are none at first."""
+    submit, counts, count = client.submit, [], [0]
+
+    def counting(*arguments, **settings):
+        count[0] += arguments[0] is cluster_workers.compute_tile
+        return submit(*arguments, **settings)
+
+    def nthreads():
+        counts.append(count[0])
+        return {"one": 100} if counts[1:] else {}
+
+    with (
+        mock.patch.object(cluster, "LOOK", 0.0),
+        mock.patch.object(client, "submit", counting),
+        mock.patch.object(client, "nthreads", nthreads),
+    ):
+        dt.sweep(problem, POINTS, store=store, client=client)
+    return counts[:3]
 
 
 def main(folder):
@@ -53,8 +76,8 @@ def main(folder):
 
     said = {}
     with (
-        LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
+        LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as local,
+        Client(local) as client,
     ):
         large = dt.sweep(problem, POINTS, store=folder / "large.zarr", client=client)
         said["large"] = large == dt.sweep(problem, POINTS)
@@ -65,6 +88,10 @@ def main(folder):
             lambda w3, phi: problem(w3, phi), POINTS, store=folder / "large.zarr", client=client
         )
         said["again"] = large == again
+        bins = {"histograms": {"time": np.geomspace(1.0, 100.0, 9)}}
+        counts = dt.tally(problem, POINTS, store=folder / "counts.zarr", client=client, **bins)
+        said["counts"] = counts == dt.tally(problem, POINTS, **bins)
+        said["joined"] = submitted_as_workers_join(problem, folder / "joined.zarr", client)
         client.run(slow_tiles, 0.2)
         store = folder / "killed.zarr"
         killer = threading.Thread(target=kill_two, args=(client, store))
@@ -81,6 +108,10 @@ def main(folder):
                 dt.sweep(problem, GRID, client=client, **settings)
             except ValueError as error:
                 said[name] = str(error)
+    try:
+        dt.sweep(problem, GRID, store=folder / "alone.zarr", client=client)
+    except ValueError as error:
+        said["closed"] = str(error)
     print(json.dumps(said))
 
 

@@ -31,9 +31,12 @@ def test_a_cluster_computes_what_one_process_does(tmp_path):
     said = json.loads(run.stdout.splitlines()[-1])
     assert said["large"]
     assert said["again"]
+    assert said["counts"]
     assert said["killed"]
     assert files(tmp_path / "killed.zarr") == files(tmp_path / "alone.zarr")
     assert "rtol is 1e-08 there and 1e-09 here" in said["another"]
+    assert said["joined"] == [0, 4, 6]  # as for one thread, then all tiles
+    assert said["closed"] == "Argument `client` must be connected to a scheduler, but is closed."
     assert said["no store"] == (
         "Argument `store` must be a path that all workers see, with a `client`, but is None."
     )

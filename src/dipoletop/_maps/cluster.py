@@ -1,30 +1,28 @@
-"""Sweeps on a Dask cluster: its workers claim tiles, compute them, and write them to the store.
+"""Sweeps on a Dask cluster: its workers compute the tiles, and write them to the store.
 
-A task is one tile. Nothing comes back but how many of its starts have each outcome. A worker that
-dies loses its claims, so that another one computes its tile; one that is slow keeps them, and the
-tile is computed once.
+A task is one tile. Nothing comes back but how many of its starts have each outcome. What is lost
+with the scheduler is what it was told to do, not what is done.
 """
 
+import contextlib
 import functools
-import threading
+import importlib.metadata
+import itertools
+import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 
-from .._base.checks import refuse
-from .._base.digests import digest
-from .._base.parallel import as_worker
-from .sweep_plan import Plan, plan_of
+from .._base.checks import one_line, refuse
+from .cluster_workers import Job, compute_tile, job_of
+from .sweep_plan import Plan
 from .sweep_stores import Store, ZarrStore
 
 LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
 AHEAD = 4  # tasks in flight for each thread of the cluster
-KEPT = 4  # sweeps that a worker keeps at hand
-CONFIG = "jax_enable_x64", "jax_threefry_partitionable", "jax_default_prng_impl"
-"""Settings of JAX on which numbers depend; they travel to the workers."""
-RETRIES = 5  # of a tile whose worker died or whose task failed
+LOOK = 1.0  # seconds until the threads of the cluster are counted again
+RETRIES = 5  # of a tile whose task failed
 
 
 def on_cluster(
@@ -33,95 +31,121 @@ def on_cluster(
     """A function that has tiles computed by the workers of a client, and yields those finished.
 
     Raises:
-        ValueError: `client` is none, or there is no store.
+        ValueError: `client` is none, or is closed, or its cluster has no dipoletop, or there is no
+            store.
+        ConnectionError: the scheduler is lost.
     """
     try:
-        import cloudpickle
         from distributed import Client
     except ImportError:
         must = "be None without the library distributed (`pip install 'dipoletop[dask]'`)"
         refuse("client", must, f"is {client!r}")
     if not isinstance(client, Client):
         refuse("client", "be a distributed.Client, or None", f"is {client!r}")
+    if client.status in ("closing", "closed"):
+        refuse("client", "be connected to a scheduler", "is closed")
     if not isinstance(store, ZarrStore):
         refuse("store", "be a path that all workers see, with a `client`", "is None")
+    with _reaching(client, store):
+        await_worker(client)
     store.close()  # the workers claim tiles, which may be threads of this process
-    sweep = plan.blocks.problem, plan.blocks.over, plan.settings._replace(devices=None)
-    config = {name: getattr(jax.config, name) for name in CONFIG}
-    job = cloudpickle.dumps((*sweep, config))
-    return functools.partial(_compute_once, client, job, str(store.folder))
+    job = job_of(plan, store.folder)
+    return functools.partial(_compute_once, client, job, store)
+
+
+def await_worker(client: Any, seconds: float | None = None) -> None:
+    """Wait until a worker has answered, at most so long.
+
+    Raises:
+        ValueError: it has no dipoletop, or the scheduler has none: they would fail at our tasks.
+        TimeoutError: none has answered.
+    """
+    what = importlib.metadata.version, "dipoletop"
+    asked = "scheduler"
+    try:
+        client.run_on_scheduler(*what)
+        asked = "worker that has answered"
+        # It is a task that is given, since some clusters start no worker before there is one.
+        client.submit(*what, pure=False).result(timeout=seconds)
+    except importlib.metadata.PackageNotFoundError:
+        refuse("client", "have a scheduler and workers with dipoletop", f"the {asked} lacks it")
 
 
 def _compute_once(
-    client: Any, job: bytes, folder: str, tiles: Sequence[int]
+    client: Any, job: Job, store: ZarrStore, tiles: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray | None]]:
+    """Yield the tiles as they are finished; those that other processes have claimed are left.
+
+    Raises:
+        ConnectionError: the scheduler is lost, or too many workers are.
+    """
     from distributed import as_completed
+    from distributed.scheduler import KilledWorker
 
-    name = digest(job).hex()
-    sent = client.scatter(job, broadcast=True, hash=False) if len(job) > LARGE else job
-    left, running = iter(tiles), as_completed()
+    left, running, at_most, until = iter(tiles), as_completed(loop=client.loop), 0, 0.0
 
-    def submit(count: int) -> None:
-        for _, tile in zip(range(count), left, strict=False):
-            settings = {"pure": False, "retries": RETRIES}
-            running.add(client.submit(_compute_tile, sent, name, folder, tile, **settings))
+    def submit() -> None:
+        """Keep all threads busy; workers come and go."""
+        nonlocal at_most, until
+        if time.monotonic() >= until:
+            at_most = AHEAD * max(sum(client.nthreads().values()), 1)
+            until = time.monotonic() + LOOK
+        for tile in itertools.islice(left, max(at_most - running.count(), 0)):
+            running.add(client.submit(compute_tile, sent, tile, pure=False, retries=RETRIES))
 
-    threads = sum(client.nthreads().values()) or 1
-    try:
-        submit(AHEAD * threads)
+    with contextlib.ExitStack() as stack:
+        with _reaching(client, store):
+            sent = _kept_by_workers(client, job) if len(job.sweep) > LARGE else job
+            stack.callback(_cancel, client, running)
+            submit()
         for future in running:
-            tile, finished, counts = future.result()
-            submit(1)
+            try:
+                if future.status == "error":
+                    future.result()  # raises what is wrong with the tile
+            except KilledWorker as error:
+                died = f"The workers died {error.allowed_failures + 1} times with the same tile"
+                raise ConnectionError(f"{died}; {_kept(store)}") from error
+            with _reaching(client, store):
+                tile, finished, counts = future.result()
+                submit()
             if finished:
                 yield tile, counts
-    finally:
-        client.cancel(list(running.futures))
 
 
-class _Session(NamedTuple):
-    """A sweep on a worker."""
+def _kept_by_workers(client: Any, job: Job) -> Any:
+    """A job that is sent once to each worker, and again if all that had it are lost.
 
-    name: str
-    plan: Plan
-    store: ZarrStore
+    Scattered data would not be sent again.
+    """
+    import dask.config
+
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 EB"}):
+        return client.submit(Job, *job, pure=False)
 
 
-_sessions: dict[str, _Session] = {}  # by the folder of the store
-_lock = threading.Lock()
+@contextlib.contextmanager
+def _reaching(client: Any, store: ZarrStore) -> Iterator[None]:
+    """Tell what is kept if the scheduler does not answer, or has lost what it was told to do."""
+    from distributed import CancelledError
+    from distributed.client import ClosedClientError
 
-
-def _compute_tile(
-    job: bytes, name: str, folder: str, tile: int
-) -> tuple[int, bool, np.ndarray | None]:
-    """Compute a tile on a worker: its number, whether it is finished, and its counts if found."""
-    _, plan, store = _session(job, name, folder)
-    if not store.claim(tile):
-        return tile, store.is_finished(tile), None
-    device = plan.devices[tile % len(plan.devices)]
     try:
-        with jax.default_device(device), as_worker():
-            (computed,) = plan.compute([tile], device)
-        store.write(computed)
-    except BaseException:
-        store.give_back(tile)
-        raise
-    return tile, True, computed.outcomes
+        yield
+    except (CancelledError, ClosedClientError, OSError) as error:
+        lost = f"The Dask scheduler {client.scheduler.address} was lost, or lost its tasks"
+        reason = getattr(error, "reason", None) or one_line(error)
+        raise ConnectionError(f"{lost} ({reason}); {_kept(store)}") from error
 
 
-def _session(job: bytes, name: str, folder: str) -> _Session:
-    """The plan and the store of a sweep on this worker, whose digests are compared."""
-    import cloudpickle
+def _kept(store: ZarrStore) -> str:
+    finished, count = store.progress()
+    return (
+        f"{finished} of the {count} tiles of {store.folder} are finished and kept, and the same "
+        "sweep goes on from there."
+    )
 
-    with _lock:
-        session = _sessions.get(folder)
-        if session is None or session.name != name:
-            problem, over, settings, config = cloudpickle.loads(job)
-            for option, value in config.items():
-                jax.config.update(option, value)
-            plan = plan_of(problem, over, settings)
-            # A store has one sweep in a process; the oldest ones are given up.
-            for old in [folder, *list(_sessions)[: 1 - KEPT]]:
-                if old in _sessions:
-                    _sessions.pop(old).store.close()
-            session = _sessions[folder] = _Session(name, plan, ZarrStore(folder, plan, False))
-        return session
+
+def _cancel(client: Any, running: Any) -> None:
+    """End the tasks of this sweep, if the scheduler has them still."""
+    if client.status == "running":
+        client.cancel(list(running.futures))

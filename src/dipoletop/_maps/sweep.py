@@ -68,6 +68,7 @@ def sweep(
         client: a `distributed.Client` (`pip install 'dipoletop[dask]'`): the workers of its cluster
             compute the tiles, and write them to the store, which they must see at the same path.
             The tile of a worker that dies is computed by another one. `devices` is then ignored.
+            The page `notebooks/clusters.md` shows how such a cluster is started.
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -91,6 +92,8 @@ def sweep(
         ValueError: bad arguments. A run that fails is an outcome, FAILED.
         StoreMismatch: the store holds another sweep, or its path cannot be used.
         StoreDamaged: the store is not as it was written.
+        ConnectionError: the scheduler of the `client` was lost, or several workers with the same
+            tile. Finished tiles are kept, and the same call goes on.
 
     Example:
         >>> import dipoletop as dt

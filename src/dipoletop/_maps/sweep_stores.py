@@ -170,15 +170,18 @@ class ZarrStore:
         """Whether a tile is on disk."""
         return self._tiles.is_finished(tile)
 
+    def progress(self) -> tuple[int, int]:
+        """The number of finished tiles, and of all."""
+        count = self._tiles.tiling.count
+        return count - len(self._tiles.unfinished()), count
+
     def write(self, computed: ComputedTile) -> None:
         """Write a claimed tile to disk, with the digest of its inputs."""
-        tiles = self._tiles
         try:
-            tiles.write(computed.tile, computed.columns, computed.inputs)
+            self._tiles.write(computed.tile, computed.columns, computed.inputs)
         except OSError as error:
-            count = tiles.tiling.count
-            finished, reason = count - len(tiles.unfinished()), error.strerror or str(error)
-            raise StoreNotWritable(tiles.folder, finished, count, reason) from error
+            reason = error.strerror or str(error)
+            raise StoreNotWritable(self.folder, *self.progress(), reason) from error
         self._claims.give_back(computed.tile)
 
     def give_back(self, tile: int) -> None:

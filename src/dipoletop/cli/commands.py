@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import stability, validation
-from .._base.checks import one_line
 from .._maps.basin import Basin
 from .._runs.classify import classify
 from .._runs.simulate import simulate
@@ -20,6 +19,7 @@ from ..equations.levels import Level
 from ..equations.transverse import equation_at
 from . import maps, quantities, tables
 from .atlas_command import atlas_command
+from .clusters import cluster_client
 from .data_commands import export_command, info_command, plot_command
 from .files import FORMATS, output_paths
 from .interruption import interruptible
@@ -168,11 +168,13 @@ def map_command(**options: Any) -> None:
     }
     settings["slow_flow"] = SLOW_FLOW[options["slow_flow"]]
     settings["devices"] = _devices(options["device"])
-    settings["client"] = _client(options["scheduler"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
     click.echo(f"{text}.")
     runs = []
-    with interruptible(keeps_tiles=options["store"], time_limit=options["time_limit"]):
+    with (
+        interruptible(keeps_tiles=options["store"], time_limit=options["time_limit"]),
+        cluster_client(options["scheduler"], options["store"]) as settings["client"],
+    ):
         for level in levels:
             place = base.with_name(f"{base.name}-{level}.zarr") if options["store"] else None
             progress = level.value if show else False
@@ -202,20 +204,6 @@ def _devices(kind: str | None) -> list[Any] | None:
         return jax.devices(kind)
     except RuntimeError:
         raise Refusal(f"--device {kind}: JAX finds none on this machine.") from None
-
-
-def _client(address: str | None) -> Any:
-    """The client of a Dask scheduler."""
-    if address is None:
-        return None
-    try:
-        from distributed import Client
-    except ImportError:
-        raise Refusal("--scheduler needs dask: pip install 'dipoletop[dask]'.") from None
-    try:
-        return Client(address, timeout="20s")
-    except (OSError, ValueError) as error:
-        raise Refusal(f"--scheduler {address}: {one_line(error)}.") from None
 
 
 def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:

@@ -1,11 +1,13 @@
 """Arrays on disk: the bytes of the library zarr, which reads them, and whose bytes are read."""
 
+import os
+
 import numpy as np
 import pytest
 import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from dipoletop._maps.store.arrays import StoredArray
+from dipoletop._maps.store.arrays import StoredArray, write_at_once
 from dipoletop._maps.tiling import Tiling
 
 RNG = np.random.default_rng(0)
@@ -91,3 +93,21 @@ def test_one_bit_is_seen(tmp_path, place):
     array.file(0).write_bytes(content)
     with pytest.raises(ValueError, match="checksum"):
         array.read(0)
+
+
+def test_a_file_whose_part_is_removed_by_another_machine_is_written_again(tmp_path, monkeypatch):
+    """As where that machine does not see our locks, and takes the part for a dead process's."""
+    replace, removed = os.replace, []
+
+    def after_removal(part, file):
+        if not removed:
+            removed.append(part)
+            part.unlink()
+            part.parent.rmdir()
+        replace(part, file)
+
+    monkeypatch.setattr(os, "replace", after_removal)
+    write_at_once(tmp_path / "c/0", b"content", tmp_path / "partial")
+    assert removed
+    assert (tmp_path / "c/0").read_bytes() == b"content"
+    assert list((tmp_path / "partial").iterdir()) == []

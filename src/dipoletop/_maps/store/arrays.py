@@ -24,6 +24,7 @@ CODECS: dict[str, dict[str, Any]] = {
     "crc32c": {"name": "crc32c"},
 }
 CHECKSUM = 4  # bytes of a crc32c
+ATTEMPTS = 5  # to write a file
 
 
 @dataclass(frozen=True)
@@ -156,16 +157,18 @@ def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> No
     folder = staging or file.parent
     part = folder / f".{file.name}.{secrets.token_hex(8)}.partial"
     try:
-        try:
-            part.write_bytes(content)
-        except FileNotFoundError:
-            folder.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(content)
-        try:
-            os.replace(part, file)
-        except FileNotFoundError:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(part, file)
+        for attempts_left in reversed(range(ATTEMPTS)):
+            try:
+                part.write_bytes(content)
+                os.replace(part, file)
+                return
+            except FileNotFoundError:
+                # A folder is missing. Or, where a lock is seen on its own machine only, another
+                # one took the part for what a killed process has left, and removed it.
+                if not attempts_left:
+                    raise
+                folder.mkdir(parents=True, exist_ok=True)
+                file.parent.mkdir(parents=True, exist_ok=True)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
