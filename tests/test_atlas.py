@@ -112,6 +112,7 @@ def test_borders_have_their_known_places():
     np.testing.assert_allclose(j2 * j1**2, (1 - j2) * (1 - j1) ** 2, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_maps_agree_with_the_borders():
     first, second, third = (dt.atlas(axis, n=8) for axis in (1, 2, 3))
     assert set(third.ending) == {Ending.RESIDUAL}

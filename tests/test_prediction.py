@@ -213,6 +213,7 @@ def test_a_needle_across_its_axis_is_captured_from_its_own_phase():
     assert np.array_equal(np.isnan(later.energy), [False, False, True])
 
 
+@pytest.mark.slow
 def test_the_own_phase_of_a_needle_is_known_only_while_it_turns_little():
     """The plane neglects ω₃² beside ω⊥², and the phase changes by q = 2δ|ω₃|/ω⊥²."""
     needle, start = dt.axisymmetric(0.5), jnp.array([2e-3, 1e-3, 4e-5])
@@ -222,6 +223,7 @@ def test_the_own_phase_of_a_needle_is_known_only_while_it_turns_little():
     assert 3 * float(jnp.sum(start**2)) < off < float(predicted.error) < 0.01
 
 
+@pytest.mark.slow
 def test_a_rotation_too_fast_for_averages_is_integrated():
     """Up to its end; another integration has the same ω∞, times and energies."""
     start = jnp.array([8e-3, 2e-3, 3e-3])  # of this needle q = 44, but ω₃²/ω⊥² = 0.13

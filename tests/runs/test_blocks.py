@@ -45,8 +45,8 @@ def in_one_pass(monkeypatch):
 
 def near_boundary(level, deltas, sizes, in_one_pass, rounds=20):
     """Shapes and starts nearer and nearer to the boundary, and their labels, by bisection."""
-    deltas, low = tops(4000, deltas, sizes)
-    high = np.linalg.norm(low, axis=1)[:, None] * tops(4000, (0, 1), (1, 1), seed=5)[1]
+    deltas, low = tops(2000, deltas, sizes)
+    high = np.linalg.norm(low, axis=1)[:, None] * tops(2000, (0, 1), (1, 1), seed=5)[1]
     settings = {"max_steps": 4000, "slow_flow": False}
 
     def labels(starts):
