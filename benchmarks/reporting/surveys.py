@@ -118,14 +118,27 @@ def _costs(results: dict[str, Any]) -> str:
 
 
 def _remarks(results: dict[str, Any]) -> str:
+    cores, overhead = results["cores"], results["overhead"]
+    limits = []
+    for way in ("sweep", "tally"):
+        seconds = TILE / per_second(results["rates"][-1][way])
+        limits.append(cores * seconds / per_tile(overhead, way, "in a store"))
+    whole = {way: overhead[f"{way}, in memory"]["seconds"] for way in ("sweep", "tally")}
+    shares = [
+        whole[way] / overhead["tiles"] / (TILE / per_second(results["rates"][-1][way]))
+        for way in ("sweep", "tally")
+    ]
     return f"""\
-Measured are the rates of {results["cores"]} cores, the costs of tiles and tasks, and the bytes. All else
-is extrapolated: other machines by their number of cores, at the efficiency measured here; **writing**
-is the time in which one process creates the files of all tiles, which others share. Not measured: a
-GPU, a network file system, more than {results["cores"]} cores.
+Measured are the rates of {cores} cores, the costs of tiles and tasks, and the bytes. All else is
+extrapolated: other machines by their number of cores, at the efficiency measured here; **writing** is
+the time in which one process creates the files of all tiles. Not measured: a GPU, a network file
+system, more than {cores} cores.
 
-What limits: up to 1e9 starts the computation; with more cores than some tens the creation of files
-of a sweep, unless several processes write; at 1e12 its size. A tally has neither limit."""
+What limits: the computation up to about {limits[0]:.0f} cores (sweep) and {limits[1]:.0f} (tally), where
+one process creates files as long as the cores compute; beyond, several processes at the store, or larger
+tiles. At 1e12 starts the size of a sweep. And what is done once for each tile, in memory: it takes
+{shares[0]:.0%} and {shares[1]:.0%} of the time of a tile of {TILE} starts, and holds the lock of Python's
+interpreter, so that threads wait for each other; several processes do not."""
 
 
 def duration(seconds: float) -> str:
