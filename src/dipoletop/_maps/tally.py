@@ -70,7 +70,7 @@ def tally(
         >>> grid = dt.Grid(delta=[-0.2, 0.2], omega0=starts)
         >>> found = dt.tally(problem, grid, keep="delta")
         >>> found.count(dt.Outcome.RESIDUAL)
-        array([1, 3])
+        array([2, 3])
     """
     began = time.perf_counter()
     names = derivative_names(derivatives, value is not False)
