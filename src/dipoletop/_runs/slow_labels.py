@@ -1,7 +1,7 @@
 """How exact a motion must be once it has become slow, if no more than its outcome is wanted.
 
 Where all slow motions have the same outcome it does not matter which of them a run is on. There an
-absolute tolerance saves a third of the steps. Elsewhere a slow motion may still be near the
+absolute tolerance saves many steps. Elsewhere a slow motion may still be near the
 boundary between outcomes, and an error that is large against it would decide in its place.
 """
 
