@@ -7,6 +7,7 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base import numpy_programs
+from dipoletop._base.numpy_programs import NumpyProgram
 
 SMALL = np.finfo(float).tiny
 NUMBERS = np.array(
@@ -49,7 +50,7 @@ def bits(tree):
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_bits_are_those_of_single_operations(name):
     program, x = PROGRAMS[name], jnp.asarray(RANDOM)
-    found = numpy_programs.run(jax.make_jaxpr(program)(x), [x])
+    found = NumpyProgram(jax.make_jaxpr(program)(x))(x)
     assert bits(found) == bits(program(x))
 
 
@@ -65,7 +66,7 @@ def test_a_program_inside_that_may_round_otherwise_is_left_whole(monkeypatch, in
 
     monkeypatch.setattr(numpy_programs, "apply", watched)
     x = jnp.arange(3.0)
-    numpy_programs.run(jax.make_jaxpr(jax.jit(inner))(x), [x])
+    NumpyProgram(jax.make_jaxpr(jax.jit(inner))(x))(x)
     assert ("jit" in names) == whole
 
 
@@ -80,7 +81,7 @@ def test_only_what_needs_jax_is_compiled():
     program = jax.make_jaxpr(lambda x: dt.cylindrical(jnp.abs(x), x, x))(x)
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        numpy_programs.run(program, [x])
+        NumpyProgram(program)(x)
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
     assert 3 <= len(compiled) <= 4  # sine, cosine and a quotient, with a number of its own

@@ -8,7 +8,6 @@ move numbers, need none; the others are left to JAX one by one, as if this modul
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -94,7 +93,7 @@ def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         # JAX saturates where a number is out of the range of integers.
         if name == "convert_element_type" and not ("f" in kinds and _to_integer(params)):
             return [values[0].astype(params["new_dtype"])]
-    results = eqn.primitive.bind(*map(jnp.asarray, values), **params)
+    results = eqn.primitive.bind(*values, **params)
     return [np.asarray(x) for x in (results if eqn.primitive.multiple_results else [results])]
 
 
@@ -111,31 +110,69 @@ def _flushed(values: Any) -> Any:
     return np.where(small, np.copysign(0, numbers), numbers) if small.any() else numbers
 
 
-def run(program: ClosedJaxpr, arguments: Sequence[Any]) -> list[np.ndarray]:
-    """The results of a program, bit for bit those of its operations done one by one in JAX."""
-    return _run(program.jaxpr, program.consts, arguments)
+class NumpyProgram:
+    """A traced program, prepared to be run in NumPy many times.
 
+    What does not depend on the arguments is computed once. Results are bit for bit those of the
+    operations done one by one in JAX.
+    """
 
-def _run(program: Jaxpr, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
-    known: dict[Any, np.ndarray] = {}
-    known |= zip(program.constvars, map(np.asarray, consts), strict=True)
-    known |= zip(program.invars, map(np.asarray, arguments), strict=True)
+    def __init__(self, program: ClosedJaxpr) -> None:
+        self._values: list[np.ndarray | None] = []
+        """The number of every variable; None where it depends on the arguments."""
+        self._steps: list[tuple[Any, list[int], list[int]]] = []
+        """Equations left to be computed, with the places of their operands and results."""
+        self._arguments = [self._placed(None) for _ in program.jaxpr.invars]
+        self._results = self._prepared(program.jaxpr, program.consts, self._arguments)
 
-    def read(atom: Any) -> np.ndarray:
-        if isinstance(atom, Literal):
-            kind: Any = atom.aval  # that of an array
-            return np.asarray(atom.val, kind.dtype)
-        return known[atom]
+    def __call__(self, *arguments: Any) -> list[np.ndarray]:
+        """The results for these arguments."""
+        values: list[Any] = self._values.copy()
+        for place, argument in zip(self._arguments, arguments, strict=True):
+            values[place] = np.asarray(argument)
+        for eqn, operands, places in self._steps:
+            results = apply(eqn, [values[i] for i in operands])
+            for place, result in zip(places, results, strict=True):
+                values[place] = result
+        return [values[place] for place in self._results]
 
-    for eqn in program.eqns:
-        values = [read(atom) for atom in eqn.invars]
-        inner = eqn.params.get(CALLS.get(eqn.primitive.name, ""))
-        if isinstance(inner, ClosedJaxpr) and not _may_fuse(inner.jaxpr):
-            results = _run(inner.jaxpr, inner.consts, values)
-        else:
-            results = apply(eqn, values)
-        known |= zip(eqn.outvars, results, strict=True)
-    return [read(atom) for atom in program.outvars]
+    def _placed(self, value: np.ndarray | None) -> int:
+        self._values.append(value)
+        return len(self._values) - 1
+
+    def _prepared(
+        self, program: Jaxpr, consts: Sequence[Any], arguments: Sequence[int]
+    ) -> list[int]:
+        """The places of the results of a program, whose steps are appended."""
+        known = [self._placed(np.asarray(const)) for const in consts]
+        places = dict(zip(program.constvars, known, strict=True))
+        places |= zip(program.invars, arguments, strict=True)
+
+        def place(atom: Any) -> int:
+            if isinstance(atom, Literal):
+                kind: Any = atom.aval  # that of an array
+                return self._placed(np.asarray(atom.val, kind.dtype))
+            return places[atom]
+
+        for eqn in program.eqns:
+            operands = [place(atom) for atom in eqn.invars]
+            inner = eqn.params.get(CALLS.get(eqn.primitive.name, ""))
+            if isinstance(inner, ClosedJaxpr) and not _may_fuse(inner.jaxpr):
+                results = self._prepared(inner.jaxpr, inner.consts, operands)
+            else:
+                results = self._computed(eqn, operands)
+            places |= zip(eqn.outvars, results, strict=True)
+        return [place(atom) for atom in program.outvars]
+
+    def _computed(self, eqn: Any, operands: list[int]) -> list[int]:
+        """The places of the results of one equation, computed now if its operands are known."""
+        values = [self._values[i] for i in operands]
+        known = [value for value in values if value is not None]
+        if len(known) == len(values):
+            return [self._placed(result) for result in apply(eqn, known)]
+        places = [self._placed(None) for _ in eqn.outvars]
+        self._steps.append((eqn, operands, places))
+        return places
 
 
 def _may_fuse(program: Jaxpr) -> bool:

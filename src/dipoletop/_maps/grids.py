@@ -1,6 +1,6 @@
 """The points of a sweep: a grid of named axes, listed points, or a random sample."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,8 +11,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from .._base.checks import described, finite, positive, real, refuse
 from .._base.tolerances import budget, whole
 
-PointValues = Array | dict[str, Array]
-"""What a problem takes: the start ω₀, or its named arguments."""
+PointValues = Array | Mapping[str, Array | np.ndarray]
+"""What a problem takes: the start ω₀, or its named arguments; of one point or of many."""
 Draw = Callable[[Array], PointValues]
 """From a random key to one point."""
 BLOCK = 1 << 32  # starts of a sample that are told apart by one number of 32 bits
@@ -73,11 +73,11 @@ class Grid:
         """All that tells this grid from others."""
         return Header("Grid", {}, self.axes)
 
-    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[np.ndarray, "n *rest"]]:
         """The arguments of the problem at flat indices (C order)."""
         per_axis = np.unravel_index(index, self.shape)
         return {
-            name: jnp.asarray(values[along])
+            name: values[along]
             for (name, values), along in zip(self.axes.items(), per_axis, strict=True)
         }
 
@@ -127,9 +127,9 @@ class Points:
         """All that tells these points from others."""
         return Header("Points", {}, self.columns)
 
-    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[Array, "n *rest"]]:
+    def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[np.ndarray, "n *rest"]]:
         """The arguments of the problem for the points with these numbers."""
-        return {name: jnp.asarray(values[index]) for name, values in self.columns.items()}
+        return {name: values[index] for name, values in self.columns.items()}
 
     def __repr__(self) -> str:
         return f"Points({_described(self.columns)}; {counted(self.shape)})"

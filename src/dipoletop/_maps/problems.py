@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base import numpy_programs
 from .._base.checks import check_equation, instance, real, refuse
 from .._base.dependence import dependence
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
+from .._base.numpy_programs import NumpyProgram, asks_known_numbers
 from .._base.parallel import as_worker
 from .._base.types import DecidingEquation, Equation, State, Vector, Verdict
 from ..equations._common import error_scale_of, physical
@@ -60,7 +60,7 @@ class BlockBuilder:
             program, structure, may_refuse = self._program(points)
             if program is None:
                 return self._vectorised(points)
-            leaves = numpy_programs.run(program, jax.tree.leaves(points))
+            leaves = program(*jax.tree.leaves(points))
             if may_refuse and any(
                 np.isnan(leaf).any() for leaf in leaves if leaf.dtype.kind == "f"
             ):
@@ -68,7 +68,7 @@ class BlockBuilder:
             return jax.tree.unflatten(structure, leaves)
 
     def _program(self, points: PointValues) -> tuple[Any, Any, bool]:
-        """The traced program of such points, to be run in NumPy; None where JAX must run it.
+        """The program of such points, to be run in NumPy; None where JAX must run it.
 
         Then the structure of its results, and whether it compares numbers of its own. Wrong ones
         are refused while they are known, and become NaN in a trace.
@@ -81,9 +81,10 @@ class BlockBuilder:
                 # Whatever is wrong shows itself when JAX runs it.
                 with contextlib.suppress(Exception):
                     make = jax.make_jaxpr(self._vectorised, return_shape=True)
-                    program, result = make(points)
+                    traced, result = make(points)
                     structure = jax.tree.structure(result)
-                    may_refuse = numpy_programs.asks_known_numbers(program)
+                    may_refuse = asks_known_numbers(traced)
+                    program = NumpyProgram(traced)
             self._programs[key] = program, structure, may_refuse
         return self._programs[key]
 
