@@ -224,9 +224,8 @@ def _labels(results: dict[str, Any]) -> list[Line]:
 
 def _faults(results: dict[str, Any]) -> list[Line]:
     """Kills, and what became of the stores."""
-    kills = sum(row["kills"] for row in results["killed"])
-    wrong = sum(row["other_bytes"] for row in results["killed"])
-    stores = sum(row["stores"] for row in results["killed"])
+    rows = [*results["killed"], *results["cluster"]]
+    kills, wrong, stores = (sum(x[k] for x in rows) for k in ("kills", "other_bytes", "stores"))
     asked = f"Stores that differ from undisturbed ones, after {kills} kills of their sweeps"
     return [(asked, f"{wrong} of {stores}", "faults")]
 

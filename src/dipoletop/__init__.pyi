@@ -10,6 +10,7 @@ from . import particles as particles
 from . import planar as planar
 from . import plots as plots
 from . import radiation as radiation
+from . import torques as torques
 from . import uncertainty as uncertainty
 from ._base.types import Outcome as Outcome
 from ._base.types import Regime as Regime

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2] / "src"
 ORDER = """_base | bodies | radiation particles | equations | exact planar _branch | _averaging
-    | emission stability | _engines | _runs | _maps | boundary | adaptive atlases complexity
+    | emission stability torques | _engines | _runs | _maps | boundary | adaptive atlases complexity
     continuation prediction uncertainty validation | fitting | plots | paper | cli"""
 RANK = {page: rank for rank, pages in enumerate(ORDER.split("|")) for page in pages.split()}
 # Exceptions by page, and why. The lists shall become shorter: an entry without need fails.

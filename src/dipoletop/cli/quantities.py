@@ -7,7 +7,6 @@ the other way by `Quantity.option`.
 
 import math
 from collections.abc import Mapping
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import click
@@ -16,6 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from .._base.summaries import as_text
 from .._maps.grids import Grid
 from ..equations.transverse import TransverseReduced, cylindrical
 from .parameters import Number
@@ -54,15 +54,6 @@ CYLINDRICAL, SPHERICAL = {"w_perp", "w3"}, {"amplitude", "theta"}
 def spelled(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names as the command line spells them."""
     return tuple(QUANTITIES[name].option for name in names)
-
-
-def as_text(value: float) -> str:
-    """A number; a multiple of π as such."""
-    part = Fraction(value / math.pi).limit_denominator(60)
-    if value == 0 or not math.isclose(part * math.pi, value, rel_tol=1e-12):
-        return f"{value:g}"
-    above = {1: "", -1: "-"}.get(part.numerator, str(part.numerator))
-    return f"{above}π" + (f"/{part.denominator}" if part.denominator > 1 else "")
 
 
 def describe(values: Mapping[str, float]) -> str:
