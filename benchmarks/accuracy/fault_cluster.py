@@ -75,8 +75,9 @@ def killed(kind: str, kills: int, rng: random.Random, room: Path) -> Row:
     row: Row = {"killed": kind, "kills": 0, "stores": 0, "other_bytes": 0, "other_errors": []}
     cluster = Cluster(room)
     try:
-        while row["kills"] < kills:
-            said: list[str] = []
+        said: list[str] = []
+        while row["kills"] < kills or said != ["done"]:
+            said = []
             sweep = threading.Thread(target=_sweep, args=(room, place, said))
             sweep.start()
             while sweep.is_alive() and row["kills"] < kills and not said:
@@ -90,8 +91,7 @@ def killed(kind: str, kills: int, rng: random.Random, room: Path) -> Row:
                         cluster.close()
                         break
             sweep.join(LONGEST)
-            if kind == "scheduler" and said != ["done"]:
-                cluster.close()
+            if not cluster.processes["scheduler"]:
                 cluster.start()
             if said == ["done"]:
                 row["stores"] += 1

@@ -20,9 +20,12 @@ def problem(w3: jax.Array, phi: jax.Array) -> tuple[dt.TransverseReduced, jax.Ar
 def swept(folder: str, tiles: int, **settings: Any) -> None:
     """A sweep of small tiles, a row of the grid each: many moments to be killed at."""
     jax.config.update("jax_enable_x64", True)
-    tiling.TILE = COLUMNS
     grid = dt.Grid(w3=np.linspace(0, 0.5, tiles), phi=np.arange(COLUMNS) * np.pi / COLUMNS)
-    dt.sweep(problem, grid, store=folder, **settings)
+    usual, tiling.TILE = tiling.TILE, COLUMNS
+    try:
+        dt.sweep(problem, grid, store=folder, **settings)
+    finally:
+        tiling.TILE = usual
 
 
 def run(folder: str, tiles: int) -> None:
