@@ -1,7 +1,8 @@
 """A browser for all tests of a file, and a server with its compiled programs."""
 
-import browsing
 import pytest
+
+from benchmarks import browsing
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import time
 import urllib.parse
 from dataclasses import replace
 
-import browsing
 import numpy as np
 import pytest
 
 import dipoletop as dt
+from benchmarks import browsing
 from dipoletop.explorer import drawing, pictures, scenes, views
 
 TOP = scenes.scene_of_top({})

@@ -47,7 +47,7 @@ class Controls:
         levels = {level.label: level for level in scene.levels}
         self._levels = [
             _select("Level of the equation", levels),
-            _select("Compare with the level", {NONE: None} | levels),
+            _select("Compare with the level", {NONE: NONE} | levels),
         ]
         self._rtol = pn.widgets.DiscreteSlider(
             name="Tolerance rtol", options=list(TOLERANCES), formatter="%.0e", width=WIDTH - 30
@@ -85,10 +85,9 @@ class Controls:
                     value.show(view.values[name])
             for name, axis in (("x", view.x), ("y", view.y)):
                 self._ends[name].show(self._scene.quantities[axis].symbol, view.ranges[axis])
-            for widget, level in zip(self._levels, (*view.levels, None, None), strict=False):
-                widget.value = level if level or not self._scene.levels else widget.value
-            if len(view.levels) < 2:
-                self._levels[1].value = None
+            for widget, level in zip(self._levels, (*view.levels, NONE), strict=False):
+                if level in widget.values:  # there is none where the equation is given
+                    widget.value = level
             if view.rtol not in self._rtol.options:
                 self._rtol.options = sorted({*TOLERANCES, view.rtol}, reverse=True)
             self._rtol.value, self._size.value = view.rtol, view.size
@@ -145,7 +144,7 @@ class Controls:
                 x, y = view.y, view.x  # one axis at the place of the other: they change places
             if (x, y) != (view.x, view.y):
                 return _with_either_axis(self._scene, view, x, y)
-            levels = tuple(w.value for w in self._levels if w.value is not None)
+            levels = tuple(w.value for w in self._levels if w.value not in (NONE, None))
             if len(set(levels)) < len(levels):
                 levels = levels[:1]
             rtol, size = self._rtol.value, self._size.value

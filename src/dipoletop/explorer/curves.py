@@ -37,6 +37,7 @@ class Curves:
         of_omega.legend.padding = 2
         of_omega.legend.background_fill_alpha = 0.7
         of_energy = _figure("τ = t/τ₀", "energy", "energy-figure", y_axis_type="log")
+        self._ranges = of_omega.x_range, of_omega.y_range, of_energy.y_range
         of_energy.x_range = of_omega.x_range
         of_energy.line("tau", "energy", source=self._energy, color=BLACK, line_width=1.5)
         self.omega = _pane(of_omega)
@@ -59,10 +60,16 @@ class Curves:
         size = np.linalg.norm(motion.omega, axis=1)
         w1, w2, w3 = motion.omega.T
         self._omega.data = {"tau": motion.ts, "w1": w1, "w2": w2, "w3": w3, "size": size}
+        times, omegas, energies = self._ranges
+        most = 1.05 * float(np.max(size)) or 1.0
+        _set_range(times, 0.0, float(motion.ts[-1]))
+        _set_range(omegas, min(1.05 * float(np.min(motion.omega)), -0.02 * most), most)
         self.energy.visible = self.body.visible = motion.of_body is not None
         if motion.of_body is not None:
             energy = motion.of_body.energy
             shown = np.where(energy > 0, energy, np.nan)  # on a logarithmic scale
+            if energy[0] > 0:
+                _set_range(energies, float(np.nanmin(shown)) / 1.5, 1.5 * float(np.nanmax(shown)))
             self._energy.data = {"tau": motion.ts, "energy": shown}
         self._show_body()
 
@@ -127,7 +134,7 @@ class _Body:
 
     def show(self, motion: Motion, of_body: OfBody, part: slice) -> None:
         """Show a part of a motion."""
-        self._mesh.data = dict(zip(MESH, surface(of_body.inertia), strict=True))
+        self._mesh.data = dict(zip(MESH, surface(np.asarray(of_body.inertia)), strict=True))
         self._dipole.data = {"direction": of_body.dipole / np.linalg.norm(of_body.dipole)}
         self.player.value = 0
         q, w = of_body.attitude[part].T, motion.omega[part].T
@@ -171,6 +178,10 @@ def _source(name: str, *columns: str) -> Any:
     return ColumnDataSource({column: [] for column in columns}, name=name)
 
 
+def _set_range(span: Any, low: float, high: float) -> None:
+    span.update(start=low, end=high, reset_start=low, reset_end=high)
+
+
 def _figure(x: str, y: str, name: str, **options: Any) -> Any:
     plot = figure(
         name=name,
@@ -179,6 +190,8 @@ def _figure(x: str, y: str, name: str, **options: Any) -> Any:
         tools="pan,box_zoom,wheel_zoom,reset",
         x_axis_label=x,
         y_axis_label=y,
+        x_range=Range1d(start=1.0, end=10.0),
+        y_range=Range1d(start=1.0, end=10.0),
         **options,
     )
     plot.toolbar.logo = None

@@ -1,5 +1,6 @@
 """A page: the maps of a view, its controls, and the start that was clicked."""
 
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ from .turns import Turns
 from .views import Range, View, whole_ranges, zoomed
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+PATIENCE = 5.0
+"""Seconds after which a browser that has not told that it has a picture is sent another one."""
 STARTS_AT_ONCE = 2
 """Clicked starts, of all pages, that are computed at the same time."""
 
@@ -57,6 +60,8 @@ class Page:
         self._outlet = Outlet()
         self._asked = 0
         """The number of the last picture that was asked for."""
+        self._asked_at = 0.0
+        """When that was."""
         self._is_waiting, self._has_changed = False, False
         """Whether the browser lacks that picture, and whether the view is another one by now."""
         self._ended: tuple[str, ...] = ()
@@ -73,7 +78,8 @@ class Page:
         self._outlet.panes = [*self._maps.panes, *self._curves.panes]
         self.layout = self._laid_out()
         self._show_view()
-        self._ask()
+        # What changes while the browser is still loading the page would not reach it.
+        pn.state.onload(self._ask)
 
     def _laid_out(self) -> Any:
         whole = pn.widgets.Button(name="Whole range", width=130)
@@ -163,10 +169,11 @@ class Page:
 
     def _ask(self) -> None:
         """Ask for pictures of the view, as soon as the browser has the last one."""
-        if self._is_waiting:
+        if self._is_waiting and time.monotonic() < self._asked_at + PATIENCE:
             self._has_changed = True
             return
         self._asked += 1
+        self._asked_at = time.monotonic()
         self._is_waiting, self._has_changed = True, False
         number, outlet = self._asked, self._outlet
 
@@ -239,11 +246,12 @@ class Page:
             problem, chosen = scene.problem_at(levels[which]), found[which]
             motion = motion_of(problem, values, chosen, min(view.rtol, 1e-8))
             show(lambda: self._curves.show(motion))
-            show(lambda: _set(self._slopes, texts.waiting("Derivatives of ω∞")))
+            note = texts.length_of(motion)
+            show(lambda: _set(self._slopes, note + texts.waiting("Derivatives of ω∞")))
             if number != self._inspected:
                 return
             slopes = slopes_of(problem, values, min(view.rtol, 1e-8))
-            show(lambda: _set(self._slopes, texts.slopes(scene, chosen.level, slopes)))
+            show(lambda: _set(self._slopes, note + texts.slopes(scene, chosen.level, slopes)))
         except Exception as error:  # the thread works for other pages, too
             sentence = _sentence(error)
             show(lambda: _set(self._slopes, texts.refused(sentence)))

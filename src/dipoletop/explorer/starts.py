@@ -15,7 +15,7 @@ from .._maps.grids import Grid
 from .._maps.problems import Problem
 from .._runs.sensitivity import residual_rotation
 from .._runs.simulate import simulate
-from ..equations.levels import Level, level_of
+from ..equations.levels import Level
 from .drawing import Drawing
 
 FRAMES = 240
@@ -26,6 +26,8 @@ TURN = 0.15
 """Radians by which the body turns from a picture to the next, at most."""
 TOLD_APART = 0.35
 """Radians of precession from a point of a curve to the next, at most."""
+COMPILED_SOON = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""Options of a program that runs for milliseconds, and would be compiled for many seconds."""
 SETTLED = 3.0
 """The motion is shown so many times as long as it takes until its outcome is certain."""
 
@@ -47,10 +49,10 @@ class Verdict(NamedTuple):
 class OfBody(NamedTuple):
     """What is known of a motion whose equation has a body."""
 
-    energy: Float[np.ndarray, "T"]
-    attitude: Float[np.ndarray, "T 4"]
-    dipole: Float[np.ndarray, "3"]
-    inertia: Float[np.ndarray, "3 3"]
+    energy: Float[np.ndarray, "T"] | Float[Array, "T"]
+    attitude: Float[np.ndarray, "T 4"] | Float[Array, "T 4"]
+    dipole: Float[np.ndarray, "3"] | Float[Array, "3"]
+    inertia: Float[np.ndarray, "3 3"] | Float[Array, "3 3"]
 
 
 class Motion(NamedTuple):
@@ -91,9 +93,12 @@ def verdict_of(
 
 def slopes_of(problem: Problem, values: Mapping[str, float], rtol: float) -> dict[str, float]:
     """∂ω∞ by every quantity at a start, as `residual_rotation` has them; see its table."""
-    point = {name: jnp.asarray(float(value)) for name, value in values.items()}
-    slopes = _gradient(problem)(point, jnp.asarray(rtol))
+    slopes = _gradient(problem)(_point(values), jnp.asarray(rtol))
     return {name: float(slope) for name, slope in slopes.items()}
+
+
+def _point(values: Mapping[str, float]) -> dict[str, Array]:
+    return {name: jnp.asarray(float(value)) for name, value in values.items()}
 
 
 @functools.lru_cache(maxsize=16)
@@ -104,7 +109,23 @@ def _gradient(problem: Problem) -> Callable[..., dict[str, Array]]:
         equation, omega0 = problem(**point)
         return residual_rotation(equation, omega0, rtol=rtol)
 
-    return jax.jit(jax.grad(omega_inf))
+    return jax.jit(jax.grad(omega_inf), compiler_options=COMPILED_SOON)
+
+
+@functools.lru_cache(maxsize=16)
+def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
+    """ω at some times, and what is known of the body; compiled once for each problem."""
+
+    def motion(point: dict[str, Array], ts: Array, rtol: Array) -> tuple[Array, OfBody | None]:
+        equation, omega0 = problem(**point)
+        body = getattr(equation, "body", None)
+        level = None if body is None else [1.0, 0.0, 0.0, 0.0]
+        run = simulate(equation, omega0, ts, rtol=rtol, attitude=level, throw=False)
+        if body is None:
+            return run.omega, None
+        return run.omega, OfBody(run.energy, run.attitude, body.dipole, body.inertia)
+
+    return jax.jit(motion, compiler_options=COMPILED_SOON)
 
 
 def motion_of(
@@ -122,18 +143,17 @@ def motion_of(
         ValueError: values that the problem refuses.
         RuntimeError: the run did not reach the last of its times.
     """
-    equation, omega0 = problem(**{name: jnp.asarray(float(x)) for name, x in values.items()})
-    body = getattr(equation, "body", None)
+    point = _point(values)
+    equation, omega0 = problem(**point)
     speed = float(np.linalg.norm(np.asarray(omega0)))
     late = abs(verdict.omega_inf) if math.isfinite(verdict.omega_inf) else 0.0
-    ts, is_cut = times_of(speed, late, _precession(body, speed), verdict.time)
-    attitude = None if body is None else [1.0, 0.0, 0.0, 0.0]
-    run = simulate(equation, omega0, ts, rtol=rtol, attitude=attitude)
-    of_body = None
-    if body is not None:
-        quantities = run.energy, run.attitude, body.dipole, body.inertia
-        of_body = OfBody(*map(np.asarray, quantities))
-    return Motion(level_of(equation), ts, np.asarray(run.omega), of_body, is_cut)
+    precession = _precession(getattr(equation, "body", None), speed)
+    ts, is_cut = times_of(speed, late, precession, verdict.time)
+    run = _motion(problem)(point, jnp.asarray(ts), jnp.asarray(rtol))
+    omega, of_body = jax.tree.map(np.asarray, run)
+    if not np.all(np.isfinite(omega)):
+        raise RuntimeError(f"The motion could not be followed to τ = {ts[-1]:.4g}.")
+    return Motion(verdict.level, ts, omega, of_body, is_cut)
 
 
 def _precession(body: Any, speed: float) -> float:

@@ -11,7 +11,7 @@ from ..equations.levels import Level
 from ..plots.style import capitalised, percent
 from .pictures import Picture, colour_scale, shares
 from .scenes import Scene
-from .starts import Verdict
+from .starts import Motion, Verdict
 from .views import View
 
 HEAD = """
@@ -100,7 +100,7 @@ def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[Verdict]
     """The start, and how it ends at each level."""
     symbols = symbols_of(scene)
     start = ", ".join(f"{escape(symbols[name])} = {as_text(x)}" for name, x in values.items())
-    return f"<h3>Start</h3><p>{start}</p>" + "".join(map(_verdict, found))
+    return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
 
 
 def _verdict(verdict: Verdict) -> str:
@@ -115,6 +115,16 @@ def _verdict(verdict: Verdict) -> str:
         rows["certain at τ"] = f"{verdict.time:.4g}, after {verdict.steps} steps"
     rows["certified for this level"] = "yes" if verdict.certified else "no"
     return f"<h4>{escape(capitalised(verdict.level))}</h4>{_table(rows)}"
+
+
+def length_of(motion: Motion) -> str:
+    """How far a motion is shown, if that is not far enough."""
+    if not motion.is_cut:
+        return ""
+    return (
+        f'<p class="dt-caveat">The motion is shown until τ = {motion.ts[-1]:.4g}, before its '
+        "outcome is certain: it turns too often to show more.</p>"
+    )
 
 
 def slopes(scene: Scene, level: str, found: Mapping[str, float]) -> str:
