@@ -1,10 +1,12 @@
 """The page in a real browser: slider, click, zoom, code, users, bad addresses, foreign pages."""
 
+import contextlib
 import http.client
 import json
 import signal
 import time
 import urllib.parse
+import urllib.request
 from dataclasses import replace
 
 import numpy as np
@@ -126,7 +128,7 @@ def _final_at(visit, left, right):
 
 
 def test_rounding_ends_the_zoom_and_the_page_says_so(chromium, server):
-    low, high = 0.3, 0.3 + 128 * 5 * np.spacing(0.3)
+    low, high = 0.3, 0.3 + 128 * 5 * float(np.spacing(0.3))
     query = f"?size=128&phi={low!r}..{high!r}&w3=0.2..{0.2 + 1e-13!r}"
     visit = browsing.Visit.of(chromium, server[0] + query)
     visit.final()
@@ -214,9 +216,8 @@ def test_a_second_user_is_served_while_the_first_one_computes(chromium, server):
 def handshake(url, origin):
     """The status of a websocket that a page of some origin opens."""
     place = urllib.parse.urlparse(url)
-    page = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
-    page.request("GET", "/")
-    html = page.getresponse().read().decode()
+    with urllib.request.urlopen(url, timeout=20) as page:
+        html = page.read().decode()
     token = json.loads(html.split('"token":')[1].split(",")[0].split("}")[0])
     connection = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
     headers = {
@@ -227,10 +228,10 @@ def handshake(url, origin):
         "Sec-WebSocket-Protocol": f"bokeh, {token}",
         "Origin": origin,
     }
-    connection.request("GET", "/ws", headers=headers)
-    status = connection.getresponse().status
-    connection.close()
-    return status
+    with contextlib.closing(connection):
+        connection.request("GET", "/ws", headers=headers)
+        with contextlib.closing(connection.getresponse()) as answer:
+            return answer.status
 
 
 def test_pages_of_foreign_origins_open_no_session(server):

@@ -37,7 +37,7 @@ if (of_angle && step > 0.3) {
 }
 if (!(step < 1e-4*most)) return String(Number(tick.toPrecision(5))).replace("-", "−")
 if (index == 0) return tick.toPrecision(Math.min(17, Math.ceil(Math.log10(most/step)) + 1))
-return "+" + Number((tick - ticks[0]).toPrecision(3)).toExponential().replace("-", "−")
+return "+" + Number((tick - ticks[0]).toPrecision(2)).toExponential().replace("-", "−")
 """
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser says which picture it has, so that no more are sent than it can draw."""

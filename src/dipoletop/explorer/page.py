@@ -56,7 +56,9 @@ class Page:
         self, workshop: Workshop, view: View, on_picture: Callable[[Picture], None]
     ) -> None:
         scene = workshop.scene
-        self._workshop, self._on_picture, self.view = workshop, on_picture, view
+        self._workshop, self._on_picture = workshop, on_picture
+        self.view, self._ended = zoomed(scene, view, view.ranges)
+        """What is shown, and the axes on which rounding ends the zoom."""
         self._outlet = Outlet()
         self._asked = 0
         """The number of the last picture that was asked for."""
@@ -64,8 +66,6 @@ class Page:
         """When that was."""
         self._is_waiting, self._has_changed = False, False
         """Whether the browser lacks that picture, and whether the view is another one by now."""
-        self._ended: tuple[str, ...] = ()
-        """The axes on which rounding ends the zoom."""
         self._inspected = 0
         """The number of the last start that was clicked."""
         symbols = texts.symbols_of(scene)

@@ -120,11 +120,12 @@ def checked_view(scene: Scene, view: View) -> View:
             refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
     scene.system_of(*view.values, view.x, view.y)
     values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
-    for name, (low, high) in view.ranges.items():
-        for end in (low, high):
-            checked(name, end, scene.quantities[name])
+    ranges = {}
+    for name, ends in view.ranges.items():
+        low, high = (checked(name, end, scene.quantities[name]) for end in ends)
         if not low < high:
             refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+        ranges[name] = low, high
     allowed = (1, 2) if scene.levels else (0,)
     for level in view.levels:
         if level not in scene.levels:
@@ -137,7 +138,7 @@ def checked_view(scene: Scene, view: View) -> View:
     if view.size not in SIZES:
         refuse("size", f"be one of {', '.join(map(str, SIZES))}", f"is {view.size!r}")
     rtol = float(tolerance("rtol", view.rtol))
-    return replace(view, values=values, rtol=rtol, size=int(view.size))
+    return replace(view, ranges=ranges, values=values, rtol=rtol, size=int(view.size))
 
 
 def whole_ranges(scene: Scene, x: str, y: str) -> dict[str, Range]:
