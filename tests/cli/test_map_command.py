@@ -120,7 +120,7 @@ def test_every_option_of_the_map_arrives(tmp_path):
     result = invoke("map", *what, *axes, *ranges, *fixed, *settings, *files)
     assert result.exit_code == 0, result.output
     assert result.output.startswith(
-        "24 × 24 starts: δ from -0.4 to -0.1, |ω| from 0.1 to 0.3, at φ = 2π/3, θ = π/3."
+        "24 × 24 starts: δ from -0.4 to -0.1, |ω| from 0.1 to 0.3, at φ = 2π/3, ϑ = π/3."
     )
     assert "semi: 100%" in result.stderr
     assert (tmp_path / "new" / "map.svg").read_text().startswith("<?xml")

@@ -4,7 +4,6 @@ import dataclasses
 import enum
 import math
 from collections.abc import Mapping
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -35,17 +34,6 @@ def with_error(value: float, error: float) -> str:
     if error > 0 and value != 0 and math.isfinite(value):
         digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1))
     return f"{value:.{digits}g} ± {error:.1g}"
-
-
-def as_text(value: float) -> str:
-    """A number to six digits; a multiple of π as such, as "2π/3"."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    part = Fraction(value / math.pi).limit_denominator(60)
-    if not math.isclose(part * math.pi, value, rel_tol=1e-12):
-        return f"{value:g}"
-    above = {1: "", -1: "-"}.get(part.numerator, str(part.numerator))
-    return f"{above}π" + (f"/{part.denominator}" if part.denominator > 1 else "")
 
 
 def span(values: Any) -> str:

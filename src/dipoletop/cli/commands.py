@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import stability, validation
 from .._maps.basin import Basin
+from .._maps.quantities import QUANTITIES, describe, initial_condition
 from .._runs.classify import classify
 from .._runs.simulate import simulate
 from .._runs.slow_runs import SlowFlow
@@ -21,6 +22,7 @@ from . import maps, quantities, tables
 from .atlas_command import atlas_command
 from .clusters import cluster_client
 from .data_commands import export_command, info_command, plot_command
+from .explore_command import explore_command
 from .files import FORMATS, check_output, make_folder, output_paths
 from .interruption import interruptible
 from .parameters import Duration, Number, Size
@@ -85,6 +87,7 @@ main.add_command(plot_command)
 main.add_command(export_command)
 main.add_command(predict_command)
 main.add_command(atlas_command)
+main.add_command(explore_command)
 
 
 @main.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
@@ -202,7 +205,7 @@ def map_command(**options: Any) -> None:
 
 def _given(options: dict[str, Any]) -> dict[str, float | None]:
     """The quantities among the options; None where the user gave none."""
-    return {name: options[name] for name in quantities.QUANTITIES}
+    return {name: options[name] for name in QUANTITIES}
 
 
 def _devices(kind: str | None) -> list[Any] | None:
@@ -258,7 +261,7 @@ def simulate_command(**options: Any) -> None:
         raise Refusal(f"--tau-max must be positive, but is {tau_max:g}.")
     base, picture = output_paths(options["output"], options["suffix"], "trajectory")
     values = quantities.with_defaults(_given(options))
-    omega0, delta = quantities.initial_condition(values), values["delta"]
+    omega0, delta = initial_condition(values), values["delta"]
     equation = equation_at(level, delta)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, tau_max, options["points"])
@@ -274,7 +277,7 @@ def simulate_command(**options: Any) -> None:
     np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=COLUMNS, comments="")
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
-    click.echo(f"{quantities.describe(values)}. Level: {equation.level}.")
+    click.echo(f"{describe(values)}. Level: {equation.level}.")
     click.echo(tables.states(rows))
     click.echo(tables.ending(classify(equation, omega0, **settings)))
     if level is Level.ORDER_1:

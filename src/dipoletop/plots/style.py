@@ -12,7 +12,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from .._base.summaries import as_text
+from .._base.numerals import as_text
 from .._maps.columns import DERIVATIVE_PREFIX
 from ..equations.levels import Level
 
