@@ -73,9 +73,9 @@ def process(app: Any, what: str, name: str, value: Any, options: Any, lines: lis
     if what == "class":
         lines[:] = with_types(lines, value)
     elif what in ("attribute", "data", "property"):
-        # Napoleon would take the words before a colon for a type, unless the first line is empty.
+        # Napoleon takes words before a colon in the first line for a type: let it be a comment.
         parsed = GoogleDocstring(lines, app.config, app, "method", name, value, options)
-        lines[:] = ["", *parsed.lines()]
+        lines[:] = ["..", "", *parsed.lines()]
 
 
 def setup(app: Any) -> dict[str, bool]:
