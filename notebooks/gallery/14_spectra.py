@@ -1,0 +1,25 @@
+"""
+Spectra of the residual rotation
+================================
+
+Eigenvalues of perturbations of the rotation about the dipole, over w², against the shape. At the
+consistent levels the real parts are negative for every shape.
+"""
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import dipoletop as dt
+
+jax.config.update("jax_enable_x64", True)
+
+shapes = np.linspace(-0.95, 0.9, 75)
+found = dt.continuation.follow_spectrum(shapes, w=0.05, levels=["order-1", "semi"])
+_, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+for level, slow in zip(found.levels, found.slow, strict=True):
+    line = axes[0].plot(shapes, slow.real.T / 0.05**2, label=level.label)
+    axes[1].plot(shapes, slow.imag.T / 0.05**2, color=line[0].get_color())
+axes[0].set(xlabel=r"$\delta$", ylabel=r"Re $\lambda/w^2$", ylim=(-4, 4))
+axes[1].set(xlabel=r"$\delta$", ylabel=r"Im $\lambda/w^2$")
+axes[0].legend(frameon=False, fontsize="small")

@@ -1,0 +1,22 @@
+"""
+The light of a tumbling grain
+=============================
+
+The spectrum of the dipole radiation of free rotation has lines at the multiples of 2π/T, and
+beside the precession frequency.
+"""
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import dipoletop as dt
+
+jax.config.update("jax_enable_x64", True)
+
+body = dt.Body(np.diag([1.0, 1.6, 2.1]), [0.6, 0.3, 0.7])
+found = dt.lines(body, [1.0, 0.3, 0.9], n=8)
+_, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
+ax.stem(found.frequency, found.power / found.total, basefmt=" ")
+ax.set(yscale="log", ylim=(1e-8, 2), xlim=(0, 8))
+ax.set(xlabel="frequency", ylabel="share of the power", title=f"missing {found.missing:.0e}")
