@@ -30,8 +30,10 @@ def crew():
 def test_the_last_picture_is_that_of_a_sweep(crew, levels):
     levels = tuple(dt.Level(level) for level in levels)
     shown, _ = drawn(crew, replace(SMALL, levels=levels))
-    assert [picture.is_final for picture in shown] == [False, True]
-    assert [picture.size for picture in shown][-1] == 64
+    sizes = [picture.size for picture in shown]
+    assert [picture.is_final for picture in shown] == [False] * (len(shown) - 1) + [True]
+    assert sizes == sorted(sizes)
+    assert sizes[-1] == 64
     final = shown[-1]
     cells = views.cells_of(TOP, SMALL, 64)
     for basin, level in zip(final.basins, levels, strict=True):
@@ -67,6 +69,20 @@ def test_tolerances_are_those_of_the_view(crew):
     assert loose.attrs["rtol"] == 1e-4
     cells = views.cells_of(TOP, SMALL, 64)
     assert loose == dt.sweep(TOP.problem_at(dt.Level.SEMI), cells.grid, rtol=1e-4)
+
+
+def test_loose_pictures_differ_from_the_last_one_nowhere_that_is_seen(crew):
+    drawn(crew, SMALL)
+    crew._cost[dt.Level.SEMI, "unchecked"] = 1e-7
+    first, *_, last = drawn(crew, SMALL)[0]
+    assert first.size == 64
+    assert first.basins[0].attrs["rtol"] == drawing.LOOSE
+    np.testing.assert_array_equal(first.basins[0].outcome, last.basins[0].outcome)
+    difference = first.images[0].astype(int) - last.images[0]
+    assert np.max(np.abs(difference)) <= 4
+    narrow = {"phi": (0.3, 0.3 + 1e-5), "w3": (0.2, 0.3)}
+    close = drawn(crew, replace(SMALL, ranges=narrow))[0][0]
+    assert close.basins[0].attrs["rtol"] == 1e-8
 
 
 def test_nothing_is_traced_again(crew):

@@ -1,5 +1,6 @@
 """The pictures of a view as they come: coarse at first, then as the view asks."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,15 +16,19 @@ from .._runs.classification import UNCHECKED, Value
 from ..equations.levels import Level
 from .pictures import Picture, picture_of
 from .scenes import Scene
-from .views import Cells, View, cells_of
+from .views import Cells, View, cells_of, finest_step
 
 QUICK = 0.06
 """Seconds that the starts of a first picture may take."""
+LONGEST = 2.0
+"""The same of a picture that comes between the first and the last one."""
+LOOSE = 1e-5
+"""Relative tolerance of these pictures."""
 OVERHEAD = 0.02
 """Seconds that a sweep takes however few starts it has."""
 PIECE = 0.1
 """Seconds of a piece of work, after which others have their turn."""
-REST = 0.12
+REST = 0.1
 """Seconds without a change after which a picture is refined."""
 FEWEST = 16
 """Starts on a side of the coarsest picture, and of a first one whose cost is not known."""
@@ -60,36 +65,50 @@ class Drawing:
         began = time.monotonic()
         try:
             size = self._quick_size(view)
-            coarse = cells_of(self._scene, view, size)
-            found = [self._timed(level, coarse.grid, view, UNCHECKED) for level in _levels(view)]
-            show(picture_of(view, found, coarse.folded, size, False))
+            show(self._quick(view, size))
             yield began + REST
-            fine, basins = cells_of(self._scene, view, view.size), []
+            if size < view.size and self._quick_cost(view, view.size) < LONGEST:
+                show(self._quick(view, view.size))
+                yield 0.0
+            cells, basins = cells_of(self._scene, view, view.size), []
             for level in _levels(view):
                 parts, row = [], 0
-                while row < fine.rows:
-                    rows = slice(row, row + self._rows_of_piece(fine, level))
-                    parts.append(self._timed(level, fine.piece(rows), view, True))
+                while row < cells.rows:
+                    rows = slice(row, row + self._rows_of_piece(cells, level))
+                    parts.append(self._timed(level, cells.piece(rows), view.rtol, True))
                     row = rows.stop
                     yield 0.0
-                basins.append(_joined(parts, fine.grid))
-            show(picture_of(view, basins, fine.folded, view.size, True))
+                basins.append(_joined(parts, cells.grid))
+            show(picture_of(view, basins, cells.folded, view.size, True))
         except Exception as error:  # the thread works for other pages, too
             fail(error)
 
-    def _timed(self, level: Level | None, grid: Grid, view: View, value: Value) -> Basin:
-        basin = self.sweep(level, grid, view.rtol, value)
+    def _quick(self, view: View, size: int) -> Picture:
+        """A picture by a loose tolerance, without estimates of errors.
+
+        Labels are wrong within a small part of the tolerance from a boundary, which is not seen
+        unless the starts are as close as that.
+        """
+        rtol = max(view.rtol, LOOSE) if finest_step(view) > LOOSE else view.rtol
+        cells = cells_of(self._scene, view, size)
+        basins = [self._timed(level, cells.grid, rtol, UNCHECKED) for level in _levels(view)]
+        return picture_of(view, basins, cells.folded, size, False)
+
+    def _timed(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
+        basin = self.sweep(level, grid, rtol, value)
         key, cost = (level, value), max(basin.seconds - OVERHEAD, 0.0) / basin.outcome.size
         self._cost[key] = (self._cost.get(key, cost) + cost) / 2
         return basin
 
+    def _quick_cost(self, view: View, size: int) -> float:
+        """Seconds that the starts of a quick picture take; infinite if that is not known."""
+        costs = [self._cost.get((level, UNCHECKED), math.inf) for level in _levels(view)]
+        return sum(costs) * cells_of(self._scene, view, size).count
+
     def _quick_size(self, view: View) -> int:
         """The largest size, a power of two below that of the view, that does not take long."""
-        costs = [self._cost.get((level, UNCHECKED)) for level in _levels(view)]
-        if None in costs:
-            return FEWEST
-        size, cost = view.size, sum(cost for cost in costs if cost is not None)
-        while size > FEWEST and cost * cells_of(self._scene, view, size).count > QUICK:
+        size = view.size
+        while size > FEWEST and self._quick_cost(view, size) > QUICK:
             size //= 2
         return size
 

@@ -27,6 +27,8 @@ from .views import Range, View, whole_ranges, zoomed
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 PATIENCE = 5.0
 """Seconds after which a browser that has not told that it has a picture is sent another one."""
+AHEAD = 2
+"""Pictures that may be computed, or on their way, before the browser has them."""
 STARTS_AT_ONCE = 2
 """Clicked starts, of all pages, that are computed at the same time."""
 
@@ -60,12 +62,10 @@ class Page:
         self.view, self._ended = zoomed(scene, view, view.ranges)
         """What is shown, and the axes on which rounding ends the zoom."""
         self._outlet = Outlet()
-        self._asked = 0
-        """The number of the last picture that was asked for."""
-        self._asked_at = 0.0
-        """When that was."""
-        self._is_waiting, self._has_changed = False, False
-        """Whether the browser lacks that picture, and whether the view is another one by now."""
+        self._asked, self._asked_at = 0, 0.0
+        """The number of the last picture that was asked for, and when that was."""
+        self._has, self._has_changed = 0, False
+        """The number of the last picture that the browser has, and whether it lacks the view."""
         self._inspected = 0
         """The number of the last start that was clicked."""
         symbols = texts.symbols_of(scene)
@@ -77,7 +77,8 @@ class Page:
         self._verdict, self._slopes, self._code = _html(), _html(), _html()
         self._outlet.panes = [*self._maps.panes, *self._curves.panes]
         self.layout = self._laid_out()
-        self._show_view()
+        self._controls.show(self.view)
+        self._show_maps()
         # What changes while the browser is still loading the page would not reach it.
         pn.state.onload(self._ask)
 
@@ -129,7 +130,7 @@ class Page:
     def _change(self, view: View) -> None:
         """Show another view."""
         self.view, self._ended = view, ()
-        self._show_view()
+        self._show_maps()
         self._ask()
 
     def _zoom(self, ranges: dict[str, Range] | None) -> None:
@@ -143,8 +144,10 @@ class Page:
         except ValueError as error:
             self._refuse(str(error))
             return
+        self._controls.show(self.view)
         # The browser shows already what it has asked for, and may have gone on since.
-        self._show_view(moves=ranges is None or self.view.ranges != wanted)
+        if ranges is None or self.view.ranges != wanted:
+            self._show_maps()
         if self.view != before or self._ended:
             self._ask()
 
@@ -158,23 +161,21 @@ class Page:
 
     # Pictures.
 
-    def _show_view(self, moves: bool = True) -> None:
-        """Show the view in the controls and on the maps, which move to it or are there already."""
+    def _show_maps(self) -> None:
+        """Show the ranges of the view on the maps."""
         view = self.view
-        self._controls.show(view)
-        if moves:
-            self._maps.look_at(view, whole_ranges(self._workshop.scene, view.x, view.y))
-        self._second.visible = len(self.view.levels) == 2
-        self._code.object = ""
+        self._maps.look_at(view, whole_ranges(self._workshop.scene, view.x, view.y))
+        self._second.visible = len(view.levels) == 2
 
     def _ask(self) -> None:
-        """Ask for pictures of the view, as soon as the browser has the last one."""
-        if self._is_waiting and time.monotonic() < self._asked_at + PATIENCE:
-            self._has_changed = True
+        """Ask for pictures of the view, unless the browser lags behind."""
+        lags = self._asked - self._has >= AHEAD
+        self._has_changed = lags and time.monotonic() < self._asked_at + PATIENCE
+        if self._has_changed:
             return
+        self._code.object = ""  # it would be that of another view
         self._asked += 1
         self._asked_at = time.monotonic()
-        self._is_waiting, self._has_changed = True, False
         number, outlet = self._asked, self._outlet
 
         def show(picture: Picture) -> None:
@@ -205,10 +206,9 @@ class Page:
 
     def _drawn(self, number: int) -> None:
         """The browser has a picture."""
-        if number == self._asked:
-            self._is_waiting = False
-            if self._has_changed:
-                self._ask()
+        self._has = number
+        if self._has_changed:
+            self._ask()
 
     # The start that was clicked.
 

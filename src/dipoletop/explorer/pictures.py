@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from matplotlib.colors import Normalize, to_hex
 
 from .._base.types import Outcome
@@ -114,8 +114,3 @@ def shares(basin: Basin) -> str:
 def colour_scale() -> list[str]:
     """Colours from the most negative to the most positive ω∞."""
     return [to_hex(SIGNED(place)) for place in np.linspace(0.0, 1.0, 9)]
-
-
-def spacings(view: View) -> dict[str, Float[np.ndarray, ""] | float]:
-    """The distance of neighbouring values on each axis."""
-    return {name: (high - low) / view.size for name, (low, high) in view.ranges.items()}

@@ -189,6 +189,13 @@ def least_width(low: float, high: float, size: int) -> float:
     return size * max(FINEST * float(np.spacing(max(abs(low), abs(high)))), SMALLEST)
 
 
+def finest_step(view: View) -> float:
+    """The least distance of neighbours on an axis, relative to the largest number there."""
+    return min(
+        (high - low) / (view.size * max(abs(low), abs(high))) for low, high in view.ranges.values()
+    )
+
+
 def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View, tuple[str, ...]]:
     """The view at other ranges of its axes, and the axes on which rounding ends the zoom.
 
