@@ -1,6 +1,7 @@
 """A sweep that `faults` kills. It prints "ready" when it begins, its tiles, and "done"."""
 
 import os
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,9 +17,19 @@ def problem(w3: jax.Array, phi: jax.Array) -> tuple[dt.TransverseReduced, jax.Ar
     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
 
 
-def run(folder: str, tiles: int) -> None:
+def swept(folder: str, tiles: int, **settings: Any) -> None:
+    """A sweep of small tiles, a row of the grid each: many moments to be killed at."""
     jax.config.update("jax_enable_x64", True)
-    tiling.TILE = COLUMNS  # a row of the grid: many small tiles, many moments to be killed at
+    grid = dt.Grid(w3=np.linspace(0, 0.5, tiles), phi=np.arange(COLUMNS) * np.pi / COLUMNS)
+    usual, tiling.TILE = tiling.TILE, COLUMNS
+    try:
+        dt.sweep(problem, grid, store=folder, **settings)
+    finally:
+        tiling.TILE = usual
+
+
+def run(folder: str, tiles: int) -> None:
+    """The same, reported as it goes."""
     compute = sweep_plan.Plan.compute
 
     def reported(plan: sweep_plan.Plan, numbers: list[int], device: jax.Device) -> list:
@@ -27,7 +38,6 @@ def run(folder: str, tiles: int) -> None:
         return found
 
     sweep_plan.Plan.compute = reported
-    grid = dt.Grid(w3=np.linspace(0, 0.5, tiles), phi=np.arange(COLUMNS) * np.pi / COLUMNS)
     os.write(1, b"ready\n")
-    dt.sweep(problem, grid, store=folder)
+    swept(folder, tiles)
     os.write(1, b"done\n")

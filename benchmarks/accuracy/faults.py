@@ -1,4 +1,4 @@
-"""Sweeps that are killed again and again, two processes at one store, a full disk, many tiles.
+"""Sweeps that are killed again and again, damaged stores, a full disk, many tiles.
 
     python -m benchmarks.accuracy.faults --small     a look
     python -m benchmarks.accuracy.faults             all, about ten minutes on two cores
@@ -7,6 +7,8 @@
 Two processes sweep into one store; one of them, mostly both, are killed at random moments, and two
 new ones go on, until the sweep is finished; then the next store. Its bytes are compared with those
 of a sweep that nobody disturbed. The disk is a small file system in memory, if one can be mounted.
+Damages are flipped bits and lost ends of random files. On a cluster of Dask workers and schedulers
+are killed.
 """
 
 import argparse
@@ -22,11 +24,13 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy import fault_sweep
+from benchmarks.accuracy import fault_cluster, fault_sweep
+from benchmarks.accuracy.fault_damage import contents, damaged
 from benchmarks.reporting import measure, pages
 
 Row = dict[str, Any]
 KILLS = {"SIGKILL": 200, "SIGTERM": 20, "SIGINT": 20}
+DAMAGES, CLUSTER = 200, {"worker": 20, "scheduler": 5}
 TILES, SOAK = 100, 10_000
 
 
@@ -77,11 +81,6 @@ class Sweeper:
         self.output.close()
         self._errors.close()
         return [int(word) for word in words if word.isdigit()], b"done" in words, errors
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a store."""
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
 def undisturbed(place: Path, tiles: int) -> tuple[dict[str, bytes], float]:
@@ -188,10 +187,21 @@ def main() -> None:
         "full_disk": full_disk(right[0]),
         "soak": soak(500 if args.small else SOAK),
     }
-    results |= measure.machine()  # which starts JAX: nothing is forked after it
+    # From here on JAX runs in this process: nothing is forked any more.
+    with tempfile.TemporaryDirectory() as room:
+        trials = 5 if args.small else DAMAGES
+        results["damaged"] = damaged(trials, rng, Path(room))
+    results["cluster"] = []
+    for kind, kills in CLUSTER.items():
+        with tempfile.TemporaryDirectory() as room:
+            found = fault_cluster.killed(kind, 1 if args.small else kills, rng, Path(room))
+            results["cluster"].append(found)
+    results |= measure.machine()
     pages.show("faults", results, keep=args.write)
     disk = results["full_disk"]
     wrong = sum(row["other_bytes"] + row["left_behind"] for row in results["killed"])
+    wrong += sum(row["other_bytes"] + row["wrong"] for row in results["damaged"])
+    wrong += sum(row["other_bytes"] + len(row["other_errors"]) for row in results["cluster"])
     if wrong or not disk.get("same_bytes", True):
         raise SystemExit("Stores were not as an undisturbed sweep leaves them.")
 

@@ -13,6 +13,14 @@ new ones go on, until the sweep is finished; then the next store.
   hand when their process was killed, or belong to the last store, which is not finished.
 - **other bytes**: finished stores in which any file differs from an undisturbed sweep's.
 - **left behind**: files or folders beside the finished stores.
+
+Damage is done to one random file of a finished store at a time. **Seen**: `Basin.load`, or the reading of
+a column, raised `StoreDamaged` or `StoreMismatch`. **Wrong**: a number was read that is not what was
+written. What is not seen is in data that a basin does not use, such as a summary for other programs; repair
+finds it. **Other bytes** after `sweep(…, repair=True)`.
+
+On a cluster of Dask, three workers, SIGKILL comes at random moments. A worker is replaced, and the
+sweep goes on; a lost scheduler ends the sweep with a `ConnectionError`, and the next one goes on with the store.
 """
 
 from typing import Any
@@ -27,6 +35,8 @@ def body(results: dict[str, Any]) -> str:
     return "\n\n".join(
         [
             _killed(results["killed"]),
+            _damaged(results["damaged"]),
+            _cluster(results["cluster"]),
             _full_disk(disk, results["tiles"]),
             f"A sweep of {soak['tiles']} tiles, {number(soak['seconds'])} s:",
             _soak(soak["seen"]),
@@ -54,6 +64,23 @@ def _killed(rows: list[dict[str, Any]]) -> str:
         ]
         tiles = f"{row['computed']} for {row['needed']}"
         lines.append([row["signal"], *counts, tiles, f"{row['seconds']:.0f}"])
+    return layout(lines)
+
+
+def _damaged(rows: list[dict[str, Any]]) -> str:
+    names = ("trials", "seen", "wrong", "other_bytes")
+    lines = [["damage", *(name.replace("_", " ") for name in names)]]
+    lines += [[row["harm"], *(str(row[name]) for name in names)] for row in rows]
+    return layout(lines)
+
+
+def _cluster(rows: list[dict[str, Any]]) -> str:
+    names = ("kills", "stores", "other_bytes")
+    lines = [["killed", "kills", "finished stores", "other bytes", "other errors", "seconds"]]
+    for row in rows:
+        counts = [str(row[name]) for name in names]
+        errors = str(len(row["other_errors"]))
+        lines.append([f"{row['killed']}s", *counts, errors, f"{row['seconds']:.0f}"])
     return layout(lines)
 
 

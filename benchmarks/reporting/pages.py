@@ -15,6 +15,7 @@ from benchmarks.reporting import (
     derivative_costs,
     derivatives,
     directions,
+    explorer,
     faults,
     label_precision,
     labels,
@@ -43,6 +44,7 @@ PAGES: dict[str, tuple[ModuleType, ...]] = {
     "slow_flow": (slow_flow,),
     "faults": (faults,),
     "surveys": (surveys,),
+    "explorer": (explorer,),
 }
 """For each file of numbers the modules that make its pages."""
 BEGIN, END = "<!-- summary -->", "<!-- end of summary -->"

@@ -39,7 +39,7 @@ def body(results: dict[str, Any]) -> str:
         compared += [*_fresh(speed), _import(speed["import"])]
     parts = [("speed", _own_costs), ("label_precision", _lost), ("labels", _labels)]
     parts += [("stress", _stress), ("residual", _residual), ("slow_flow", _slow_flow)]
-    parts += [("faults", _faults)]
+    parts += [("faults", _faults), ("explorer", _explorer)]
     for name, part in parts:
         if results[name]:
             lines += part(results[name])
@@ -224,9 +224,8 @@ def _labels(results: dict[str, Any]) -> list[Line]:
 
 def _faults(results: dict[str, Any]) -> list[Line]:
     """Kills, and what became of the stores."""
-    kills = sum(row["kills"] for row in results["killed"])
-    wrong = sum(row["other_bytes"] for row in results["killed"])
-    stores = sum(row["stores"] for row in results["killed"])
+    rows = [*results["killed"], *results["cluster"]]
+    kills, wrong, stores = (sum(x[k] for x in rows) for k in ("kills", "other_bytes", "stores"))
     asked = f"Stores that differ from undisturbed ones, after {kills} kills of their sweeps"
     return [(asked, f"{wrong} of {stores}", "faults")]
 
@@ -262,6 +261,19 @@ def _slow_flow(results: dict[str, Any]) -> list[Line]:
         ("Predictions by averaging, against integration turn by turn", answer, "slow_flow"),
         (f"Fate of a start with ω₀ = {slowest['amplitude']:.0e}", steps, "slow_flow"),
     ]
+
+
+def _explorer(results: dict[str, Any]) -> list[Line]:
+    lines = []
+    for row in results["rows"]:
+        if row["name"] == "part of it":
+            question = (
+                f"Explorer, from a slider to a picture of {row['size']}² starts, in a browser"
+            )
+            times = row["full"]
+            answer = f"{times['median']:.0f} ms, 95 % within {times['95%']:.0f} ms"
+            lines.append((question, answer, "explorer"))
+    return lines
 
 
 def _derivatives(first_and_second: dict[str, Any], along: list[dict[str, Any]]) -> list[Line]:

@@ -10,6 +10,7 @@ from . import particles as particles
 from . import planar as planar
 from . import plots as plots
 from . import radiation as radiation
+from . import torques as torques
 from . import uncertainty as uncertainty
 from ._base.types import Outcome as Outcome
 from ._base.types import Regime as Regime
@@ -67,6 +68,8 @@ from .equations.coordinates import cylindrical as cylindrical
 from .equations.rotator_curves import closed_manifold as closed_manifold
 from .equations.rotator_curves import critical_manifold as critical_manifold
 from .equations.rotator_curves import separatrix as separatrix
+from .explorer import Explorer as Explorer
+from .explorer import explore as explore
 from .particles import Particle as Particle
 from .prediction import Prediction as Prediction
 from .prediction import predict as predict

@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 from click.testing import CliRunner
 
 from dipoletop.cli import main
@@ -24,9 +23,3 @@ def refusal(*arguments):
 def row(text, name):
     (line,) = [line for line in text.splitlines() if line.startswith(f"{name}  ")]
     return re.split(r"  +", line)[1:]
-
-
-def cells(text, name):
-    """A row of the table, its intervals apart: [[share, low, high], …]."""
-    line = " ".join(row(text, name))
-    return np.array(re.findall(r"([\d.]+)% +\[([\d.]+), ([\d.]+)\]", line), float)

@@ -3,6 +3,7 @@
 import shutil
 
 import numpy as np
+import pandas
 import pytest
 import xarray
 from command_line import invoke
@@ -136,7 +137,7 @@ def test_only_what_is_chosen_is_read(store, tmp_path):
 
 def test_a_selection_is_exported_exactly(store, tmp_path):
     basin = dt.Basin.load(store).sel(delta=-0.2).sel(w3=slice(0.1, 0.3))
-    for name in ("a.nc", "a.csv"):
+    for name in ("a.nc", "a.csv", "a.parquet"):
         result = invoke(
             "export", store, tmp_path / name, "--at", "delta", "-0.2", "--range", "w3", "0.1", "0.3"
         )
@@ -147,6 +148,9 @@ def test_a_selection_is_exported_exactly(store, tmp_path):
     np.testing.assert_array_equal(table["omega_inf"], basin.omega_inf.ravel())
     np.testing.assert_array_equal(table["outcome"], basin.outcome.ravel())
     assert set(table["delta"]) == {-0.2}
+    rows = pandas.read_parquet(tmp_path / "a.parquet")
+    assert list(rows.columns) == list(table.dtype.names)
+    np.testing.assert_array_equal(rows["omega_inf"], table["omega_inf"])
 
 
 def test_starts_of_samples_are_columns_of_tables(tmp_path):
@@ -169,7 +173,7 @@ def test_starts_of_samples_are_columns_of_tables(tmp_path):
         (("export", "STORE", "a.csv", "--at", "psi", "1"), "`psi` must be an axis of this basin"),
         (("plot", "STORE"), "`basin` must have exactly two axes of numbers"),
         (("plot", "STORE", "--average"), "--average needs --x and --y"),
-        (("plot", "STORE", "--panels", "psi"), "`over` must be an axis of this basin"),
+        (("plot", "STORE", "--panels", "psi"), "`panels` must be an axis of this basin"),
         (("info", "nowhere.zarr"), "`path` must be a folder with a basin"),
     ],
 )
@@ -190,3 +194,31 @@ def test_info_tells_what_a_tally_counts(tmp_path):
     assert "Outcomes  RESIDUAL" in said
     assert "counts of outcomes, histogram of time" in said
     assert "is a tally (`Tally.load` reads it)" in invoke("plot", place).output
+
+
+def test_single_axes_and_samples_are_drawn(tmp_path):
+    line, sample = tmp_path / "line.zarr", tmp_path / "sample.zarr"
+    dt.sweep(problem, dt.Grid(delta=[-0.2], w3=[0.1], phi=np.linspace(0, 3, 20)), store=line)
+    starts = dt.Sample(n=40, amplitude=0.2)
+    dt.sweep(lambda omega0: (dt.TransverseSemi(-0.2), omega0), starts, store=sample)
+    for store, options in ((line, ["--shade", "time"]), (sample, []), (sample, ["--y", "w3"])):
+        result = invoke("plot", store, *options, "--output", tmp_path / "p.png")
+        assert result.exit_code == 0, result.output
+        assert (tmp_path / "p.png").stat().st_size > 5000
+        (tmp_path / "p.png").unlink()
+
+
+@pytest.mark.parametrize(
+    ("output", "said"),
+    [
+        ("", "--output must be a folder or the first part of a file name, but is empty."),
+        ("/proc/nope/x", "--output: the folder /proc/nope"),
+    ],
+)
+def test_an_output_that_cannot_be_is_refused_before_anything_is_computed(output, said):
+    for command in (["map"], ["simulate"], ["predict"], ["atlas"], ["figures"]):
+        result = invoke(*command, "--output", output)
+        assert result.exit_code == 2, (command, result.output)
+        assert said in result.output, command
+        assert "Errno" not in result.output
+        assert len(result.stderr.splitlines()) == 1

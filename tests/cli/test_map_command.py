@@ -1,12 +1,10 @@
 """`dipoletop map`: what it computes, prints, writes, refuses, and how it goes on."""
 
-import math
-
 import jax
 import numpy as np
 import pytest
 import zarr
-from command_line import cells, invoke, refusal, row
+from command_line import invoke, refusal, row
 
 import dipoletop as dt
 from dipoletop.cli import maps
@@ -57,15 +55,7 @@ def test_printed_numbers_are_those_of_the_data(default_map, basins):
     text = default_map[0].output
     size = SIZE**2
     residual = [np.sum(basin.outcome == dt.Outcome.RESIDUAL) for basin in basins]
-    shares = cells(text, "residual")
-    z = 1.959963984540054
-    for (share, low, high), count in zip(shares, residual, strict=True):
-        p = count / size
-        # Wilson's interval, written out
-        middle = (p + z**2 / (2 * size)) / (1 + z**2 / size)
-        half = z / (1 + z**2 / size) * math.sqrt(p * (1 - p) / size + z**2 / (4 * size**2))
-        expected = [100 * value for value in (p, middle - half, middle + half)]
-        np.testing.assert_allclose([share, low, high], expected, atol=0.0051)
+    assert row(text, "residual") == [f"{count / size:.2%}" for count in residual]
     differ = int(np.sum(basins[0].outcome != basins[1].outcome))
     assert differ > 0
     assert f"differs between the levels: {differ} starts, {differ / size:.2%}." in text
@@ -87,7 +77,7 @@ def test_a_second_run_reads_what_is_there(default_map, basins):
     assert row(again.output, "found in the store") == [f"{SIZE**2} starts"] * 2
     assert "computed  " not in again.output
     assert "starts per second" not in again.output
-    np.testing.assert_array_equal(cells(again.output, "stop"), cells(default_map[0].output, "stop"))
+    assert row(again.output, "stop") == row(default_map[0].output, "stop")
 
 
 def test_an_interrupted_map_goes_on_where_it_stopped(default_map, tmp_path):
@@ -103,7 +93,7 @@ def test_an_interrupted_map_goes_on_where_it_stopped(default_map, tmp_path):
     assert row(again.output, "found in the store") == [f"{lost * tile} starts"]
     assert row(again.output, "computed")[0].startswith(f"{SIZE**2 - lost * tile} starts")
     np.testing.assert_array_equal(dt.Basin.load(place).outcome, outcome)
-    np.testing.assert_array_equal(cells(again.output, "stop"), cells(first.output, "stop"))
+    assert row(again.output, "stop") == row(first.output, "stop")
 
 
 def test_another_map_is_not_overwritten(default_map, basins):
@@ -130,7 +120,7 @@ def test_every_option_of_the_map_arrives(tmp_path):
     result = invoke("map", *what, *axes, *ranges, *fixed, *settings, *files)
     assert result.exit_code == 0, result.output
     assert result.output.startswith(
-        "24 × 24 starts: δ from -0.4 to -0.1, |ω| from 0.1 to 0.3, at φ = 2π/3, θ = π/3."
+        "24 × 24 starts: δ from -0.4 to -0.1, |ω| from 0.1 to 0.3, at φ = 2π/3, ϑ = π/3."
     )
     assert "semi: 100%" in result.stderr
     assert (tmp_path / "new" / "map.svg").read_text().startswith("<?xml")

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from dipoletop._maps.quantities import describe, initial_condition
 from dipoletop.cli import quantities
 
 
@@ -13,7 +14,7 @@ from dipoletop.cli import quantities
     [(0.0, "0"), (0.2, "0.2"), (math.pi, "π"), (-math.pi / 4, "-π/4"), (2 * math.pi / 3, "2π/3")],
 )
 def test_multiples_of_pi_are_shown_as_such(value, text):
-    assert quantities.describe({"phi": value}) == f"φ = {text}"
+    assert describe({"phi": value}) == f"φ = {text}"
 
 
 def test_both_ways_to_give_a_start_agree():
@@ -21,9 +22,7 @@ def test_both_ways_to_give_a_start_agree():
     other = quantities.with_defaults({"amplitude": 0.5, "theta": math.atan2(0.3, 0.4)})
     assert list(one) == ["delta", "w_perp", "w3", "phi"]
     assert list(other) == ["delta", "phi", "amplitude", "theta"]
-    np.testing.assert_allclose(
-        quantities.initial_condition(one), quantities.initial_condition(other), rtol=1e-14
-    )
+    np.testing.assert_allclose(initial_condition(one), initial_condition(other), rtol=1e-14)
 
 
 @pytest.mark.parametrize(("high", "last"), [(math.pi, 0.75 * math.pi), (3.0, 3.0)])

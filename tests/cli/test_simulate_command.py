@@ -73,7 +73,7 @@ def test_simulate_at_another_level_from_spherical_angles(trajectory, tmp_path):
     first, same = (read(path)[0.0] for path in (tmp_path / "t.csv", trajectory[1] / "t.csv"))
     for k in (1, 2, 3):
         assert first[f"omega_{k}"] == pytest.approx(same[f"omega_{k}"], rel=1e-14)
-    assert "|ω| = 0.282843, θ = π/4. Level: semi-reduced." in result.output
+    assert "|ω| = 0.282843, ϑ = π/4. Level: semi-reduced." in result.output
     assert "Order 1" not in result.output
     (value,) = re.findall(r"ω∞ = (\S+)", result.output)
     # 0.1193 by the full equation, 0.0989 by order 1; semi-reduced: an error of relative order ω².

@@ -11,7 +11,8 @@ from matplotlib.colors import to_rgba
 
 import dipoletop as dt
 from dipoletop import Stop, plots
-from dipoletop.plots.plane import CHANCE, CLASSES, SIGNED, UNKNOWN
+from dipoletop.plots.plane import CHANCE, CLASSES
+from dipoletop.plots.shades import SIGNED, UNKNOWN
 
 
 def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():
@@ -75,7 +76,7 @@ def test_residual_rotation_is_shaded_by_its_sign_and_size():
 def test_what_is_not_known_has_a_colour_of_its_own():
     """ω∞ whose sense is a matter of chance leaves the colours of the others as they are."""
     ax = plots.basin(made([[R, R, S], [R, R, S]], np.array([[1e-40, np.nan, 0.0], [-5e-41, 0, 0]])))
-    name, colour = UNKNOWN
+    name, colour = r"residual, $\omega_\infty$ not known", UNKNOWN
     image = pixels(ax)
     np.testing.assert_array_equal(image[0, 1], byte(colour))
     np.testing.assert_array_equal(image[0, 0], SIGNED(1.0, bytes=True))
@@ -108,13 +109,119 @@ def test_time_shades_both_outcomes_darker_the_later():
     assert np.all(np.diff(light[:2, 1:]) < -60)
     assert np.all(light[:2, 0] >= light[:2, 1])
     assert np.all(image[0, 1:, 2] > image[0, 1:, 0])  # blue: residual rotation
-    assert np.all(image[1, 1:, 2] < image[1, 1:, 0])  # brown: stop
+    assert np.all(image[1, 1:, 2] < image[1, 1:, 0])  # olive: stop
     np.testing.assert_array_equal(image[2, 0], byte(CLASSES[U, Stop.NONE][1]))
     assert legend(ax) == ["residual rotation", "stop", "undecided"]
     assert {a.get_ylabel() for a in ax.figure.axes[1:]} == {
         r"$\tau$ when residual rotation is certain",
         r"$\tau$ when stop is certain",
     }
+
+
+def test_every_colour_bar_has_its_numbers():
+    time = np.array([[1.0, 1e1, 1e2], [1.0, 1e1, 1e2]])
+    ax = plots.basin(made([[R] * 3, [S] * 3], time=time), shade="time")
+    ax.figure.canvas.draw()
+    for bar in ax.figure.axes[1:]:
+        assert any(label.get_visible() and label.get_text() for label in bar.get_yticklabels())
+        assert bar.yaxis.get_tick_params()["labelright"]
+
+
+def test_steps_shade_both_outcomes():
+    found = made([[R, S, S], [R, S, U]])
+    steps = np.array([5, 50, 500, 7, 70, 700], np.int32)
+    found = dataclasses.replace(found, columns=found.columns | {"steps": steps})
+    ax = plots.basin(found, shade="steps")
+    light = pixels(ax)[..., :3].astype(int).sum(-1)
+    assert light[0, 1] > light[0, 2]
+    assert light[0, 0] > light[1, 0]
+    assert {a.get_ylabel() for a in ax.figure.axes[1:]} == {
+        "steps of runs that end with residual rotation",
+        "steps of runs that end with stop",
+    }
+
+
+def test_derivatives_shade_residual_rotation_by_their_sign():
+    found = made([[R, R, S], [R, R, S]], np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]]))
+    slopes = np.array([-3.0, 0.002, 0.0, 3.0, np.inf, 0.0])
+    found = dataclasses.replace(found, columns=found.columns | {"d_omega_inf_d_delta": slopes})
+    ax = plots.basin(found, shade="d_omega_inf_d_delta")
+    image = pixels(ax)
+    np.testing.assert_allclose(image[0, 0], SIGNED(0.0, bytes=True), atol=3)
+    np.testing.assert_allclose(image[1, 0], SIGNED(1.0, bytes=True), atol=3)
+    np.testing.assert_array_equal(image[1, 1], byte(UNKNOWN))
+    np.testing.assert_array_equal(image[0, 2], byte(CLASSES[S, Stop.NONE][1]))
+    assert ax.figure.axes[1].get_ylabel() == r"$\partial\omega_\infty/\partial \delta$"
+    assert legend(ax)[2:] == ["residual, no derivative", "stop"]
+
+
+def test_errors_shade_residual_rotation():
+    found = made([[R, R, S], [R, R, S]], np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]]))
+    errors = np.array([1e-12, 1e-6, 0.0, 1e-9, np.inf, 0.0])
+    found = dataclasses.replace(found, columns=found.columns | {"omega_inf_error": errors})
+    ax = plots.basin(found, shade="omega_inf_error")
+    light = pixels(ax)[..., :3].astype(int).sum(-1)
+    assert light[0, 0] > light[1, 0] > light[0, 1]
+    np.testing.assert_array_equal(pixels(ax)[1, 1], byte(UNKNOWN))
+
+
+def test_what_is_not_certified_is_hatched():
+    certified = np.ones((9, 12), bool)
+    certified[2:5, 3:7] = False
+    found = made(np.full((9, 12), R), certified=certified)
+    ax = plots.basin(found, shade="certified")
+    assert legend(ax) == ["residual rotation", "not certified"]
+    marks = [c for c in ax.collections if isinstance(c, PathCollection)]
+    ys, xs = np.meshgrid(*found.coords.values(), indexing="ij")
+    points = np.stack([xs.ravel(), ys.ravel()], 1)
+    inside = np.any([p.contains_points(points) for p in marks[0].get_paths()], axis=0)
+    np.testing.assert_array_equal(inside, ~certified.ravel())
+
+
+def test_chance_is_shaded_by_probability():
+    found = made([[R, U], [U, S]])
+    probability = np.array([1.0, 0.2, 0.7, 0.0])
+    found = dataclasses.replace(found, columns=found.columns | {"probability": probability})
+    ax = plots.basin(found, shade="probability")
+    light = pixels(ax)[..., :3].astype(int).sum(-1)
+    assert light[0, 1] > light[1, 0]
+    assert ax.figure.axes[1].get_ylim() == (0, 1)
+
+
+def three_axes():
+    rng = np.random.default_rng(5)
+    outcome = rng.choice([R, S], (3, 4, 5))
+    axes = {"delta": [-0.3, -0.2, 0.1], "w3": [0.0, 0.1, 0.2, 0.3], "w1": np.arange(5.0)}
+    value = np.where(outcome == R, rng.normal(size=outcome.shape), 0.0)
+    return made(outcome, value, axes=axes)
+
+
+def test_other_axes_are_fixed_at_the_nearest_value():
+    found = three_axes()
+    ax = plots.basin(found, at={"delta": -0.21}, x="w3")
+    np.testing.assert_array_equal(pixels(ax), pixels(plots.basin(found.isel(delta=1), x="w3")))
+    assert r"$\delta$ = −0.2" in ax.get_title()
+
+
+def test_panels_share_their_colours_and_say_their_values():
+    found = three_axes()
+    axes = plots.basin(found, panels="delta", shade="omega_inf")
+    assert [ax.get_title().split("\n")[1].split(",")[0] for ax in axes] == [
+        rf"$\delta$ = {x}" for x in ("−0.3", "−0.2", "0.1")
+    ]
+    most = np.nanmax(np.abs(found.omega_inf))
+    (bar,) = set(axes[0].figure.axes) - set(axes)
+    assert bar.get_ylim() == (-most, most)
+    for k, ax in enumerate(axes):
+        one = found.isel(delta=k)
+        stops = np.all(pixels(ax) == byte(CLASSES[S, Stop.NONE][1]), axis=-1)
+        np.testing.assert_array_equal(stops, one.outcome == S)
+
+
+def test_titles_give_multiples_of_pi_as_such():
+    axes = {"phi": [np.pi / 30], "theta": [-2 * np.pi / 3], "w1": [0.1, 0.2], "w2": [0.3, 0.4]}
+    title = plots.basin(made(np.full((1, 1, 2, 2), R), axes=axes)).get_title()
+    assert r"$\varphi$ = π/30, $\vartheta$ = −2π/3, " in title
 
 
 def test_time_needs_no_positive_time():
@@ -178,7 +285,7 @@ def sample_basin():
 @pytest.mark.parametrize(
     ("found", "options", "message"),
     [
-        (sample_basin(), {}, "`basin` must be over a grid, but is over single starts"),
+        (sample_basin(), {}, "`basin` must be over a grid .*, but is over single starts"),
         (
             made(np.full((3, 1), R)),
             {},
@@ -191,7 +298,10 @@ def sample_basin():
         ),
         (made([[R, S], [R, S]]), {"x": "w3"}, "`x` must be 'w_perp' or 'delta', but is 'w3'"),
         (made([[R, S], [R, S]]), {"x": "delta", "y": "delta"}, "`y` must be the other axis"),
-        (made([[R, S], [R, S]]), {"shade": "steps"}, "`shade` must be 'omega_inf', 'time'"),
+        (made([[R, S], [R, S]]), {"shade": "speed"}, "`shade` must be a column of this basin"),
+        (made([[R, S], [R, S]]), {"shade": "probability"}, "`shade` must be a column of this"),
+        (made([[R, S], [R, S]]), {"panels": "w3"}, r"`panels` must be an axis of this basin \(w_p"),
+        (made([[R, S], [R, S]]), {"at": {"w3": 1.0}}, "must be an axis of this basin"),
     ],
 )
 def test_refusals(found, options, message):
@@ -204,7 +314,10 @@ def test_three_long_axes_are_refused_by_name():
     grid = dt.Grid(delta=[0.1, 0.2], w3=[0.0, 0.1, 0.2], phi=[0.0, 1.0])
     columns = {"outcome": np.ones(12, np.int8)}
     found = dt.Basin(grid.dims, grid.shape, grid.coords, columns, {"level": "x"})
-    with pytest.raises(ValueError, match=r"has delta \(2\), w3 \(3\), phi \(2\); sweep a grid"):
+    with pytest.raises(
+        ValueError,
+        match=r"`plots.line` draws a single axis\), but has delta \(2\), w3 \(3\), phi \(2\)",
+    ):
         plots.basin(found)
 
 
@@ -245,6 +358,15 @@ def test_compare_when_nothing_or_everything_differs(other, share):
     marked = any(isinstance(c, PathCollection) for c in figure.axes[0].collections)
     assert marked == (other == S)
     figure.canvas.draw()
+
+
+def test_compare_takes_axes_and_another_shade():
+    one, two = made([[R, S, S], [R, R, S]]), made([[R, S, R], [R, R, S]])
+    figure = plots.compare(one, two, x="w_perp", shade="time")
+    left, right = figure.axes[:2]
+    assert (left.get_xlabel(), left.get_ylabel()) == (r"$\omega_\perp$", r"$\delta$")
+    assert right.get_ylabel() == ""
+    assert pixels(left).shape == (3, 2, 4)
 
 
 def test_compare_counts_the_starts_of_the_cell_once():

@@ -8,7 +8,8 @@ from made_basins import R, S, made
 from matplotlib.colors import to_rgb
 
 from dipoletop import plots
-from dipoletop.plots.plane import CLASSES, SIGNED
+from dipoletop.plots.plane import CLASSES
+from dipoletop.plots.shades import BLUES, OLIVES, SIGNED
 
 # Machado, Oliveira & Fernandes (2009), severity 1: linear RGB as the colour-blind see it.
 SIGHT = {
@@ -58,6 +59,8 @@ def test_colours_differ_to_every_eye(sight):
     assert min(apart(a, b) for a, b in itertools.combinations(colours, 2)) > 20
     ramp = SIGNED(np.linspace(0, 1, 21))
     assert min(apart(a, b) for a in colours[1:] for b in ramp) > 15
+    darkness = np.linspace(0, 1, 21)
+    assert min(map(apart, BLUES(darkness), OLIVES(darkness))) > 15
 
 
 @pytest.mark.parametrize(

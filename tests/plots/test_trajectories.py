@@ -22,10 +22,14 @@ def test_a_trajectory_that_keeps_a_residual_rotation():
     ax = plots.trajectory(run)
     drawn = curves(ax)
     omega = np.asarray(run.omega)
+    times = drawn[r"$|\omega|$"].get_xdata()
+    own = np.searchsorted(times, ts)
+    np.testing.assert_array_equal(times[own], ts)
     for k in range(3):
-        np.testing.assert_array_equal(drawn[rf"$\omega_{k + 1}$"].get_ydata(), omega[:, k])
-    np.testing.assert_allclose(drawn[r"$|\omega|$"].get_ydata(), np.linalg.norm(omega, axis=1))
-    np.testing.assert_array_equal(drawn[r"$|\omega|$"].get_xdata(), ts)
+        curve = drawn[rf"$\omega_{k + 1}$"].get_ydata()
+        np.testing.assert_allclose(curve[own], omega[:, k], rtol=1e-14)
+    sizes = drawn[r"$|\omega|$"].get_ydata()[own]
+    np.testing.assert_allclose(sizes, np.linalg.norm(omega, axis=1), rtol=1e-14)
     assert r"$\omega_\infty = 0.09887$" in drawn  # Fig. 2a of the paper
     assert r"$\propto\tau^{-1/2}$" not in drawn
     assert (ax.get_xscale(), ax.get_xlim()) == ("symlog", (0.0, 3e3))
@@ -57,3 +61,54 @@ def test_a_batch_of_trajectories_is_refused():
     batch = replace(run, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
     with pytest.raises(ValueError, match="must be that of one top, but has times of shape"):
         plots.trajectory(batch)
+
+
+START = dt.cylindrical(0.2, 0.2, np.pi / 30)
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_sparse_times_make_smooth_curves(dense):
+    """Between its times a curve is what a run with more times gives."""
+    ts = np.linspace(0.0, 200.0, 41)
+    run = dt.simulate(dt.TransverseSemi(-0.2), START, ts, dense=dense)
+    curve = curves(plots.trajectory(run))[r"$\omega_2$"]
+    times = curve.get_xdata()
+    assert len(times) > 700
+    assert np.all(np.diff(times) > 0)
+    exact = dt.simulate(dt.TransverseSemi(-0.2), START, times).omega[:, 1]
+    np.testing.assert_allclose(curve.get_ydata(), exact, atol=1e-7 if dense else 2e-4)
+
+
+def test_times_too_far_apart_are_joined_by_straight_lines():
+    ts = np.linspace(0.0, 3000.0, 12)  # some 100 radians from one to the next
+    run = dt.simulate(dt.TransverseSemi(-0.9), dt.cylindrical(0.05, 0.2, 1.0), ts)
+    ax = plots.trajectory(run)
+    assert len(curves(ax)[r"$\omega_2$"].get_xdata()) == 12
+    assert any(line.get_marker() == "." for line in ax.lines)
+
+
+def test_several_runs_have_their_labels_and_dashes():
+    ts = np.linspace(0.0, 100.0, 101)
+    runs = {
+        name: dt.simulate(dt.equation_at(level, -0.2), START, ts)
+        for name, level in (("paper", "order-1"), ("consistent", "semi"))
+    }
+    ax = plots.trajectory(runs, curves=["w1", "size"])
+    assert legend(ax) == [r"$|\omega|$", r"$\omega_1$", "paper", "consistent"]
+    dashes = {line.get_linestyle() for line in ax.lines if len(line.get_xdata()) > 100}
+    assert len(dashes) == 2
+    assert "Reduced, order 1 (the paper's); Semi-reduced" in ax.get_title()
+
+
+@pytest.mark.parametrize(
+    ("runs", "options", "message"),
+    [
+        ({}, {}, "`trajectory` must hold from 1 to 4 runs, but holds 0"),
+        (None, {"curves": ["w4"]}, "`curves` must be among size, w1, w2, w3"),
+    ],
+)
+def test_refusals(runs, options, message):
+    if runs is None:
+        runs = dt.simulate(dt.TransverseAveraged(-0.2), START, [0.0, 1.0])
+    with pytest.raises(ValueError, match=message):
+        plots.trajectory(runs, **options)

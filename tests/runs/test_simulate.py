@@ -161,7 +161,7 @@ def test_bad_input_is_refused_in_one_sentence(call, message):
 
 def test_failure_raises_unless_told_otherwise():
     start, times = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e3])
-    sentence = r"^The run ended before the last of `ts`: `max_steps` did not suffice\.$"
+    sentence = r"^The run ended before the last of `ts`: `max_steps` = 5 steps did not suffice\.$"
     with pytest.raises(RuntimeError, match=sentence):
         dt.simulate(EQUATION, start, times, max_steps=5)
     lost = r"^The physical branch of the full equation could not be followed .* did not suffice\.$"

@@ -7,14 +7,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2] / "src"
 ORDER = """_base | bodies | radiation particles | equations | exact planar _branch | _averaging
-    | emission stability | _engines | _runs | _maps | boundary | adaptive atlases complexity
-    continuation prediction uncertainty validation | fitting | plots | paper | cli"""
+    | emission stability torques | _engines | _runs | _maps | boundary | adaptive atlases complexity
+    continuation prediction uncertainty validation | fitting | plots | paper | explorer | cli"""
 RANK = {page: rank for rank, pages in enumerate(ORDER.split("|")) for page in pages.split()}
 # Exceptions by page, and why. The lists shall become shorter: an entry without need fails.
 UPWARDS = {("continuation", "plots"): "its deprecated functions that draw"}
 INSIDE_FUNCTIONS = {  # and any in cli: a command imports what it needs, so `--help` is quick
     ("continuation", "plots"): "matplotlib",
     ("_engines", "_engines"): "llvmlite",
+    ("explorer", "explorer"): "panel",
 }
 
 

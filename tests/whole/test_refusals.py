@@ -35,7 +35,6 @@ for code in json.load(sys.stdin):
 EQUATION = "must be an equation of motion, callable and with methods .*, but is"
 SINGLE = "must be a single one, but is a batch"
 CASES = {
-    "dt.simulate(field, start, times)": f"`equation` {EQUATION} of type function, .* no `lift`",
     "dt.simulate(start, equation, times)": f"`equation` {EQUATION} of type ArrayImpl",
     "dt.simulate(equation, times, start)": "`ts` must increase",
     "dt.simulate(dt.TransverseSemi, start, times)": f"`equation` {EQUATION} the class Transverse",
@@ -98,7 +97,16 @@ CASES = {
     "plots.basin(basin, unfold='no')": "`unfold` must be True or False, but is 'no'",
     "plots.compare(basin, None)": "`second` must be a Basin, but is None",
     "plots.compare(basin, basin, axes=[1])": "`axes` must be a pair of axes, or None, but has 1",
-    "plots.trajectory('x')": "`trajectory` must be a Trajectory, but is 'x'",
+    "plots.trajectory('x')": "`trajectory` must be a Trajectory, or a dict of them, but is 'x'",
+    "plots.basin(basin, at=1.0)": "`at` must be a dict from axes to their values, or None, but is",
+    "plots.line(basin, at=1.0)": "`column` must be a column of this basin",
+    "plots.histogram(3)": "`found` must be a Basin or a Tally, but is 3",
+    "plots.animate(3)": "`trajectory` must be a Trajectory, but is 3",
+    "dt.torques.with_torque(3, dt.torques.drag(0.1))": f"`equation` {EQUATION} 3",
+    "dt.torques.with_torque(many, dt.torques.drag(0.1))": f"`equation` {SINGLE}",
+    "dt.torques.with_torque(equation, 0.1)": "`torque` must be a function of τ and ω, but is 0.1",
+    "dt.torques.with_torque(equation, field, verdict=3)": "`verdict` must be a function of the st",
+    "dt.torques.gas_drag(3, 1.0)": "`particle` must be a Particle, but is 3",
     "plots.unfold(dt)": "`basin` must be a Basin, but is of type module",
     "dt.residual_rotation(many, start)": f"`equation` {SINGLE}",
     "dt.residual_rotation(equation, start, max_steps=2**32)": "`max_steps` must be at most 214748",

@@ -17,7 +17,7 @@ from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, toleranc
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
 from .._engines.select import select_engines
-from .._runs.blocks import classify_block
+from .._runs.blocks import Way, classify_block
 from .._runs.classification import Value, stopping_rule
 from .._runs.doubt import finish_of
 from .._runs.memory import TILE, largest_tile
@@ -231,9 +231,8 @@ class Plan:
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
         atol = absolute(atol, rtol, omegas, exact_when_slow(equation, value))
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
-        where = {"engine": self.engines[device], "device": device}
-        rules = {"value": value, "slow_flow": slow_flow, "loosely": loosely}
-        ends = classify_block(equation, omegas, limits, **where, **rules)
+        way = Way(value, self.engines[device], device, slow_flow, loosely=loosely)
+        ends = classify_block(equation, omegas, limits, way)
         kept = columns_of_runs(slow_flow).items()
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in kept}
         for k, name in enumerate(self.blocks.derivatives):

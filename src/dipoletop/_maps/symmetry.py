@@ -24,9 +24,9 @@ def unfold(basin: Basin) -> Basin:
     sign where ω∞ does, and those by φ and ω₃ change sign under (φ, ω₃) → (−φ, −ω₃).
 
     Args:
-        basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, as
-            in `symmetry_cell`; its axis `w3` if it increases from 0 or more and φ then covers
-            [0, 2π).
+        basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, with
+            its values at the edges of the parts, as in `symmetry_cell`, or in their middles; its
+            axis `w3` if it increases from 0 or more and φ then covers [0, 2π).
 
     Returns:
         A basin in memory with the level and settings of `basin`; `basin` itself if there is
@@ -48,11 +48,17 @@ def _axis(basin: Basin, name: str) -> Float[np.ndarray, "..."] | None:
 
 
 def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:
-    """Whether φ = 0, h, 2h, … divides the period evenly, its end excluded."""
+    """Whether φ = 0, h, 2h, … or ½h, 1½h, … divides the period evenly, its end excluded."""
     if phi is None or phi.ndim > 1 or len(phi) < 2:
         return False
     step = period / len(phi)
-    return bool(np.all(np.abs(phi - step * np.arange(len(phi))) < 1e-3 * step))
+    places = phi / step - np.arange(len(phi))
+    return bool(np.all(np.abs(places - _is_in_middles(phi) / 2) < 1e-3))
+
+
+def _is_in_middles(phi: Float[np.ndarray, "n"]) -> bool:
+    """Whether values that divide a period begin half a step behind 0, rather than there."""
+    return bool(phi[0] > (phi[1] - phi[0]) / 4)
 
 
 def _rises(w3: Float[np.ndarray, "..."] | None) -> bool:
@@ -73,9 +79,9 @@ def _to_full_turn(basin: Basin) -> Basin:
 
 def _to_both_hemispheres(basin: Basin) -> Basin:
     """(φ, ω₃) → (−φ, −ω₃) with the same ω∞; ω₃ = 0 is its own image."""
-    w3, n_phi, columns = basin.coords["w3"], len(basin.coords["phi"]), {}
+    w3, phi, columns = basin.coords["w3"], basin.coords["phi"], {}
     phi_axis, w3_axis = basin.dims.index("phi"), basin.dims.index("w3")
-    mirrored_phi = -np.arange(n_phi) % n_phi
+    mirrored_phi = (-np.arange(len(phi)) - _is_in_middles(phi)) % len(phi)
     mirrored_w3 = np.flatnonzero(w3 > 0)[::-1]
     for name in basin.columns:
         upper = basin.column(name)

@@ -7,7 +7,7 @@ end by then, and those whose label is in doubt (`doubt`).
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -29,47 +29,51 @@ LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
 
 
+class Way(NamedTuple):
+    """How the runs of a block are made.
+
+    With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
+    """
+
+    value: Value
+    engine: Engine
+    device: Device
+    slow_flow: SlowFlow = False
+    threads: int = 1
+    loosely: bool = True
+
+
 def classify_block(
     equation: Equation,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
-    value: Value,
-    engine: Engine,
-    device: Device,
-    slow_flow: SlowFlow = False,
-    threads: int = 1,
-    loosely: bool = True,
+    way: Way,
 ) -> Classification:
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
 
-    With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
     What does not fit into the memory of the device is divided.
     """
 
     def classified(runs: tuple[Any, Any, Any]) -> Classification:
-        return _classified(*runs, value, engine, device, slow_flow, threads, loosely)
+        return _classified(*runs, way)
 
-    return in_fitting_parts(classified, (equation, omegas, limits), omegas.shape[1], device)
+    return in_fitting_parts(classified, (equation, omegas, limits), omegas.shape[1], way.device)
 
 
 def _classified(
     equation: Equation,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
-    value: Value,
-    engine: Engine,
-    device: Device,
-    slow_flow: SlowFlow,
-    threads: int,
-    loosely: bool,
+    way: Way,
 ) -> Classification:
     """The same, all at once."""
     deciding: DecidingEquation = physical(equation)
+    value, slow_flow = way.value, way.slow_flow
     rule, finish = stopping_rule(equation, value), finish_of(value)
-    block = Block(deciding, omegas, rule, finish, engine, device, threads)
+    block = Block(deciding, omegas, rule, finish, way.engine, way.device, way.threads)
 
     def classified(limits: Limits) -> Classification:
-        if value is False and loosely:
+        if value is False and way.loosely:
             return outcomes(block, limits)
         runs = block.run(limits).runs
         if value is True:

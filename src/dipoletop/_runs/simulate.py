@@ -4,7 +4,10 @@ A full equation cannot be integrated forwards along its physical branch, since e
 fast as the runaway solutions do. `_branch.march` follows that branch instead.
 """
 
-from typing import Any, TypedDict, Unpack
+import inspect
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Unpack
 
 import diffrax
 import equinox as eqx
@@ -25,14 +28,13 @@ from .._base.attitudes import (
     unit_quaternion,
 )
 from .._base.checks import (
-    FLAG,
     ArrayLike,
     NumberLike,
+    check_body,
     check_single,
     concrete,
     finite,
     initial_state,
-    instance,
     is_whole_state,
     refuse,
     where_valid,
@@ -43,47 +45,28 @@ from .._base.types import Equation, State, Vector
 from .._branch import march
 from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, is_full, physical, twist_axis
+from ..equations.plain import PlainFunction
+from .solver_options import (
+    Options,
+    check_branch_options,
+    check_options,
+    event_of,
+    saved_at,
+)
 from .trajectory import BranchSolution, Trajectory, rate_of_omega
 
 BRANCH_LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
-    "ω is too large for a slow branch, or `max_steps` windows did not suffice."
+    "ω is too large for a slow branch, or `max_steps` = {} windows did not suffice."
 )
 STEP_FAILED = (
     "The run ended before the last of `ts`: the solver's steps became too small, or failed."
 )
-OUT_OF_STEPS = "The run ended before the last of `ts`: `max_steps` did not suffice."
-
-
-class Options(TypedDict, total=False):
-    """The further arguments of `simulate`."""
-
-    solver: diffrax.AbstractSolver | None
-    stepsize_controller: diffrax.AbstractStepSizeController | None
-    adjoint: diffrax.AbstractAdjoint | None
-    throw: bool
-    dense: bool
-    balance: bool
-    attitude: ArrayLike | None
-
-
-OPTIONS = {
-    "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
-    "stepsize_controller": (
-        diffrax.AbstractStepSizeController,
-        "be a step size controller of diffrax, such as `diffrax.PIDController(1e-8, 1e-10)`",
-    ),
-    "adjoint": (
-        diffrax.AbstractAdjoint,
-        "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
-    ),
-    "attitude": (object, ""),  # checked by `unit_quaternion`
-} | dict.fromkeys(("throw", "dense", "balance"), (FLAG, "be True or False"))
-"""The class of each of the `Options`, and how a refusal describes it."""
+OUT_OF_STEPS = "The run ended before the last of `ts`: `max_steps` = {} steps did not suffice."
 
 
 def simulate(
-    equation: Equation,
+    equation: Equation | Callable[..., Any],
     omega0: ArrayLike,
     ts: ArrayLike,
     *,
@@ -101,16 +84,22 @@ def simulate(
     |---|---|---|
     | `solver` | a solver of diffrax | `diffrax.Dopri8()` |
     | `stepsize_controller` | a step size controller of diffrax | PID by `rtol`, `atol`, |ω(τ)| |
+    | `dt0` | the first step; the step of `diffrax.ConstantStepSize()` | chosen by diffrax |
+    | `event` | ends the run, `diffrax.Event(condition)`, with condition(τ, y, args) | None |
+    | `saveat` | what is saved in place of `ts`: `diffrax.SaveAt(steps=True)`, … | None |
+    | `progress_meter` | a progress meter of diffrax | none |
     | `adjoint` | how diffrax differentiates | `diffrax.RecursiveCheckpointAdjoint()` |
     | `throw` | raise if the run ends early, else fill up with NaN | True |
     | `dense` | keep the interpolation, for `Trajectory.evaluate` | False |
     | `balance` | integrate the radiated energy, too | False |
     | `attitude` | the attitude at ts[0], shape (4,); integrate dq/dτ = ½ q∘(0, ω), too | None |
 
-    With `throw=False` a run that ends early has no derivatives in reverse mode.
+    With `throw=False` a run that ends early has no derivatives in reverse mode. After an event all
+    times and states are those of the event. With `saveat` the trajectory holds the times that are
+    saved; in a trace, places that are not used hold inf for the time and NaN for the state.
 
     Args:
-        equation: any equation of motion.
+        equation: any equation of motion; or a plain function (τ, ω, args) that gives dω/dτ.
         omega0: start ω₀, shape (3,), dimensionless, body axes; a full equation is then followed
             along its physical branch. Or a whole state of a full equation: it is integrated as it
             is, and runs away unless it lies on that branch.
@@ -137,26 +126,40 @@ def simulate(
         >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
         True
     """
-    check_single(equation)
-    _check_options(options)
+    motion: Any = PlainFunction(equation) if inspect.isroutine(equation) else equation
+    check_single(motion)
+    check_options(options)
+    if options.get("balance"):
+        check_body(physical(motion))
     given = options.pop("attitude", None)
     q0 = None if given is None else unit_quaternion("attitude", given)
     whole_state = is_whole_state(omega0)
     if not whole_state:
-        equation = physical(equation)
+        motion = physical(motion)
     times = _times(ts)
-    y0 = initial_state(equation, omega0)
-    tolerances = step_tolerances(rtol, atol, equation.omega(y0))
+    y0 = initial_state(motion, omega0)
+    tolerances = step_tolerances(rtol, atol, motion.omega(y0))
     steps = budget("max_steps", max_steps)
-    if is_full(equation) and not whole_state:
-        run, reached = _follow(equation, y0, times, tolerances.rtol, steps, options, q0)
-        failures = {BRANCH_LOST: ~(reached >= times[-1])}
+    if is_full(motion) and not whole_state:
+        run, reached = _follow(motion, y0, times, tolerances.rtol, steps, options, q0)
+        failures = {BRANCH_LOST.format(steps): ~(reached >= times[-1])}
     else:
-        run, result = _solve(equation, y0, times, tolerances, steps, options, q0)
+        run, result = _solve(motion, y0, times, tolerances, steps, options, q0)
         out_of_steps = result == diffrax.RESULTS.max_steps_reached
-        failed = ~(diffrax.is_successful(result) | out_of_steps)
-        failures = {OUT_OF_STEPS: out_of_steps, STEP_FAILED: failed}
+        failed = ~(diffrax.is_okay(result) | out_of_steps)
+        failures = {OUT_OF_STEPS.format(steps): out_of_steps, STEP_FAILED: failed}
+        if options.get("saveat") is not None:
+            run = _without_unused(run)
     return _raised(run, failures) if options.get("throw", True) else run
+
+
+def _without_unused(run: Trajectory) -> Trajectory:
+    """The trajectory without the places that were kept for more steps, unless it is traced."""
+    if not concrete(run.ts):
+        return run
+    used = np.isfinite(run.ts)
+    parts = {name: getattr(run, name) for name in ("ts", "ys", "emitted", "_attitude")}
+    return replace(run, **{name: x if x is None else x[used] for name, x in parts.items()})
 
 
 def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
@@ -167,15 +170,6 @@ def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
         elif failed:
             raise RuntimeError(sentence)
     return run
-
-
-def _check_options(options: Options) -> None:
-    for name, value in options.items():
-        if name not in OPTIONS:
-            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
-        kind, must = OPTIONS[name]
-        if value is not None or kind is FLAG:
-            instance(name, value, kind, must)
 
 
 def _times(ts: ArrayLike) -> Float[Array, "T"]:
@@ -195,15 +189,7 @@ def _follow(
     q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Float[Array, ""]]:
     """The motion along the physical branch of a full equation, and the time that it reached."""
-    for name in ("solver", "stepsize_controller", "adjoint", "dense"):
-        if options.get(name):
-            refuse(
-                "options",
-                "be `throw`, `balance` or `attitude` for a start of shape (3,) of a full equation, "
-                "whose physical branch diffrax cannot follow (give a whole state for the vector "
-                "field)",
-                f"one is `{name}`",
-            )
+    check_branch_options(options)
     turns = q0 is not None
     motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows, turns)
     # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
@@ -310,6 +296,20 @@ def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
     return jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys)
 
 
+def _up_to_event(
+    times: Float[Array, "T"], solution: Any
+) -> tuple[Float[Array, "T"], Float[Array, "T m"]]:
+    """Times and states, those of the event behind it; of a run that failed, inf for states.
+
+    diffrax saves the end of the run behind the last of `times` that it reached.
+    """
+    end = jnp.sum(jnp.isfinite(solution.ts)) - 1
+    behind, is_event = jnp.arange(times.size) >= end, diffrax.is_event(solution.result)
+    last = jnp.where(is_event, solution.ys[end], jnp.inf)
+    ys = jnp.where(behind[:, None], last, solution.ys[:-1])
+    return jnp.where(behind & is_event, solution.ts[end], times), ys
+
+
 @eqx.filter_jit
 def _solve(
     equation: Any,
@@ -317,7 +317,7 @@ def _solve(
     times: Float[Array, "T"],
     tolerances: Tolerances,
     max_steps: int,
-    options: Options,
+    options: Any,
     q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Any]:
     """The motion by diffrax, and diffrax's result."""
@@ -332,15 +332,21 @@ def _solve(
         options.get("solver") or diffrax.Dopri8(),
         times[0],
         times[-1],
-        None,
+        options.get("dt0"),
         _with_integrals(y0, balance, turns),
-        saveat=diffrax.SaveAt(ts=times, dense=options.get("dense", False)),
+        saveat=saved_at(options, times),
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
+        event=event_of(options, n),
+        progress_meter=options.get("progress_meter") or diffrax.NoProgressMeter(),
         max_steps=max_steps,
         throw=False,
     )
     ys: Any = solution.ys
+    if options.get("saveat") is not None:
+        times = jnp.asarray(solution.ts)
+    elif options.get("event") is not None:
+        times, ys = _up_to_event(times, solution)
     # States that were not reached have NaN for derivatives, too; those of diffrax's inf are 0.
     # NaN multiplies a number that depends on all inputs, since `where` would put NaN into the
     # reverse-mode derivatives of complete runs.

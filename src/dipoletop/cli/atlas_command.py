@@ -58,6 +58,7 @@ def atlas_command(**options: Any) -> None:
     """
     from .. import plots
 
+    base, picture = output_paths(options["output"], options["suffix"], "atlas")
     axes, moments = options["dipoles"] or ("1", "2", "3"), options["body"]
     if moments and options["dipoles"]:
         raise Refusal("--dipole and --body cannot both be given.")
@@ -68,7 +69,6 @@ def atlas_command(**options: Any) -> None:
         maps = [atlas(body=body, **settings)]
     else:
         maps = [atlas(int(axis), **settings) for axis in dict.fromkeys(axes)]
-    base, picture = output_paths(options["output"], options["suffix"], "atlas")
     plots.save(plots.atlas(maps, particles=options["particles"]), picture)
     data = base.with_name(f"{base.name}.csv")
     columns = [each.columns() for each in maps]

@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import stability, validation
 from .._maps.basin import Basin
+from .._maps.quantities import QUANTITIES, describe, initial_condition
 from .._runs.classify import classify
 from .._runs.simulate import simulate
 from .._runs.slow_runs import SlowFlow
@@ -21,7 +22,8 @@ from . import maps, quantities, tables
 from .atlas_command import atlas_command
 from .clusters import cluster_client
 from .data_commands import export_command, info_command, plot_command
-from .files import FORMATS, output_paths
+from .explore_command import explore_command
+from .files import FORMATS, check_output, make_folder, output_paths
 from .interruption import interruptible
 from .parameters import Duration, Number, Size
 from .predict_command import predict_command
@@ -35,6 +37,15 @@ MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.F
 SLOW_FLOW: dict[str, SlowFlow] = {"auto": "auto", "on": True, "off": False}
 COLUMNS = "tau,omega_1,omega_2,omega_3,energy,power"
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
+
+NAMES = """\b
+Names of the figures:
+  1        which outcomes are possible for which shape δ, at order 1
+  1-full   the same by the semi-reduced and the full equation
+  2        ω₁, ω₂, ω₃ against τ: a residual rotation and a stop, order 1 and full
+  3        phase plane of the plane rotator, with its runaways
+  spectra  how perturbations of a residual rotation decay, at every level
+  levels   which starts have another outcome at another level"""
 
 TERMS = """\b
 Quantities (dimensionless: ω = τ₀Ω and τ = t/τ₀, with τ₀ = 2d²/(3c³I₁) in Gaussian units):
@@ -76,6 +87,7 @@ main.add_command(plot_command)
 main.add_command(export_command)
 main.add_command(predict_command)
 main.add_command(atlas_command)
+main.add_command(explore_command)
 
 
 @main.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
@@ -92,7 +104,7 @@ main.add_command(atlas_command)
     type=AXIS,
     metavar="AXIS",
     default="phi",
-    help="Horizontal axis; in comparisons always phi.",
+    help="Horizontal axis.",
 )
 @click.option("--y", type=AXIS, metavar="AXIS", default="w3", help="Vertical axis.")
 @click.option(
@@ -193,7 +205,7 @@ def map_command(**options: Any) -> None:
 
 def _given(options: dict[str, Any]) -> dict[str, float | None]:
     """The quantities among the options; None where the user gave none."""
-    return {name: options[name] for name in quantities.QUANTITIES}
+    return {name: options[name] for name in QUANTITIES}
 
 
 def _devices(kind: str | None) -> list[Any] | None:
@@ -211,9 +223,10 @@ def _draw(basins: list[Basin], axes: tuple[str, str], picture: Path) -> None:
     from .. import plots
 
     x, y = axes
-    figure: Any = (
-        plots.compare(*basins) if len(basins) == 2 else plots.basin(basins[0], x=x, y=y).figure
-    )
+    if len(basins) == 2:
+        figure: Any = plots.compare(*basins, x=x, y=y)
+    else:
+        figure = plots.basin(basins[0], x=x, y=y).figure
     figure.savefig(picture, dpi=150)
 
 
@@ -246,8 +259,9 @@ def simulate_command(**options: Any) -> None:
     level, tau_max = Level(options["level"]), options["tau_max"]
     if tau_max <= 0:
         raise Refusal(f"--tau-max must be positive, but is {tau_max:g}.")
+    base, picture = output_paths(options["output"], options["suffix"], "trajectory")
     values = quantities.with_defaults(_given(options))
-    omega0, delta = quantities.initial_condition(values), values["delta"]
+    omega0, delta = initial_condition(values), values["delta"]
     equation = equation_at(level, delta)
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, tau_max, options["points"])
@@ -258,13 +272,12 @@ def simulate_command(**options: Any) -> None:
             f"The run did not reach τ = {tau_max:g}: it ended after "
             f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
         )
-    base, picture = output_paths(options["output"], options["suffix"], "trajectory")
     table = base.with_name(f"{base.name}.csv")
     # 17 digits give every number back exactly.
     np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=COLUMNS, comments="")
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
-    click.echo(f"{quantities.describe(values)}. Level: {equation.level}.")
+    click.echo(f"{describe(values)}. Level: {equation.level}.")
     click.echo(tables.states(rows))
     click.echo(tables.ending(classify(equation, omega0, **settings)))
     if level is Level.ORDER_1:
@@ -274,7 +287,7 @@ def simulate_command(**options: Any) -> None:
     click.echo(f"Picture: {picture}\nData: {table}")
 
 
-@main.command("figures", short_help="The figures of the paper, and three more.")
+@main.command("figures", epilog=NAMES, short_help="The figures of the paper, and three more.")
 @click.argument("names", type=FIGURES, metavar="[NAME]...", nargs=-1)
 @click.option("--output", default="dipoletop-figures", help="Folder of the figures.")
 @click.option(
@@ -287,22 +300,15 @@ def simulate_command(**options: Any) -> None:
 )
 @computing
 def figures_command(**options: Any) -> None:
-    r"""Compute and draw the figures of the paper, and three that it does not have.
-
-    \b
-    1        which outcomes are possible for which shape δ, at order 1
-    1-full   the same by the semi-reduced and the full equation
-    2        ω₁, ω₂, ω₃ against τ: a residual rotation and a stop, order 1 and full
-    3        phase plane of the plane rotator, with its runaways
-    spectra  how perturbations of a residual rotation decay, at every level
-    levels   which starts have another outcome at another level
+    """Compute and draw the figures of the paper, and three that it does not have.
 
     Without names: all of them, in about two minutes.
     """
     from ..paper import figures
 
+    check_output(options["output"])
     folder = Path(options["output"])
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for name in dict.fromkeys(options["names"] or FIGURES.choices):
         figure = figures.FIGURES[name]()
         for suffix in dict.fromkeys(options["suffixes"]):

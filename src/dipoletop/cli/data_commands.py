@@ -106,9 +106,10 @@ def duration(seconds: float) -> str:
 )
 @click.option(
     "--shade",
-    type=click.Choice(["omega_inf", "time", "none"]),
+    metavar="COLUMN",
     default="omega_inf",
-    help="What shades the outcomes.",
+    help="What shades the outcomes: omega_inf, omega_inf_error, time, steps, probability, "
+    "certified, a derivative such as d_omega_inf_d_delta, or none.",
 )
 @click.option("--output", default="dipoletop-plot", help="Folder, or first part of the file name.")
 @click.option("--format", "suffix", type=FORMATS, help="Format of the picture.  [default: png]")
@@ -130,7 +131,12 @@ def plot_command(path: str, **options: Any) -> None:
             raise Refusal("--average needs --x and --y, the axes that are not averaged over.")
         figure: Any = plots.shares(basin, x, y).figure
     elif options["panels"]:
-        figure = plots.panels(basin, _axis(options["panels"]), shade=shade, x=x)
+        panels = _axis(options["panels"])
+        figure = plots.basin(basin, shade=shade, x=x, y=y, panels=panels)[0].figure
+    elif not basin.coords:
+        figure = plots.starts(basin, x or "phi", y or "cos_theta", shade=shade).figure
+    elif sum(n > 1 for n in basin.shape) == 1:
+        figure = plots.line(basin, options["shade"]).figure
     else:
         figure = plots.basin(basin, shade=shade, x=x, y=y).figure
     figure.savefig(picture, dpi=150)

@@ -8,20 +8,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-from jaxtyping import Array
 
 from .._base.checks import refuse
 from .._base.monitoring import COMPILING
-from .._base.types import Equation
 from .._maps.basin import Basin
 from .._maps.grids import Grid
+from .._maps.quantities import CYLINDRICAL, SPHERICAL, problem_of_top
 from .._maps.store.contents import starts_done, verify
 from .._maps.store.errors import StoreMismatch
 from .._maps.store.tiles import open_store
 from .._maps.sweep import sweep
 from ..equations.levels import Level
-from ..equations.transverse import equation_at
-from .quantities import CYLINDRICAL, SPHERICAL, initial_condition
 from .refusals import Refusal
 
 
@@ -43,14 +40,10 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
         ValueError: bad settings.
         Refusal: a store with something else in it.
     """
-
-    def problem(**point: Array) -> tuple[Equation, Array]:
-        return equation_at(level, point["delta"]), initial_condition(point)
-
     stored = 0 if store is None else starts_done(store, settings.get("repair", False))
     try:
         with measure_compile_time() as seconds:
-            basin = sweep(problem, grid, store=store, **settings)
+            basin = sweep(problem_of_top(level), grid, store=store, **settings)
     except StoreMismatch as error:
         reason = error.reason.replace("`slow_flow=False`", "--slow-flow off")
         raise Refusal(f"{reason}; choose another --output, or remove it.") from None

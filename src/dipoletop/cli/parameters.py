@@ -6,6 +6,8 @@ from typing import Any, ClassVar, TypeAlias
 
 import click
 
+from .._base.numerals import number_in
+
 Parameter: TypeAlias = click.Parameter | None
 Context: TypeAlias = click.Context | None
 
@@ -14,24 +16,13 @@ class Number(click.ParamType):
     """A finite number; multiples of π as pi/30, 2pi or 2*pi/3."""
 
     name = "number"
-    WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
 
     def convert(self, value: Any, param: Parameter, ctx: Context) -> float:
         """The number that a text stands for."""
         try:
-            number = self._read(str(value))
-        except (ValueError, ZeroDivisionError):
-            number = math.nan
-        if not math.isfinite(number):
+            return number_in(str(value))
+        except ValueError:
             self.fail(f"{value!r} is not a finite number such as 0.2, 1e-3 or pi/30.", param, ctx)
-        return number
-
-    def _read(self, text: str) -> float:
-        parts = self.WITH_PI.fullmatch(text)
-        if not parts:
-            return float(text)
-        sign, factor, divisor = parts.groups()
-        return float(f"{sign}{factor or 1}") * math.pi / float(divisor or 1)
 
 
 class Size(click.ParamType):

@@ -61,6 +61,7 @@ def predict_command(**options: Any) -> None:
 
     if options["momentum"] and options["axis"]:
         raise Refusal("--momentum and --axis cannot both be given.")
+    base, picture = output_paths(options["output"], options["suffix"], "prediction")
     particle = given_particle(options)
     single = bool(options["momentum"] or options["axis"])
     show = sys.stderr.isatty() if options["progress"] is None else options["progress"]
@@ -70,7 +71,6 @@ def predict_command(**options: Any) -> None:
     name = "axis" if options["axis"] else "momentum"
     predictions = _predictions(particle, options["spin"], name, directions, show)
     shown = jax.tree.map(lambda leaf: leaf[0], predictions) if single else predictions
-    base, picture = output_paths(options["output"], options["suffix"], "prediction")
     plots.save(plots.history(shown), picture)
     data = base.with_name(f"{base.name}.csv")
     click.echo(prediction_tables.particle(particle))

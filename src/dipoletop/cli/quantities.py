@@ -2,92 +2,43 @@
 
 Everywhere in Python a quantity has the name of its axis in a `Grid`, such as `w_perp`. The command
 line spells it as an option, `--w-perp`: `OPTIONS` leads from there to the name, and messages go
-the other way by `Quantity.option`.
+the other way by `WORDS`.
 """
 
 import math
 from collections.abc import Mapping
-from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array
 
+from .._base.numerals import as_text
 from .._maps.grids import Grid
-from ..equations.transverse import TransverseReduced, cylindrical
+from .._maps.quantities import CYLINDRICAL, QUANTITIES, SPHERICAL, describe
+from ..equations.transverse import TransverseReduced
 from .parameters import Number
 from .refusals import Command, Refusal
 
-
-class Quantity(NamedTuple):
-    """What the user may give or vary: its spelling, meaning, default and usual range."""
-
-    option: str
-    symbol: str
-    meaning: str
-    default: float
-    low: float
-    high: float
-
-
-QUANTITIES = {
-    "delta": Quantity("delta", "δ", "δ = 1 − I₃/I₁.", -0.2, -1.0, 0.9),
-    "w_perp": Quantity("w-perp", "ω⊥", "ω⊥, across the symmetry axis.", 0.2, 0.0, 0.5),
-    "w3": Quantity("w3", "ω₃", "ω₃, along the symmetry axis.", 0.2, 0.0, 0.6),
-    "phi": Quantity("phi", "φ", "φ, from the dipole to ω⊥.", math.pi / 30, 0.0, math.pi),
-    "amplitude": Quantity(
-        "amplitude", "|ω|", "|ω|, with --theta in place of w-perp and w3.", 0.2, 0.02, 0.5
-    ),
-    "theta": Quantity(
-        "theta", "θ", "Angle from the symmetry axis to ω.", math.pi / 4, 0.0, math.pi / 2
-    ),
-}
-OPTIONS = {quantity.option: name for name, quantity in QUANTITIES.items()}
+OPTIONS = {name.replace("_", "-"): name for name in QUANTITIES}
 """Names of the quantities, by the words of the command line."""
-CYLINDRICAL, SPHERICAL = {"w_perp", "w3"}, {"amplitude", "theta"}
-"""The two ways to give the size and the direction of ω₀; φ belongs to both."""
+WORDS = {name: word for word, name in OPTIONS.items()}
+IN_PLACE = {"amplitude": " With --theta in place of w-perp and w3."}
+"""What the help of an option says besides its meaning."""
 
 
 def spelled(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names as the command line spells them."""
-    return tuple(QUANTITIES[name].option for name in names)
-
-
-def as_text(value: float) -> str:
-    """A number; a multiple of π as such."""
-    part = Fraction(value / math.pi).limit_denominator(60)
-    if value == 0 or not math.isclose(part * math.pi, value, rel_tol=1e-12):
-        return f"{value:g}"
-    above = {1: "", -1: "-"}.get(part.numerator, str(part.numerator))
-    return f"{above}π" + (f"/{part.denominator}" if part.denominator > 1 else "")
-
-
-def describe(values: Mapping[str, float]) -> str:
-    """The values with their symbols."""
-    return ", ".join(
-        f"{QUANTITIES[name].symbol} = {as_text(value)}" for name, value in values.items()
-    )
+    return tuple(WORDS[name] for name in names)
 
 
 def quantity_options(command: Command) -> Command:
     """The options --delta, --w-perp, …; the command gets them by the names of `QUANTITIES`."""
     for name, quantity in reversed(QUANTITIES.items()):
         default = as_text(quantity.default).replace("π", "pi")
-        help_text = f"{quantity.meaning}  [default: {default}]"
-        option = click.option(f"--{quantity.option}", name, type=Number(), help=help_text)
+        help_text = f"{quantity.meaning}{IN_PLACE.get(name, '')}  [default: {default}]"
+        option = click.option(f"--{WORDS[name]}", name, type=Number(), help=help_text)
         command = option(command)
     return command
-
-
-def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
-    """ω₀ of shape (3,), from the quantities by their names."""
-    if "amplitude" not in values:
-        return cylindrical(values["w_perp"], values["w3"], values["phi"])
-    amplitude, theta = values["amplitude"], values["theta"]
-    return cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), values["phi"])
 
 
 def with_defaults(
@@ -96,12 +47,12 @@ def with_defaults(
     """The quantities that fix δ and ω₀, as given or by default; `axes` will be varied.
 
     Raises:
-        Refusal: an axis that is given, ω⊥ or ω₃ with |ω| or θ, or values that cannot be.
+        Refusal: an axis that is given, ω⊥ or ω₃ with |ω| or ϑ, or values that cannot be.
     """
     fixed = {name: value for name, value in given.items() if value is not None}
     for name in fixed:
         if name in axes:
-            option = QUANTITIES[name].option
+            option = WORDS[name]
             raise Refusal(
                 f"--{option} would fix an axis of the map; use --range {option} LOW HIGH."
             )
@@ -125,7 +76,7 @@ def with_defaults(
 
 def _check(name: str, *values: float) -> None:
     """Refuse values that no top can have."""
-    option = QUANTITIES[name].option
+    option = WORDS[name]
     for value in values:
         if name in ("w_perp", "amplitude") and value < 0:
             raise Refusal(f"{option} must not be negative, but is {value:g}.")
@@ -156,8 +107,7 @@ def grid_over(
     for name in ranges:
         if name not in axes:
             raise Refusal(
-                f"--range {QUANTITIES[name].option}: "
-                f"the axes of this map are {options[0]} and {options[1]}."
+                f"--range {WORDS[name]}: the axes of this map are {options[0]} and {options[1]}."
             )
     fixed = {name: v for name, v in with_defaults(given, axes).items() if name not in axes}
     values: dict[str, Any] = dict(fixed)
@@ -166,7 +116,7 @@ def grid_over(
         quantity = QUANTITIES[name]
         low, high = ranges.get(name, (quantity.low, quantity.high))
         if not low < high:
-            raise Refusal(f"--range {quantity.option}: {low:g} must be less than {high:g}.")
+            raise Refusal(f"--range {WORDS[name]}: {low:g} must be less than {high:g}.")
         _check(name, low, high)
         values[name] = np.linspace(low, high, n, endpoint=not _repeats(name, low, high))
         spans[name] = f"{quantity.symbol} from {as_text(low)} to {as_text(high)}"

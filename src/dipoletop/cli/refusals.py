@@ -35,11 +35,20 @@ def computing(command: Command) -> Command:
         try:
             with forgiving_output():
                 command(**options)
-        except (StoreDamaged, StoreMismatch, OSError) as error:
+        except (StoreDamaged, StoreMismatch) as error:
             raise Refusal(str(error)) from None
+        except OSError as error:
+            raise Refusal(_sentence(error)) from None
         except ValueError as error:
             if not str(error).startswith("Argument `"):
                 raise
             raise Refusal(str(error)) from None
 
     return wrapped
+
+
+def _sentence(error: OSError) -> str:
+    """What the system refused, without its number."""
+    if error.strerror is None:
+        return str(error)
+    return f"{error.filename or 'A file'} cannot be used ({error.strerror.lower()})."

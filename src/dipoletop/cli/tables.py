@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .._base.statistics import Share
 from .._base.summaries import with_error
 from .._base.types import Outcome, Regime, Stop
 from .._maps.symmetry import unfold
@@ -154,7 +153,7 @@ def _column(run: Run) -> dict[str, str]:
     """The cells of one level, by the names of their rows."""
     basin, steps = run.basin, run.basin.steps
     size, outcome = steps.size, run.basin.outcome
-    shares = {name.lower(): _percent(share) for name, share in basin.fractions().items()}
+    shares = {name.lower(): f"{share.share:.2%}" for name, share in basin.fractions().items()}
     column = {name: shares[name] for name in ("residual", "stop", *shares) if name in shares}
     decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
     column["certified for its level"] = f"{np.mean(basin.certified):.2%} of the starts"
@@ -193,13 +192,9 @@ def _column(run: Run) -> dict[str, str]:
     return column
 
 
-def _percent(share: Share) -> str:
-    return f"{share.share:.2%}  [{100 * share.low:.2f}, {100 * share.high:.2f}]"
-
-
 def _remarks(runs: list[Run]) -> list[str]:
-    """What the table leaves out: intervals, the comparison, and what was not computed."""
-    lines = ["In brackets: 95 % intervals as for random starts."]
+    """What the table leaves out: the comparison, and what was not computed."""
+    lines = []
     if len(runs) == 2:
         first, second = (run.basin.outcome for run in runs)
         differ = int(np.sum(first != second))

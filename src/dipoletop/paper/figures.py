@@ -229,9 +229,22 @@ def rotator_plane() -> Figure:
     closed = r"AOC in closed form, $-\omega^3/\sqrt{1+2\omega^2}$"
     ax.plot(w, closed_manifold(w), color=ORANGE, lw=1.2, ls="--", label=closed)
     ax.plot(0, 0, "o", color="black", ms=4)
+    _name_points(ax, w, {"AC": physical, "BD": other}, 0.85 * top)
     ax.set(xlim=(-2, 2), ylim=(-top, top), xlabel=r"$\omega$", ylabel=r"$\varpi = d\omega/d\tau$")
     figure.legend(loc="outside lower center")
     return figure
+
+
+def _name_points(ax: Axes, w: np.ndarray, curves: dict[str, np.ndarray], top: float) -> None:
+    """The letters of the paper: O at rest, and those of both ends of every curve in the picture."""
+    places = {"O": (0.0, 0.0)}
+    for letters, curve in curves.items():
+        inside = np.flatnonzero(np.abs(curve) < top)
+        places |= {x: (w[k], curve[k]) for x, k in zip(letters, inside[[0, -1]], strict=True)}
+    for letter, place in places.items():
+        aside = -16 if place[0] > 1.8 else 7
+        text = ax.annotate(letter, place, (aside, 5), textcoords="offset points", zorder=6)
+        text.set_bbox({"fc": "white", "ec": "none", "pad": 0.6, "alpha": 0.8})
 
 
 def _draw_domains(

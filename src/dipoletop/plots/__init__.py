@@ -1,29 +1,35 @@
 """Pictures of basins, trajectories and continuations.
 
-`plane` computes what a map shows before it is drawn; `basins`, `trajectories` and `continuations`
-draw; `axes` and `style` hold what several pictures share. The colours can be told apart by
+`plane` and `shades` compute what a map shows before it is drawn; `axes` and `style` hold what
+several pictures share; the other modules draw. The colours can be told apart by
 colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
 """
 
 from .._maps.symmetry import unfold
+from .animations import animate
 from .atlases import atlas
 from .basins import basin, compare
 from .continuations import continuation, diagram
+from .histograms import histogram
 from .histories import history
-from .panels import panels, shares
+from .residual_shares import shares
+from .single_starts import line, starts
 from .style import save
 from .trajectories import trajectory
 
 __all__ = [
+    "animate",
     "atlas",
     "basin",
     "compare",
     "continuation",
     "diagram",
+    "histogram",
     "history",
-    "panels",
+    "line",
     "save",
     "shares",
+    "starts",
     "trajectory",
     "unfold",
 ]

@@ -9,6 +9,7 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from .._base.checks import instance
+from .style import symbol
 
 Spacing = Literal["even", "log", "uneven"]
 
@@ -68,6 +69,13 @@ def show_cells(
         ax.set_xscale("log")
     if y_spacing == "log":
         ax.set_yscale("log")
+
+
+def name_axis(axis: Axis, name: str) -> None:
+    """The symbol of a quantity as the label; ticks of φ at multiples of π/2."""
+    axis.set_label_text(symbol(name))
+    if name == "phi":
+        mark_quarter_turns(axis)
 
 
 def mark_quarter_turns(axis: Axis) -> None:

@@ -1,7 +1,8 @@
-"""Maps of outcomes, alone and compared, in colours that colour-blind people can tell apart."""
+"""Maps of outcomes, alone, in panels and compared, in colours that colour-blind people can tell."""
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, overload
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,20 +15,51 @@ from matplotlib.transforms import ScaledTranslation
 
 from .._base.checks import flag, instance, refuse
 from .._maps.basin import Basin
-from .axes import check_axes, mark_quarter_turns, show_cells
+from .axes import check_axes, name_axis, show_cells
 from .plane import (
     CLASSES,
     NOT_COMPUTED,
     Plane,
-    Shade,
     axis_lengths,
+    check_axis,
     classes_of,
     coloured,
     legend_colours,
     plane_of,
     shades_of,
 )
-from .style import hatch, percent, symbol
+from .shades import CERTIFIED, Shade
+from .style import hatch, percent
+
+COLUMNS, MOST = 3, 12
+"""Panels in a row, and in a picture."""
+
+
+@overload
+def basin(
+    basin: Basin,
+    *,
+    ax: Axes | None = ...,
+    shade: str | None = ...,
+    unfold: bool = ...,
+    x: str | None = ...,
+    y: str | None = ...,
+    at: Mapping[str, Any] | None = ...,
+    panels: None = ...,
+) -> Axes: ...
+
+
+@overload
+def basin(
+    basin: Basin,
+    *,
+    shade: str | None = ...,
+    unfold: bool = ...,
+    x: str | None = ...,
+    y: str | None = ...,
+    at: Mapping[str, Any] | None = ...,
+    panels: str,
+) -> np.ndarray: ...
 
 
 def basin(
@@ -38,42 +70,92 @@ def basin(
     unfold: bool = True,
     x: str | None = None,
     y: str | None = None,
-) -> Axes:
-    """A map of the outcomes over the two axes of a grid.
+    at: Mapping[str, Any] | None = None,
+    panels: str | None = None,
+) -> Axes | np.ndarray:
+    """A map of the outcomes over two axes of a grid.
+
+    | `shade` | what is shaded |
+    |---|---|
+    | "omega_inf" | residual rotation by its signed ω∞ |
+    | "omega_inf_error" | residual rotation by the estimated error of ω∞ |
+    | "d_omega_inf_d_delta", … | residual rotation by that derivative of ω∞ |
+    | "time", "steps" | residual rotation and stop by the τ, or the steps, until they were certain |
+    | "probability" | starts that chance decides, by the probability of residual rotation |
+    | "certified" | nothing; outcomes that are not certified are hatched |
+    | None | nothing |
 
     Args:
-        basin: a basin over a grid with two axes longer than 1; the others go into the title.
+        basin: a basin over a grid; axes of length 1 go into the title.
         ax: where to draw; None makes a figure.
-        shade: what shades the outcomes. "omega_inf": residual rotation by its signed ω∞;
-            "time": residual rotation and stop by the τ at which they were certain; None: nothing.
+        shade: see the table.
         unfold: whether to extend a symmetry cell in φ and ω₃ to the whole plane, by the rules of
             `plots.unfold`; not for a dipole off the principal axes.
         x: the horizontal axis; None means φ if there is one, else the last.
         y: the vertical axis; None means the other one.
+        at: name = value for axes that are fixed, at the nearest value of the grid.
+        panels: an axis with a panel for each value, at most twelve, in the same colours.
 
     Returns:
-        The axes; the title says the level of the equation and what share is certified.
+        The axes; the title says the level of the equation and what share is certified. With
+        `panels` an array of them, one for each value.
 
     Raises:
-        ValueError: no basin over a grid with two axes longer than 1, a name that is not one of
-            them, or another `shade`.
+        ValueError: no basin over a grid, not two axes longer than 1 besides those of `at` and
+            `panels`, a name that is not an axis, or another `shade`.
     """
     instance("basin", basin, Basin)
     unfold = flag("unfold", unfold)
     check_axes(ax)
-    if shade not in ("omega_inf", "time", None):
-        refuse("shade", "be 'omega_inf', 'time' or None", f"is {shade!r}")
+    if at is not None:
+        instance("at", at, Mapping, "be a dict from axes to their values, or None")
+        basin = basin.sel(method="nearest", **at)
+    if panels is not None:
+        return _panels(basin, panels, shade, unfold, (x, y), ax)
     plane = plane_of(basin, shade, unfold, (x, y))
-    shades = shades_of([plane], shade)
     if ax is None:
         _, ax = plt.subplots(figsize=(7.0, 5.4), layout="constrained")
-    _draw(ax, plane, shades)
-    _colourbars(shades, [ax])
+    _draw_all([ax], [plane], shade)
     return ax
 
 
+def _panels(
+    basin: Basin,
+    over: str,
+    shade: str | None,
+    unfold: bool,
+    axes: tuple[str | None, str | None],
+    ax: Axes | None,
+) -> np.ndarray:
+    """A panel for each value on an axis; the axes that were drawn on."""
+    check_axis(basin, "panels", over)
+    if ax is not None:
+        refuse("ax", "be None for `panels`, which make a figure", "is given")
+    values = basin.coords[over]
+    if len(values) > MOST:
+        must = f"be an axis of at most {MOST} values (`Basin.isel` chooses)"
+        refuse("panels", must, f"has {len(values)}")
+    parts = (basin.isel(**{over: k}) for k in range(len(values)))
+    planes = [plane_of(part, shade, unfold, axes) for part in parts]
+    columns = min(len(values), COLUMNS)
+    rows = math.ceil(len(values) / columns)
+    size = 5.4 * columns + 1, 5.2 * rows
+    _, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    drawn, empty = grid.ravel()[: len(values)], grid.ravel()[len(values) :]
+    for unused in empty:
+        unused.axis("off")
+    _draw_all(list(drawn), planes, shade)
+    return drawn
+
+
 def compare(
-    first: Basin, second: Basin, *, axes: Sequence[Axes] | np.ndarray | None = None
+    first: Basin,
+    second: Basin,
+    *,
+    axes: Sequence[Axes] | np.ndarray | None = None,
+    shade: str | None = "omega_inf",
+    x: str | None = None,
+    y: str | None = None,
 ) -> Figure:
     """Two maps side by side in the same colours; hatched where the outcome differs.
 
@@ -81,12 +163,15 @@ def compare(
         first: a basin over a grid with two axes longer than 1.
         second: a basin over the same grid.
         axes: a pair of axes to draw on; None makes a figure.
+        shade: what shades the outcomes; see `plots.basin`.
+        x: the horizontal axis; None means φ if there is one, else the last.
+        y: the vertical axis; None means the other one.
 
     Returns:
         The figure; the titles say what share of the starts has another outcome.
 
     Raises:
-        ValueError: the two are not over the same grid, or that is not a plane.
+        ValueError: the two are not over the same grid, that is not a plane, or another `shade`.
     """
     instance("first", first, Basin)
     instance("second", second, Basin)
@@ -98,15 +183,13 @@ def compare(
         check_axes(ax, "axes")
     outcomes_differ = first.outcome != second.outcome
     line = f"outcome differs for {percent(float(np.mean(outcomes_differ)))} of the starts (hatched)"
-    planes = [plane_of(basin, "omega_inf", True, (None, None)) for basin in (first, second)]
-    shades = shades_of(planes, "omega_inf")
+    planes = [plane_of(basin, shade, True, (x, y)) for basin in (first, second)]
+    planes = [plane._replace(title=f"{plane.title}\n{line}") for plane in planes]
     if axes is None:
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
     differs = planes[0].columns["outcome"] != planes[1].columns["outcome"]
-    for ax, plane in zip(pair, planes, strict=True):
-        _draw(ax, plane._replace(title=f"{plane.title}\n{line}"), shades, differs)
+    _draw_all(list(pair), planes, shade, {"outcome differs": differs})
     pair[1].set_ylabel("")
-    _colourbars(shades, list(pair))
     return pair[0].figure
 
 
@@ -119,35 +202,53 @@ def _check_same_grid(first: Basin, second: Basin) -> None:
             refuse("second", "be over the same grid as `first`", f"has other values of {name}")
 
 
+def _draw_all(
+    axes: list[Axes],
+    planes: list[Plane],
+    shade: str | None,
+    hatched: Mapping[str, Bool[np.ndarray, "Y X"]] | None = None,
+) -> None:
+    """Maps in the same colours, with the colour bars that they share."""
+    shades = shades_of(planes, shade)
+    for ax, plane in zip(axes, planes, strict=True):
+        marks = dict(hatched or {})
+        if shade == CERTIFIED:
+            marks["not certified"] = ~plane.columns[CERTIFIED].astype(bool)
+        _draw(ax, plane, shades, marks)
+    draw_colourbars(shades, axes)
+
+
 def _draw(
     ax: Axes,
     plane: Plane,
     shades: list[Shade],
-    differs: Bool[np.ndarray, "Y X"] | None = None,
+    hatched: dict[str, Bool[np.ndarray, "Y X"]],
 ) -> None:
-    """The coloured cells, the hatching where outcomes differ, the axes, title and legend."""
+    """The coloured cells, the hatched ones by their names, the axes, title and legend."""
     classes = classes_of(plane)
     colours = legend_colours(plane, classes, shades)
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
     show_cells(ax, xs, plane.ys, image)
-    hatched = {} if differs is None else {"outcome differs": differs}
     missing = classes == len(CLASSES)
     if missing.any():
+        hatched = {name: cells & ~missing for name, cells in hatched.items()}
         hatched[NOT_COMPUTED] = missing
     for label, cells in hatched.items():
         xs, closed = _close_circle(plane, cells)
         handles.append(hatch(ax, xs, plane.ys, closed, label))
-    for name, axis in ((plane.x, ax.xaxis), (plane.y, ax.yaxis)):
-        axis.set_label_text(symbol(name))
-        if name == "phi":
-            mark_quarter_turns(axis)
+    name_axis(ax.xaxis, plane.x)
+    name_axis(ax.yaxis, plane.y)
     ax.set_title(plane.title, fontsize="medium")
+    put_legend_below(ax, handles)
+
+
+def put_legend_below(ax: Axes, handles: list[Any]) -> None:
+    """A legend half an inch below the axes, under their label, however large they are."""
     ax.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        # Half an inch below the axes, under their label, however large they are.
         bbox_transform=ax.transAxes + ScaledTranslation(0, -0.5, ax.figure.dpi_scale_trans),
         ncols=min(3, len(handles)),
         frameon=False,
@@ -166,10 +267,9 @@ def _close_circle(
     return np.append(xs, xs[0] + 2 * np.pi), np.concatenate([image, image[:, :1]], axis=1)
 
 
-def _colourbars(shades: list[Shade], axes: list[Axes]) -> None:
-    """A colour bar for each shade; bars of two outcomes stand side by side and share ticks."""
-    for k, shade in enumerate(shades):
+def draw_colourbars(shades: list[Shade], axes: list[Axes]) -> None:
+    """A colour bar for each shade, with its numbers."""
+    for shade in shades:
         colours = ScalarMappable(shade.norm, shade.colours)
-        extend = "both" if shade.column == "time" else "neither"
-        bar = axes[0].figure.colorbar(colours, ax=axes, label=shade.label, pad=0.02, extend=extend)
-        bar.ax.tick_params(which="both", labelright=k == 0)
+        extend = "neither" if shade.column in ("omega_inf", "probability") else "both"
+        axes[0].figure.colorbar(colours, ax=axes, label=shade.label, pad=0.02, extend=extend)

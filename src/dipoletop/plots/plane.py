@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, to_rgb
+from matplotlib.colors import to_rgb
 
 from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
 from .._maps.symmetry import unfold
+from .shades import UNKNOWN, Shade, check_shade, shades_by
 from .style import capitalised, number, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
@@ -28,32 +29,11 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.FAILED, Stop.NONE): ("failed", "#df20ff"),
 }
 """Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
-differ plainly, from each other and from the shades of `SIGNED`."""
+differ plainly, from each other and from the shades of ω∞."""
 NOT_COMPUTED, BLANK = "not computed yet", "#ffffff"
 """Name and colour of what a sweep has not computed yet; it is hatched, too."""
-UNKNOWN = r"residual, $\omega_\infty$ not known", "#5500aa"
-"""Name and colour of residual rotation whose ω∞ is to be shown but is not known: its sense may be a
-matter of chance. It differs from the others, too."""
 CHANCE = "undecided, a matter of chance"
 """Name of undecided starts, if the probabilities of all are known."""
-
-SIGNED = LinearSegmentedColormap.from_list(
-    "signed", ["#8e2f00", "#e8853c", "#f7f3ee", "#5fa2d4", "#08488e"]
-)
-BLUES = LinearSegmentedColormap.from_list("residual", ["#deebf7", "#6baed6", "#08306b"])
-BROWNS = LinearSegmentedColormap.from_list("stop", ["#feeed8", "#ec8a32", "#5f2003"])
-
-
-class Shade(NamedTuple):
-    """How the starts of one outcome are shaded by a column of the basin."""
-
-    outcome: Outcome
-    column: str
-    colours: Colormap
-    norm: Normalize
-    label: str
-    legend: dict[str, float]
-    """Entries of the legend, and the place in `colours`, from 0 to 1, of the colour of each."""
 
 
 class Plane(NamedTuple):
@@ -80,14 +60,17 @@ def plane_of(
         axes: the names along x and y; None means the usual one.
     """
     if any(name not in basin.coords for name in basin.dims):
-        refuse("basin", "be over a grid", "is over single starts, which have no axes to map")
+        must = "be over a grid (`plots.starts` draws single starts)"
+        refuse("basin", must, "is over single starts, which have no axes to map")
     long = [name for name, n in zip(basin.dims, basin.shape, strict=True) if n > 1]
     if len(long) != 2 or any(basin.coords[name].ndim > 1 for name in long):
         refuse(
             "basin",
-            "have exactly two axes of numbers that are longer than 1",
-            f"has {axis_lengths(basin)}; sweep a grid with a single value on every other axis",
+            "have exactly two axes of numbers that are longer than 1 (`at` fixes others, `panels` "
+            "draws one as panels, `plots.shares` averages; `plots.line` draws a single axis)",
+            f"has {axis_lengths(basin)}",
         )
+    check_shade(shading, basin.columns)
     x, y = _choose(long, *axes)
     shown = [name for name in ("outcome", "stop", "probability") if name in basin.columns]
     shown += [shading] if shading else []
@@ -100,7 +83,13 @@ def plane_of(
         columns[name] = (column if long == [y, x] else column.T)[np.ix_(y_order, x_order)]
     xs = np.asarray(whole.coords[x][x_order], float)
     ys = np.asarray(whole.coords[y][y_order], float)
-    return Plane(x, y, xs, ys, columns, _title(basin))
+    return Plane(x, y, xs, ys, columns, title_of(basin))
+
+
+def check_axis(basin: Basin, argument: str, name: str) -> None:
+    """Refuse what is no axis of a basin."""
+    if name not in basin.dims or name not in basin.coords:
+        refuse(argument, f"be an axis of this basin ({axis_lengths(basin)})", f"is {name!r}")
 
 
 def axis_lengths(basin: Basin) -> str:
@@ -121,59 +110,43 @@ def _choose(long: list[str], x: str | None, y: str | None) -> tuple[str, str]:
     return x, next(name for name in long if name != x)
 
 
-def _title(basin: Basin) -> str:
+def title_of(basin: Basin) -> str:
     """The level; the values that are fixed; which share of the outcomes is certified."""
-    fixed = [
-        f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values))}"
-        for name, values in basin.coords.items()
-        if name not in basin.dims or len(values) == 1
-    ]
     computed = basin.outcome != MISSING["int8"]
     share = float(np.mean(basin.certified[computed])) if computed.any() else 0.0
     words = {0.0: "no outcome", 1.0: "all outcomes"}
     which = words.get(share, f"{percent(share)} of the outcomes")
     certified = f"{which} certified for this level"
-    return f"{capitalised(basin.level)}\n{', '.join([*fixed, certified])}"
+    return f"{capitalised(basin.level)}\n{', '.join([*fixed_values(basin), certified])}"
+
+
+def fixed_values(basin: Basin) -> list[str]:
+    """The quantities that are the same for all starts, with their values."""
+    of_points = any(name not in basin.coords for name in basin.dims)
+    fixed = {
+        name: values
+        for name, values in basin.coords.items()
+        if (len(values) == 1 if name in basin.dims else not of_points)
+    }
+    return [
+        f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values).tolist())}"
+        for name, values in fixed.items()
+    ]
 
 
 def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
     """The shading of every outcome that occurs, with colour scales that all planes share."""
     if shading is None:
         return []
-    residual = _shaded_values(planes, shading, Outcome.RESIDUAL)
-    stop = _shaded_values(planes, shading, Outcome.STOP)
-    if shading == "omega_inf":
-        return [_omega_inf_shade(residual)] if residual.size else []
-
-    # A start that is decided at once has τ = 0, which no logarithmic scale shows, and a few starts
-    # next to the boundary take very long: so the scale is open at both ends.
-    times = np.concatenate([residual, stop])
-    times = times[times > 0] if np.any(times > 0) else np.ones(1)
-    least, most = np.percentile(times, [0.5, 99.5])
-    norm = LogNorm(least, max(most, 10 * least), clip=True)
-    return [
-        Shade(outcome, shading, colours, norm, rf"$\tau$ when {name} is certain", {name: 0.6})
-        for outcome, values, colours, name in (
-            (Outcome.RESIDUAL, residual, BLUES, "residual rotation"),
-            (Outcome.STOP, stop, BROWNS, "stop"),
-        )
-        if values.size
-    ]
+    outcomes = (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED)
+    return shades_by(shading, {x: _shaded_values(planes, shading, x) for x in outcomes})
 
 
 def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
     """The values of a column, of all starts with an outcome."""
     columns = [plane.columns for plane in planes]
     values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
-    return values[np.isfinite(values)]
-
-
-def _omega_inf_shade(residual: Float[np.ndarray, "n"]) -> Shade:
-    """Residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
-    most = float(np.max(np.abs(residual))) or 1.0
-    label = r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)"
-    signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
-    return Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, Normalize(-most, most), label, signs)
+    return values[np.isfinite(values)].astype(float)
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
@@ -200,8 +173,8 @@ def coloured(
     image = np.round(255 * flat).astype(np.uint8)[classes]
     for shade in shades:
         unknown = _unknown(plane, shade)
-        if shade.column == "omega_inf":
-            image[unknown] = np.append(np.round(255 * np.array(to_rgb(UNKNOWN[1]))), 255)
+        if shade.unknown:
+            image[unknown] = np.append(np.round(255 * np.array(to_rgb(UNKNOWN))), 255)
         members = (plane.columns["outcome"] == shade.outcome) & ~unknown
         values = np.asarray(plane.columns[shade.column][members])
         image[members] = shade.colours(shade.norm(values), bytes=True)
@@ -210,7 +183,7 @@ def coloured(
 
 def _unknown(plane: Plane, shade: Shade) -> Bool[np.ndarray, "Y X"]:
     """Which starts of an outcome have no value in the column that shades it."""
-    return (plane.columns["outcome"] == shade.outcome) & np.isnan(plane.columns[shade.column])
+    return (plane.columns["outcome"] == shade.outcome) & ~np.isfinite(plane.columns[shade.column])
 
 
 def legend_colours(
@@ -228,8 +201,8 @@ def legend_colours(
         if outcome in shaded:
             shade = shaded[outcome]
             colours |= {name: shade.colours(place) for name, place in shade.legend.items()}
-            if shade.column == "omega_inf" and np.any(_unknown(plane, shade)):
-                colours |= dict([UNKNOWN])
+            if shade.unknown and np.any(_unknown(plane, shade)):
+                colours[shade.unknown] = UNKNOWN
         elif count < classes.size / 1000:  # too few to be seen in the picture
             colours[f"{label} ({count} start{'s' if count > 1 else ''})"] = colour
         else:

@@ -12,6 +12,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from .._base.numerals import as_text
+from .._maps.columns import DERIVATIVE_PREFIX
 from ..equations.levels import Level
 
 BLUE, ORANGE, GREEN, YELLOW = "#0072b2", "#d55e00", "#009e73", "#f0c419"
@@ -60,8 +62,12 @@ SYMBOLS = {
     "delta": r"$\delta$",
     "amplitude": r"$|\omega_0|$",
     "theta": r"$\vartheta$",
+    "cos_theta": r"$\cos\vartheta = \omega_3/|\omega_0|$",
+    "omega_inf": r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)",
+    "omega_inf_error": r"estimated error of $\omega_\infty$",
+    "time": r"$\tau$ when the outcome is certain",
 }
-"""Symbols of the usual axes of a grid; an axis of another name is labelled by that name."""
+"""Labels of quantities and columns; one of another name is labelled by that name."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -106,9 +112,12 @@ def hatch(
     return Patch(facecolor="white", edgecolor="black", hatch=HATCH, label=label)
 
 
-def symbol(axis: str) -> str:
-    """The label of an axis."""
-    return SYMBOLS.get(axis, axis)
+def symbol(name: str) -> str:
+    """The label of an axis or a column."""
+    if name.startswith(DERIVATIVE_PREFIX):
+        by = symbol(name.removeprefix(DERIVATIVE_PREFIX)).strip("$")
+        return rf"$\partial\omega_\infty/\partial {by}$"
+    return SYMBOLS.get(name, name)
 
 
 def capitalised(text: str) -> str:
@@ -117,8 +126,8 @@ def capitalised(text: str) -> str:
 
 
 def number(value: float) -> str:
-    """Six digits at most, with a typographic minus sign."""
-    return f"{value:g}".replace("-", "−")
+    """Six digits at most, or a multiple of π, with a typographic minus sign."""
+    return as_text(value).replace("-", "−")
 
 
 def percent(share: float) -> str:

@@ -1,71 +1,169 @@
-"""Trajectories: ω₁, ω₂, ω₃ and |ω| against time."""
+"""Trajectories: ω₁, ω₂, ω₃ and |ω| against time, of one run or of several."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from .._base.checks import instance, refuse
 from .._base.types import DecidingEquation, Outcome
-from .._runs.trajectory import Trajectory
+from .._runs.trajectory import BranchSolution, Trajectory
 from .axes import check_axes
 from .style import BLACK, BLUE, COMPONENTS, capitalised
 
+CURVES = {"size": (r"$|\omega|$", BLACK)} | {
+    f"w{k}": component for k, component in enumerate(COMPONENTS, 1)
+}
+"""Label and colour of every curve, by its name."""
+DASHES: dict[str, Any] = {"size": "-", "w1": "-", "w2": (0, (5, 1)), "w3": (0, (4, 1, 1, 1))}
+"""The dashes of the curves of a single run."""
+RUNS: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+"""The dashes of several runs, one for each."""
+SMOOTH = 800  # points of a curve that looks smooth
+ROUGH = 0.05  # relative error, at one time, of the interpolation between its two neighbours
 
-def trajectory(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
+
+def trajectory(
+    trajectory: Trajectory | Mapping[str, Trajectory],
+    *,
+    ax: Axes | None = None,
+    curves: Sequence[str] = tuple(CURVES),
+) -> Axes:
     """ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale (linear up to the first step from 0).
 
     A dotted line marks ω∞ if the last state is certain to keep a residual rotation, a dashed one
     the law |ω| ∝ τ^{-1/2} if it is certain to stop.
 
+    Between its times a run is drawn by the interpolation of the solver if there is one
+    (`dense=True`), else by cubic polynomials with the rates of the equation. Where the times are
+    too far apart for these, straight lines join dots.
+
     Args:
-        trajectory: what `simulate` returned for a single top.
+        trajectory: what `simulate` returned for a single top; or several with their labels, a dict,
+            told apart by dashes.
         ax: where to draw; None makes a figure.
+        curves: which of "size", "w1", "w2", "w3" are drawn.
 
     Returns:
         The axes; the title says the level of the equation.
 
     Raises:
-        ValueError: a batch of trajectories.
+        ValueError: a batch of trajectories, more than four of them, or another curve.
     """
-    instance("trajectory", trajectory, Trajectory)
+    instance("trajectory", trajectory, Trajectory | Mapping, "be a Trajectory, or a dict of them")
     check_axes(ax)
-    if np.ndim(trajectory.ts) != 1:
-        refuse("trajectory", "be that of one top", f"has times of shape {trajectory.ts.shape}")
-    times, omega = np.asarray(trajectory.ts), np.asarray(trajectory.omega)
-    size = np.sqrt(np.sum(omega**2, axis=1))
+    several = isinstance(trajectory, Mapping)
+    runs: dict[str, Trajectory] = dict(trajectory) if several else {"": trajectory}
+    if not 1 <= len(runs) <= len(RUNS):
+        refuse("trajectory", f"hold from 1 to {len(RUNS)} runs", f"holds {len(runs)}")
+    for run in runs.values():
+        instance("trajectory", run, Trajectory)
+        if np.ndim(run.ts) != 1:
+            refuse("trajectory", "be that of one top", f"has times of shape {run.ts.shape}")
+    wanted = _wanted(curves)
     if ax is None:
         _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     ax.axhline(0.0, color="0.8", linewidth=0.8)
-    ax.plot(times, size, color=BLACK, linewidth=1.8, label=r"$|\omega|$")
-    dashes = ("-", (0, (5, 1)), (0, (4, 1, 1, 1)))
-    for k, ((name, colour), dash) in enumerate(zip(COMPONENTS, dashes, strict=True)):
-        ax.plot(times, omega[:, k], color=colour, linestyle=dash, linewidth=1.3, label=name)
-    _asymptote(ax, trajectory, times, size)
-    if times[0] > 0:
-        ax.set_xscale("log")
-    else:
-        ax.set_xscale("symlog", linthresh=float(times[1] - times[0]), linscale=0.5)
-    ax.set_xlim(times[0], times[-1])
-    ax.set_xlabel(r"$\tau = t/\tau_0$")
+    for run, dashes in zip(runs.values(), RUNS, strict=False):
+        _draw(ax, run, wanted, None if not several else dashes)
+    _asymptotes(ax, runs)
+    _time_axis(ax, list(runs.values()))
     ax.set_ylabel(r"$\omega = \tau_0\Omega$ (dimensionless)")
-    ax.set_title(capitalised(trajectory.level), fontsize="medium")
-    ax.legend(frameon=False, ncols=2)
+    levels = dict.fromkeys(capitalised(run.level) for run in runs.values())
+    ax.set_title("; ".join(levels), fontsize="medium")
+    handles: list[Any] = [line for line in ax.lines if not str(line.get_label()).startswith("_")]
+    if several:
+        handles = [Line2D([], [], color=CURVES[name][1], label=CURVES[name][0]) for name in wanted]
+        lines = zip(runs, RUNS, strict=False)
+        handles += [Line2D([], [], color="0.3", ls=dashes, label=name) for name, dashes in lines]
+    ax.legend(handles=handles, frameon=False, ncols=2)
     return ax
 
 
-def _asymptote(
-    ax: Axes, trajectory: Trajectory, times: Float[np.ndarray, "T"], size: Float[np.ndarray, "T"]
-) -> None:
-    """The limit of ω, or its law of decay, if the verdict of the last state is certain."""
-    equation = trajectory.equation
-    if not isinstance(equation, DecidingEquation):
-        return
-    verdict = equation.verdict(trajectory.ys[-1])
-    if verdict.outcome == Outcome.RESIDUAL and verdict.error < 1e-3:
-        label = rf"$\omega_\infty = {float(verdict.omega_inf):.4g}$"
-        ax.axhline(float(verdict.omega_inf), color=BLUE, linestyle=":", label=label)
-    elif verdict.outcome == Outcome.STOP:
-        late = times >= times[-1] / 30
-        law = size[-1] * np.sqrt(times[-1] / times[late])
-        ax.plot(times[late], law, color="0.5", linestyle="--", label=r"$\propto\tau^{-1/2}$")
+def _wanted(curves: Sequence[str]) -> list[str]:
+    names = [curves] if isinstance(curves, str) else list(curves)
+    if not names or any(name not in CURVES for name in names):
+        refuse("curves", f"be among {', '.join(CURVES)}", f"is {curves!r}")
+    return [name for name in CURVES if name in names]
+
+
+def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
+    """The curves of one run; `dashes` are None if it is the only one."""
+    times, omega = _smooth(run)
+    values = dict(zip(CURVES, [np.sqrt(np.sum(omega**2, axis=1)), *omega.T], strict=True))
+    for name in wanted:
+        label, colour = CURVES[name]
+        style: dict[str, Any] = {"color": colour, "linestyle": dashes or DASHES[name]}
+        style["linewidth"] = 1.8 if name == "size" else 1.3
+        label = label if dashes is None else f"_{label}"
+        ax.plot(times, values[name], label=label, **style)
+        if len(times) == len(run.ts) < SMOOTH / 4:  # it is not interpolated
+            ax.plot(times, values[name], ".", ms=4, color=colour)
+
+
+def _smooth(run: Trajectory) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t 3"]]:
+    """Times close enough for a smooth curve, the run's own among them, and ω there."""
+    times, omega = np.asarray(run.ts), np.asarray(run.omega)
+    known = np.isfinite(times) & np.isfinite(omega).all(axis=1)
+    times, omega = times[known], omega[known]
+    parts = -(-SMOOTH // max(len(times), 1))
+    if len(times) < 3 or parts < 2:
+        return times, omega
+    within = np.arange(parts) / parts
+    finer = (times[:-1, None] + np.diff(times)[:, None] * within).ravel()
+    finer = np.append(finer, times[-1])
+    if not isinstance(run.solution, BranchSolution) and run.solution.interpolation is not None:
+        return finer, np.asarray(run.evaluate(finer))
+    rates = np.asarray(run.omega_dot)[known]
+    every_other = slice(0, len(times) - 1 + len(times) % 2, 2)
+    between = slice(1, len(times) - 1, 2)
+    parts_of_test = times[every_other], omega[every_other], rates[every_other]
+    errors = np.abs(_cubic(*parts_of_test, times[between]) - omega[between])
+    if np.max(errors) > ROUGH * np.max(np.abs(omega)):
+        return times, omega
+    return finer, _cubic(times, omega, rates, finer)
+
+
+def _cubic(
+    times: Float[np.ndarray, "T"],
+    values: Float[np.ndarray, "T 3"],
+    rates: Float[np.ndarray, "T 3"],
+    wanted: Float[np.ndarray, "t"],
+) -> Float[np.ndarray, "t 3"]:
+    """Hermite's cubic polynomials through values with rates."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    return CubicHermiteSpline(times, values, rates)(wanted)
+
+
+def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:
+    """The limits of ω, or the laws of decay, where the verdict of the last state is certain."""
+    for name, run in runs.items():
+        equation, times = run.equation, np.asarray(run.ts)
+        if not isinstance(equation, DecidingEquation):
+            continue
+        verdict, hidden = equation.verdict(run.ys[-1]), "_" if name else ""
+        if verdict.outcome == Outcome.RESIDUAL and verdict.error < 1e-3:
+            label = rf"{hidden}$\omega_\infty = {float(verdict.omega_inf):.4g}$"
+            ax.axhline(float(verdict.omega_inf), color=BLUE, linestyle=":", label=label)
+        elif verdict.outcome == Outcome.STOP:
+            late = times >= times[-1] / 30
+            law = np.linalg.norm(run.omega[-1]) * np.sqrt(times[-1] / times[late])
+            label = rf"{hidden}$\propto\tau^{{-1/2}}$"
+            ax.plot(times[late], law, color="0.5", linestyle="--", label=label)
+
+
+def _time_axis(ax: Axes, runs: list[Trajectory]) -> None:
+    """A logarithmic axis of τ, linear up to the first time if the runs begin at 0."""
+    firsts = [float(run.ts[0]) for run in runs]
+    if min(firsts) > 0:
+        ax.set_xscale("log")
+    else:
+        step = min(float(run.ts[1] - run.ts[0]) for run in runs)
+        ax.set_xscale("symlog", linthresh=step, linscale=0.5)
+    ax.set_xlim(min(firsts), max(float(np.nanmax(run.ts)) for run in runs))
+    ax.set_xlabel(r"$\tau = t/\tau_0$")

@@ -1,0 +1,144 @@
+"""The explorer: time from a slider to the picture, in a headless browser on the same machine.
+
+    python -m benchmarks.speed.explorer --small     a look
+    python -m benchmarks.speed.explorer             all, some minutes on two cores
+    python -m benchmarks.speed.explorer --write     the same, kept: results/explorer.md
+
+It needs Chromium and playwright (`pip install -e '.[test]'`).
+"""
+
+import argparse
+import statistics
+from typing import Any
+
+from benchmarks import browsing
+from benchmarks.reporting import measure, pages
+
+WHOLE = "whole plane", ""
+PART = "part of it", "&phi=0.2..2.8&w3=-0.1..0.5"
+TWO = "whole plane, two levels", "&level=order-1&level=semi"
+CASES = [(*view, size) for view in (WHOLE, PART, TWO) for size in (256, 512)]
+FULL = {"steps": 60, "seconds": 10.0}
+FEW = {"steps": 5, "seconds": 1.0}
+SLIDER = "delta"
+Record = dict[str, Any]
+
+WATCH = """
+({slider, picture}) => {
+    const models = [...Bokeh.documents[0]._all_models.values()]
+    const moved = models.find((m) => m.type == "Slider" && m.css_classes.includes(slider))
+    const source = Bokeh.documents[0].get_model_by_name(picture)
+    window.asked = new Map(); window.drawn = []
+    let last = 0  // when the mouse moved
+    document.addEventListener("mousemove", (event) => { last = event.timeStamp }, true)
+    moved.properties.value.change.connect(() => { window.asked.set(moved.value, last) })
+    source.properties.data.change.connect(() => {
+        const about = JSON.parse(source.data.about[0])
+        // Bokeh draws at the next frame, and at the one after it the picture has been shown.
+        requestAnimationFrame(() => requestAnimationFrame((now) => {
+            window.drawn.push({value: about.fixed.delta, size: about.size, final: about.final,
+                at: performance.now()})
+        }))
+    })
+}
+"""
+
+
+def measured(sizes: Record) -> Record:
+    """All cases, one after the other, at one server."""
+    rows = []
+    with browsing.served() as (url, _), browsing.browser() as chromium:
+        version = chromium.version
+        for name, query, size in CASES:
+            visit = browsing.Visit.of(chromium, f"{url}?size={size}{query}")
+            visit.final()
+            visit.page.evaluate(WATCH, {"slider": f"dt-slider-{SLIDER}", "picture": "picture-0"})
+            row = {"name": name, "size": size, "load": measure.load()}
+            rows.append(row | single(visit, size, sizes["steps"]) | moving(visit, sizes["seconds"]))
+            assert visit.complaints == [], visit.complaints
+            visit.close()
+    return {
+        "rows": rows,
+        "browser": f"Chromium {version}",
+        "command": measure.command(),
+        **measure.machine(),
+    }
+
+
+def single(visit: browsing.Visit, size: int, steps: int) -> Record:
+    """The slider moves, and waits for the finished picture: when do the pictures come?"""
+    x, y = grasped(visit)
+    times: dict[str, list[float]] = {"first": [], "full": [], "final": []}
+    for k in range(1, steps + 4):
+        visit.page.evaluate("() => { asked.clear(); drawn.length = 0 }")
+        visit.page.mouse.move(x + 20 * (1 if k % 2 else -1) + k % 7, y)
+        visit.until(lambda: visit.page.evaluate("() => drawn.some((p) => p.final)"), "a picture")
+        asked, drawn = visit.page.evaluate("() => [[...asked.entries()].pop(), drawn]")
+        value, began = asked
+        mine = [shown for shown in drawn if shown["value"] == value]
+        wanted = {
+            "first": mine,
+            "full": [shown for shown in mine if shown["size"] == size],
+            "final": [shown for shown in mine if shown["final"]],
+        }
+        if k > 3:  # the first ones compile, and tell what a start costs
+            for name, shown in wanted.items():
+                times[name].append(shown[0]["at"] - began)
+    visit.page.mouse.up()
+    return {name: shares(values) for name, values in times.items()}
+
+
+def moving(visit: browsing.Visit, seconds: float) -> Record:
+    """The slider moves all the time: how old is what a picture shows when it is drawn?"""
+    x, y = grasped(visit)
+    visit.page.evaluate("() => { asked.clear(); drawn.length = 0 }")
+    moves = int(seconds / 0.02)
+    for k in range(moves):
+        visit.page.mouse.move(x + 40 * abs((k / 100) % 2 - 1) - 20, y)
+        visit.page.wait_for_timeout(16)
+    visit.page.mouse.up()
+    visit.page.wait_for_timeout(1000)
+    asked, drawn = visit.page.evaluate("() => [[...asked.entries()], drawn]")
+    began = dict(asked)
+    first: dict[float, Record] = {}
+    for shown in drawn:
+        first.setdefault(shown["value"], shown)
+    known = [shown for value, shown in first.items() if value in began]
+    lasted = (max(began.values()) - min(began.values())) / 1000
+    return {
+        "age": shares([shown["at"] - began[shown["value"]] for shown in known]),
+        "pictures": len(known) / lasted,
+        "pixels": statistics.median(shown["size"] for shown in known),
+    }
+
+
+def grasped(visit: browsing.Visit) -> tuple[float, float]:
+    """Press the mouse on the slider; where that is."""
+    box = visit.slider(SLIDER).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    visit.page.mouse.move(x, y)
+    visit.page.mouse.down()
+    return x, y
+
+
+def shares(milliseconds: list[float]) -> Record:
+    """Median and 95 %."""
+    ordered = sorted(milliseconds)
+    last = ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))]
+    return {"median": statistics.median(ordered), "95%": last, "count": len(ordered)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--small", action="store_true", help="few moves: does everything work?")
+    parser.add_argument("--write", action="store_true", help="keep the results")
+    args = parser.parse_args()
+    if args.small and args.write:
+        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
+    if browsing.BROWSER is None:
+        parser.exit(message="No Chromium on this machine, so nothing is measured.\n")
+    pages.show("explorer", measured(FEW if args.small else FULL), keep=args.write)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""The quantities that fix a transverse top and its start: symbols, defaults, ranges, the problem.
+
+A quantity has the name of its axis in a `Grid`, such as `w_perp`.
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from .._base.numerals import as_text
+from .._base.types import Equation
+from ..equations.coordinates import cylindrical
+from ..equations.levels import Level
+from ..equations.transverse import equation_at
+from .problems import Problem
+
+
+class Quantity(NamedTuple):
+    """What may be given or varied: its symbol, meaning, default, usual range, and bounds."""
+
+    symbol: str
+    meaning: str
+    default: float
+    low: float
+    high: float
+    least: float = -math.inf
+    most: float = math.inf
+
+
+QUANTITIES = {
+    "delta": Quantity("δ", "δ = 1 − I₃/I₁.", -0.2, -1.0, 0.9, -1.0, math.nextafter(1.0, 0.0)),
+    "w_perp": Quantity("ω⊥", "ω⊥, across the symmetry axis.", 0.2, 0.0, 0.5, 0.0),
+    "w3": Quantity("ω₃", "ω₃, along the symmetry axis.", 0.2, 0.0, 0.6),
+    "phi": Quantity("φ", "φ, from the dipole to ω⊥.", math.pi / 30, 0.0, math.pi),
+    "amplitude": Quantity("|ω|", "|ω|.", 0.2, 0.02, 0.5, 0.0),
+    "theta": Quantity(
+        "ϑ", "Angle from the symmetry axis to ω.", math.pi / 4, 0.0, math.pi / 2, 0.0, math.pi
+    ),
+}
+CYLINDRICAL, SPHERICAL = {"w_perp", "w3"}, {"amplitude", "theta"}
+"""The two ways to give the size and the direction of ω₀; φ belongs to both."""
+
+
+def describe(values: Mapping[str, float]) -> str:
+    """The values with their symbols."""
+    return ", ".join(
+        f"{QUANTITIES[name].symbol} = {as_text(value)}" for name, value in values.items()
+    )
+
+
+def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
+    """ω₀ of shape (3,), from the quantities by their names."""
+    if "amplitude" not in values:
+        return cylindrical(values["w_perp"], values["w3"], values["phi"])
+    amplitude, theta = values["amplitude"], values["theta"]
+    return cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), values["phi"])
+
+
+@functools.cache  # the same function for every sweep of a level, so that none is traced again
+def problem_of_top(level: Level) -> Problem:
+    """The problem of a sweep at a level, over δ and the quantities of a start."""
+
+    def problem(**point: Any) -> tuple[Equation, Array]:
+        return equation_at(level, point["delta"]), initial_condition(point)
+
+    return problem

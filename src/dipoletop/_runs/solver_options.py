@@ -1,0 +1,117 @@
+"""The options of `simulate` that concern the solver: their names, their checks, their defaults."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any, TypedDict
+
+import diffrax
+import jax
+from jaxtyping import Array, Float
+
+from .._base.checks import FLAG, ArrayLike, NumberLike, instance, positive, refuse
+from .._base.types import State
+
+
+class Options(TypedDict, total=False):
+    """The further arguments of `simulate`."""
+
+    solver: diffrax.AbstractSolver | None
+    stepsize_controller: diffrax.AbstractStepSizeController | None
+    dt0: NumberLike | None
+    event: diffrax.Event | None
+    saveat: diffrax.SaveAt | None
+    progress_meter: diffrax.AbstractProgressMeter | None
+    adjoint: diffrax.AbstractAdjoint | None
+    throw: bool
+    dense: bool
+    balance: bool
+    attitude: ArrayLike | None
+
+
+OPTIONS = {
+    "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
+    "stepsize_controller": (
+        diffrax.AbstractStepSizeController,
+        "be a step size controller of diffrax, such as `diffrax.PIDController(1e-8, 1e-10)`",
+    ),
+    "dt0": (object, ""),  # checked below
+    "event": (diffrax.Event, "be an event of diffrax, `diffrax.Event(condition)`"),
+    "saveat": (diffrax.SaveAt, "be what diffrax saves, such as `diffrax.SaveAt(steps=True)`"),
+    "progress_meter": (
+        diffrax.AbstractProgressMeter,
+        "be a progress meter of diffrax, such as `diffrax.TqdmProgressMeter()`",
+    ),
+    "adjoint": (
+        diffrax.AbstractAdjoint,
+        "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
+    ),
+    "attitude": (object, ""),  # checked by `unit_quaternion`
+} | dict.fromkeys(("throw", "dense", "balance"), (FLAG, "be True or False"))
+"""The class of each of the `Options`, and how a refusal describes it."""
+OF_BRANCH = ("throw", "balance", "attitude")
+"""The options of a motion along a physical branch."""
+SAVED_STATE: Any = diffrax.SaveAt(t1=True).subs
+
+
+def check_options(options: Options) -> None:
+    """Refuse options of other names, and values that they cannot have; numbers become arrays."""
+    for name, value in options.items():
+        if name not in OPTIONS:
+            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
+        kind, must = OPTIONS[name]
+        if value is not None or kind is FLAG:
+            instance(name, value, kind, must)
+    step = options.get("dt0")
+    if step is not None:
+        options["dt0"] = positive("dt0", step, batch=False)  # of a number nothing is compiled anew
+    elif isinstance(options.get("stepsize_controller"), diffrax.ConstantStepSize):
+        refuse("dt0", "be given with `diffrax.ConstantStepSize`, as its step", "is None")
+    saveat = options.get("saveat")
+    if saveat is not None:
+        saved: Any = saveat.subs
+        if not isinstance(saved, diffrax.SubSaveAt) or saved.fn is not SAVED_STATE.fn:
+            must = "save states at times or steps, such as `diffrax.SaveAt(steps=True)`"
+            refuse("saveat", must, "saves something else")
+
+
+def check_branch_options(options: Options) -> None:
+    """Refuse what is for diffrax, which cannot follow a physical branch."""
+    for name, value in options.items():
+        if name not in OF_BRANCH and value:
+            refuse(
+                "options",
+                "be `throw`, `balance` or `attitude` for a start of shape (3,) of a full equation, "
+                "whose physical branch diffrax cannot follow (give a whole state for the vector "
+                "field)",
+                f"one is `{name}`",
+            )
+
+
+def saved_at(options: Options, times: Float[Array, "T"]) -> diffrax.SaveAt:
+    """What diffrax saves: the states at `times`, and at the event if there is one."""
+    saveat, dense = options.get("saveat"), options.get("dense", False)
+    if saveat is None:
+        return diffrax.SaveAt(ts=times, t1=options.get("event") is not None, dense=dense)
+    return diffrax.SaveAt(subs=saveat.subs, dense=saveat.dense or dense)
+
+
+def event_of(options: Options, n: int) -> diffrax.Event | None:
+    """The event, whose conditions see the n numbers of the equation's state only."""
+    event = options.get("event")
+    if event is None:
+        return None
+
+    def of_state(condition: Callable[..., Any]) -> Callable[..., Any]:
+        def seen(t: Any, y: State, args: Any, **rest: Any) -> Any:
+            return condition(t, y[:n], args, **(rest if _takes_more(condition) else {}))
+
+        return seen
+
+    conditions = jax.tree.map(of_state, event.cond_fn, is_leaf=callable)
+    return diffrax.Event(conditions, event.root_finder, event.direction)
+
+
+def _takes_more(condition: Callable[..., Any]) -> bool:
+    """Whether a condition takes the keywords with which diffrax calls it, too."""
+    kinds = {x.kind for x in inspect.signature(condition).parameters.values()}
+    return inspect.Parameter.VAR_KEYWORD in kinds

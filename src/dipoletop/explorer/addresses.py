@@ -1,0 +1,80 @@
+"""Addresses of a page: the query of a URL that holds a view."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+from urllib.parse import urlencode
+
+from .._base.checks import refuse
+from .._base.numerals import number_in
+from ..equations.levels import Level
+from .scenes import Scene
+from .views import SIZES, Range, View, axes_in, checked_view, whole_ranges
+
+RANGE = ".."
+"""What parts the ends of a range."""
+
+
+def address_of(view: View) -> str:
+    """The query that opens a page at this view, "?" included."""
+    pairs = [("level", level.value) for level in view.levels]
+    pairs += [("x", view.x), ("y", view.y)]
+    pairs += [(name, f"{low!r}{RANGE}{high!r}") for name, (low, high) in view.ranges.items()]
+    pairs += [(name, repr(value)) for name, value in view.fixed.items()]
+    return "?" + urlencode([*pairs, ("rtol", repr(view.rtol)), ("size", str(view.size))])
+
+
+def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> View:
+    """The view, as the query of an address changes it.
+
+    Raises:
+        ValueError: a name or a value of the query does not suit.
+    """
+    given = {name.replace("-", "_"): list(texts) for name, texts in query.items()}
+    known = "x", "y", "level", "rtol", "size", *scene.quantities
+    for name, texts in given.items():
+        if name not in known:
+            refuse("address", f"name only {', '.join(known)}", f"names {name!r}")
+        if len(texts) > 1 and name != "level":
+            refuse(name, "be given once", f"is given {len(texts)} times")
+    levels = tuple(Level.named(text) for text in given.pop("level", view.levels))
+    single = {name: texts[0] for name, texts in given.items()}
+    named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
+    rtol = _number("rtol", single.pop("rtol", view.rtol))
+    size = _size(single.pop("size", str(view.size)))
+    for argument, name in named.items():
+        if name not in scene.free:
+            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+    system = scene.system_of(*named.values(), *single)
+    kept = {name: axis for name, axis in (("x", view.x), ("y", view.y)) if axis in system}
+    x, y = axes_in(scene, system, *((kept | named).get(name) for name in ("x", "y")))
+    values = {name: view.values.get(name, scene.quantities[name].default) for name in system}
+    ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
+    for name, text in single.items():
+        if name in ranges:
+            ranges[name] = _range(name, text)
+        else:
+            values[name] = _number(name, text)
+    changed = replace(view, x=x, y=y, ranges=ranges, values=values, levels=levels, rtol=rtol)
+    return checked_view(scene, replace(changed, size=size))
+
+
+def _number(name: str, text: Any) -> float:
+    try:
+        return number_in(str(text))
+    except ValueError:
+        return refuse(name, "be a finite number", f"is {text!r}")
+
+
+def _size(text: str) -> int:
+    sizes = {str(size): size for size in SIZES}
+    if text not in sizes:
+        refuse("size", f"be one of {', '.join(sizes)}", f"is {text!r}")
+    return sizes[text]
+
+
+def _range(name: str, text: str) -> Range:
+    low, found, high = text.partition(RANGE)
+    if not found:
+        refuse(name, f"be a range such as 0{RANGE}0.5, since it is an axis", f"is {text!r}")
+    return _number(name, low), _number(name, high)

@@ -1,0 +1,231 @@
+"""The controls of a page: axes and their ranges, sliders, levels, tolerance, size."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import panel as pn
+
+from .._base.checks import refuse
+from .._base.numerals import as_text, number_in
+from .._maps.quantities import Quantity
+from .scenes import Scene, checked
+from .views import SIZES, View, axes_in, checked_view, in_system, zoomed
+
+STEPS = 240
+"""Steps of a slider."""
+TOLERANCES = tuple(10.0**-k for k in range(3, 13))
+NONE = "none"
+WIDTH = 300
+
+
+class Controls:
+    """Widgets that show a view, and make another one when they are moved.
+
+    Args:
+        scene: what is explored.
+        on_view: called with every new view.
+        on_refusal: called with the sentence that refuses a value, or with "" where there is none.
+    """
+
+    def __init__(
+        self, scene: Scene, on_view: Callable[[View], None], on_refusal: Callable[[str], None]
+    ) -> None:
+        self._scene, self._on_view, self._on_refusal = scene, on_view, on_refusal
+        self._view: View | None = None
+        self._is_showing = False
+        symbols = {quantity.symbol: name for name, quantity in scene.quantities.items()}
+        axes = {symbol: name for symbol, name in symbols.items() if name in scene.free}
+        self._axes = [_select(f"{word} axis", axes) for word in ("Horizontal", "Vertical")]
+        systems = {_described(scene, system): system for system in scene.systems}
+        self._system = _select("Starts are given by", systems)
+        self._ends = {name: _Ends(name, self._set_range) for name in ("x", "y")}
+        self._values = {
+            name: _Value(name, scene.quantities[name], self._set_value) for name in scene.free
+        }
+        levels = {level.label: level for level in scene.levels}
+        self._levels = [
+            _select("Level of the equation", levels),
+            _select("Compare with the level", {NONE: NONE} | levels),
+        ]
+        self._rtol = pn.widgets.DiscreteSlider(
+            name="Tolerance rtol", options=list(TOLERANCES), formatter="%.0e", width=WIDTH - 30
+        )
+        self._size = _select("Starts on an axis", {str(size): size for size in SIZES})
+        for widget in (*self._axes, *self._levels, self._system, self._rtol, self._size):
+            widget.param.watch(self._chosen, "value")
+        self.layout = self._laid_out()
+
+    def _laid_out(self) -> Any:
+        scene = self._scene
+        self._system.visible = len(scene.systems) > 1
+        for widget in self._levels:
+            widget.visible = len(scene.levels) > 1
+        return pn.Column(
+            pn.Row(*self._axes),
+            *(ends.layout for ends in self._ends.values()),
+            self._system,
+            *(value.layout for value in self._values.values()),
+            *self._levels,
+            self._rtol,
+            self._size,
+            width=WIDTH,
+        )
+
+    def show(self, view: View) -> None:
+        """Show a view, without making another one."""
+        with self._showing():
+            self._view = view
+            self._axes[0].value, self._axes[1].value = view.x, view.y
+            self._system.value = self._scene.system_of(*view.values)
+            for name, value in self._values.items():
+                value.layout.visible = name in view.fixed
+                if name in view.fixed:
+                    value.show(view.values[name])
+            for name, axis in (("x", view.x), ("y", view.y)):
+                self._ends[name].show(self._scene.quantities[axis].symbol, view.ranges[axis])
+            for widget, level in zip(self._levels, (*view.levels, NONE), strict=False):
+                if level in widget.values:  # there is none where the equation is given
+                    widget.value = level
+            if view.rtol not in self._rtol.options:
+                self._rtol.options = sorted({*TOLERANCES, view.rtol}, reverse=True)
+            self._rtol.value, self._size.value = view.rtol, view.size
+
+    @contextlib.contextmanager
+    def _showing(self) -> Iterator[None]:
+        before, self._is_showing = self._is_showing, True
+        try:
+            yield
+        finally:
+            self._is_showing = before
+
+    def _change(self, make: Callable[[View], View]) -> None:
+        """Make another view; where it is refused, say so and show the old values again."""
+        if self._is_showing or self._view is None:
+            return
+        try:
+            view = make(self._view)
+        except ValueError as error:
+            self._on_refusal(str(error))
+            self.show(self._view)
+            return
+        self._on_refusal("")
+        self.show(view)
+        self._on_view(view)
+
+    def _set_value(self, name: str, value: Any) -> None:
+        self._change(
+            lambda view: checked_view(
+                self._scene, replace(view, values=view.values | {name: _number(name, value)})
+            )
+        )
+
+    def _set_range(self, axis: str, low: str, high: str) -> None:
+        def changed(view: View) -> View:
+            name = getattr(view, axis)
+            ends = [_number(name, text) for text in (low, high)]
+            quantity = self._scene.quantities[name]
+            span = checked(name, ends[0], quantity), checked(name, ends[1], quantity)
+            if not span[0] < span[1]:
+                refuse(name, "have a range that increases", f"has {span[0]:g} to {span[1]:g}")
+            return zoomed(self._scene, view, view.ranges | {name: span})[0]
+
+        self._change(changed)
+
+    def _chosen(self, event: Any) -> None:
+        """The view of what is chosen in the lists."""
+
+        def changed(view: View) -> View:
+            x, y = (widget.value for widget in self._axes)
+            if event.obj is self._system:
+                return _of_system(self._scene, view, self._system.value)
+            if (x, y) == (view.y, view.y) or (x, y) == (view.x, view.x):
+                x, y = view.y, view.x  # one axis at the place of the other: they change places
+            if (x, y) != (view.x, view.y):
+                return _with_either_axis(self._scene, view, x, y)
+            levels = tuple(w.value for w in self._levels if w.value not in (NONE, None))
+            if len(set(levels)) < len(levels):
+                levels = levels[:1]
+            rtol, size = self._rtol.value, self._size.value
+            return checked_view(self._scene, replace(view, levels=levels, rtol=rtol, size=size))
+
+        self._change(changed)
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return number_in(str(value))
+    except ValueError:
+        return refuse(name, "be a finite number such as 0.2, 1e-3 or pi/30", f"is {value!r}")
+
+
+def _of_system(scene: Scene, view: View, system: tuple[str, ...]) -> View:
+    """The view with starts given otherwise; its axes are kept if they can be."""
+    x, y = axes_in(scene, system, *(n if n in system else None for n in (view.x, view.y)))
+    return in_system(scene, view, x, y, system)
+
+
+def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:
+    """The view over these axes; where they do not go together the one that is new decides."""
+    if not any({x, y} <= set(system) for system in scene.systems):
+        new = x if x != view.x else y
+        axes = (x, None) if new == x else (None, y)
+        x, y = axes_in(scene, scene.system_of(new), *axes)
+    return in_system(scene, view, x, y, scene.system_of(x, y))
+
+
+def _select(name: str, options: dict[str, Any]) -> Any:
+    return pn.widgets.Select(name=name, options=options, sizing_mode="stretch_width")
+
+
+def _described(scene: Scene, system: tuple[str, ...]) -> str:
+    return ", ".join(scene.quantities[name].symbol for name in system)
+
+
+class _Value:
+    """A slider of a quantity, and its exact value as text."""
+
+    def __init__(self, name: str, quantity: Quantity, on_value: Callable[[str, Any], None]) -> None:
+        symbol, low, high = quantity.symbol, quantity.low, quantity.high
+        self._slider = pn.widgets.FloatSlider(
+            name=symbol,
+            start=low,
+            end=high,
+            step=(high - low) / STEPS,
+            value=quantity.default,
+            show_value=False,
+            css_classes=[f"dt-slider-{name}"],
+            sizing_mode="stretch_width",
+        )
+        self._text = pn.widgets.TextInput(name=" ", css_classes=[f"dt-value-{name}"], width=90)
+        self._slider.param.watch(lambda event: on_value(name, event.new), "value")
+        self._text.param.watch(lambda event: on_value(name, event.new), "value")
+        self.layout = pn.Row(self._slider, self._text)
+
+    def show(self, value: float) -> None:
+        slider = self._slider
+        slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
+        self._text.value = as_text(value).replace("π", "pi")
+
+
+class _Ends:
+    """The ends of an axis as text."""
+
+    def __init__(self, axis: str, on_range: Callable[[str, str, str], None]) -> None:
+        self._texts = [pn.widgets.TextInput(sizing_mode="stretch_width") for _ in range(2)]
+        for text in self._texts:
+            text.param.watch(
+                lambda _: on_range(axis, self._texts[0].value, self._texts[1].value), "value"
+            )
+        self.layout = pn.Row(*self._texts)
+
+    def show(self, symbol: str, span: tuple[float, float]) -> None:
+        for text, word, end in zip(self._texts, ("from", "to"), span, strict=True):
+            text.param.update(name=f"{symbol} {word}", value=_exact(end))
+
+
+def _exact(value: float) -> str:
+    """A number by all of its digits, a multiple of π as such."""
+    text = as_text(value).replace("π", "pi")
+    return text if number_in(text) == value else repr(value)

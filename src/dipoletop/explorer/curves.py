@@ -1,0 +1,203 @@
+"""The motion from a start: ω and the energy against τ, and the body in the laboratory."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource, CustomJS, Range1d
+from bokeh.plotting import figure
+from jaxtyping import Float
+
+from ..plots.style import BLACK, COMPONENTS, GREEN, ORANGE
+from .starts import FRAMES, Motion, OfBody
+
+HEIGHT = 250
+NAMES = "ω₁", "ω₂", "ω₃"
+MERIDIANS, PARALLELS, POINTS = 8, 5, 24
+"""Lines on the surface of a body, and segments of each."""
+DRAW = Path(__file__).with_name("motion.js").read_text(encoding="utf-8")
+MESH = "x0", "y0", "z0", "x1", "y1", "z1"
+AT_BEGINNING, AT_END = "beginning", "end"
+
+
+class Curves:
+    """Figures of a motion, empty until there is one."""
+
+    def __init__(self) -> None:
+        self._omega = _source("omega", "tau", "w1", "w2", "w3", "size")
+        self._energy = _source("energy", "tau", "energy")
+        self._motion: Motion | None = None
+        of_omega = _figure("τ = t/τ₀", "ω = τ₀Ω", "omega-figure")
+        for column, name, colour in (("size", "|ω|", BLACK), *_components()):
+            style = {"color": colour, "line_width": 1.5, "legend_label": name}
+            of_omega.line("tau", column, source=self._omega, **style)
+        of_omega.legend.orientation = "horizontal"
+        of_omega.legend.padding = 2
+        of_omega.legend.background_fill_alpha = 0.7
+        of_energy = _figure("τ = t/τ₀", "energy", "energy-figure", y_axis_type="log")
+        self._ranges = of_omega.x_range, of_omega.y_range, of_energy.y_range
+        of_energy.x_range = of_omega.x_range
+        of_energy.line("tau", "energy", source=self._energy, color=BLACK, line_width=1.5)
+        self.omega = _pane(of_omega)
+        self.energy = _pane(of_energy)
+        self._body = _Body()
+        self._part = pn.widgets.RadioButtonGroup(
+            name="part", options=[AT_BEGINNING, AT_END], value=AT_BEGINNING, width=200
+        )
+        self._part.param.watch(lambda _: self._show_body(), "value")
+        self.body = pn.Column(self._part, self._body.pane, self._body.player, visible=False)
+
+    @property
+    def panes(self) -> list[Any]:
+        """The panes of figures."""
+        return [self.omega, self.energy, self._body.pane]
+
+    def show(self, motion: Motion) -> None:
+        """Draw a motion."""
+        self._motion = motion
+        size = np.linalg.norm(motion.omega, axis=1)
+        w1, w2, w3 = motion.omega.T
+        self._omega.data = {"tau": motion.ts, "w1": w1, "w2": w2, "w3": w3, "size": size}
+        times, omegas, energies = self._ranges
+        most = 1.05 * float(np.max(size)) or 1.0
+        _set_range(times, 0.0, float(motion.ts[-1]))
+        _set_range(omegas, min(1.05 * float(np.min(motion.omega)), -0.02 * most), most)
+        self.energy.visible = self.body.visible = motion.of_body is not None
+        if motion.of_body is not None:
+            energy = motion.of_body.energy
+            shown = np.where(energy > 0, energy, np.nan)  # on a logarithmic scale
+            if energy[0] > 0:
+                _set_range(energies, float(np.nanmin(shown)) / 1.5, 1.5 * float(np.nanmax(shown)))
+            self._energy.data = {"tau": motion.ts, "energy": shown}
+        self._show_body()
+
+    def clear(self) -> None:
+        """Draw none."""
+        self._motion = None
+        for source in (self._omega, self._energy):
+            source.data = {name: [] for name in source.data}
+        self.body.visible = False
+
+    def _show_body(self) -> None:
+        motion = self._motion
+        if motion is not None and motion.of_body is not None:
+            first = self._part.value == AT_BEGINNING
+            part = slice(0, FRAMES) if first else slice(-FRAMES, None)
+            self._body.show(motion, motion.of_body, part)
+
+
+class _Body:
+    """A moving picture of the body, drawn in the browser."""
+
+    def __init__(self) -> None:
+        columns = "tau", "q0", "q1", "q2", "q3", "w1", "w2", "w3", "speed"
+        self._frames = _source("frames", *columns)
+        self._mesh = _source("mesh", *MESH)
+        lines = _source("lines", "x0", "y0", "x1", "y1", "alpha")
+        arrows = _source("arrows", "x0", "y0", "x1", "y1", "color")
+        tips, trail = _source("tips", "x", "y", "text", "color"), _source("trail", "x", "y")
+        plot: Any = figure(
+            name="body-figure",
+            height=330,
+            width=330,
+            x_range=Range1d(start=-1.75, end=1.75),
+            y_range=Range1d(start=-1.75, end=1.75),
+            tools="",
+            toolbar_location=None,
+            title="the body in the laboratory",
+        )
+        plot.axis.visible = plot.grid.visible = False
+        ends = "x0", "y0", "x1", "y1"
+        plot.segment(*ends, source=lines, color=GREEN, alpha="alpha")
+        plot.line("x", "y", source=trail, color=ORANGE, alpha=0.5)
+        plot.segment(*ends, source=arrows, color="color", line_width=4, line_cap="round")
+        font = {"text_color": "color", "text_font_style": "bold", "text_align": "center"}
+        plot.text("x", "y", "text", source=tips, text_baseline="middle", **font)
+        self.player = pn.widgets.Player(
+            start=0,
+            end=FRAMES - 1,
+            interval=60,
+            loop_policy="loop",
+            show_loop_controls=False,
+            width=330,
+            visible_buttons=["first", "previous", "pause", "play", "next", "last"],
+        )
+        self._dipole = _source("dipole", "direction")
+        drawn = {"frames": self._frames, "mesh": self._mesh, "lines": lines, "arrows": arrows}
+        drawn |= {"tips": tips, "trail": trail, "direction": self._dipole, "title": plot.title}
+        code = "const dipole = direction.data.direction\n" + DRAW
+        self._frames.js_on_change("data", CustomJS(args=drawn, code="const k = 0\n" + code))
+        self.player.jscallback(args=drawn, value="const k = cb_obj.value\n" + code)
+        self.pane = pn.pane.Bokeh(plot)
+
+    def show(self, motion: Motion, of_body: OfBody, part: slice) -> None:
+        """Show a part of a motion."""
+        self._mesh.data = dict(zip(MESH, surface(np.asarray(of_body.inertia)), strict=True))
+        self._dipole.data = {"direction": of_body.dipole / np.linalg.norm(of_body.dipole)}
+        self.player.value = 0
+        q, w = of_body.attitude[part].T, motion.omega[part].T
+        columns = {f"q{k}": q[k] for k in range(4)} | {f"w{k + 1}": w[k] for k in range(3)}
+        speed = np.linalg.norm(motion.omega[part], axis=1)
+        self._frames.data = {"tau": motion.ts[part], **columns, "speed": speed}
+
+
+def surface(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "n"], ...]:
+    """Segments of lines on the homogeneous ellipsoid with these moments, its longest half-axis 1.
+
+    Returns:
+        x, y and z, in body axes, where the segments begin, and where they end.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    squares = np.maximum(np.sum(moments) / 2 - moments, 0.0)  # m/5 times those of the half-axes
+    lengths = np.sqrt(squares / np.max(squares))
+    angles = np.linspace(0.0, 2 * math.pi, POINTS + 1)
+    lines = []
+    for azimuth in np.arange(MERIDIANS) * math.pi / MERIDIANS:
+        across = np.sin(angles)
+        lines.append([across * math.cos(azimuth), across * math.sin(azimuth), np.cos(angles)])
+    for height in np.linspace(-1.0, 1.0, PARALLELS + 2)[1:-1]:
+        across = math.sqrt(1 - height**2)
+        level = np.full_like(angles, height)
+        lines.append([across * np.cos(angles), across * np.sin(angles), level])
+    # The poles of the lines are those of the symmetry axis, if there is one.
+    pole = 0 if moments[1] - moments[0] > moments[2] - moments[1] else 2
+    order = [(pole + 1) % 3, (pole + 2) % 3, pole]
+    points = np.einsum("ik,lkp->ilp", axes[:, order] * lengths[order], np.array(lines))
+    first, last = points[..., :-1], points[..., 1:]
+    return tuple(np.concatenate([first.reshape(3, -1), last.reshape(3, -1)]))
+
+
+def _components() -> list[tuple[str, str, str]]:
+    colours = [colour for _, colour in COMPONENTS]
+    return [(f"w{k + 1}", NAMES[k], colours[k]) for k in range(3)]
+
+
+def _source(name: str, *columns: str) -> Any:
+    return ColumnDataSource({column: [] for column in columns}, name=name)
+
+
+def _set_range(span: Any, low: float, high: float) -> None:
+    span.update(start=low, end=high, reset_start=low, reset_end=high)
+
+
+def _figure(x: str, y: str, name: str, **options: Any) -> Any:
+    plot = figure(
+        name=name,
+        height=HEIGHT,
+        sizing_mode="stretch_width",
+        tools="pan,box_zoom,wheel_zoom,reset",
+        x_axis_label=x,
+        y_axis_label=y,
+        x_range=Range1d(start=1.0, end=10.0),
+        y_range=Range1d(start=1.0, end=10.0),
+        **options,
+    )
+    plot.toolbar.logo = None
+    plot.toolbar.autohide = True
+    return plot
+
+
+def _pane(plot: Any) -> Any:
+    return pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)

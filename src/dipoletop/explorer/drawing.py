@@ -1,0 +1,137 @@
+"""The pictures of a view as they come: coarse at first, then as the view asks."""
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .._maps.basin import Basin
+from .._maps.grids import Grid
+from .._maps.prepared_sweep import PreparedSweep
+from .._runs.classification import UNCHECKED, Value
+from ..equations.levels import Level
+from .pictures import Picture, picture_of
+from .scenes import Scene
+from .views import Cells, View, cells_of, finest_step
+
+QUICK = 0.06
+"""Seconds that the starts of a first picture may take."""
+LONGEST = 2.0
+"""The same of a picture that comes between the first and the last one."""
+LOOSE = 1e-5
+"""Relative tolerance of these pictures."""
+OVERHEAD = 0.02
+"""Seconds that a sweep takes however few starts it has."""
+PIECE = 0.1
+"""Seconds of a piece of work, after which others have their turn."""
+REST = 0.1
+"""Seconds without a change after which a picture is refined."""
+FEWEST = 16
+"""Starts on a side of the coarsest picture, and of a first one whose cost is not known."""
+
+
+class Drawing:
+    """Sweeps of a scene, prepared once for all pages, and what they cost."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._prepared: dict[Any, PreparedSweep] = {}
+        self._preparing = threading.Lock()
+        self._cost: dict[Any, float] = {}
+        """Seconds for each start, by level and by what is wanted of it."""
+
+    def sweep(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
+        """The basin over a grid at a level.
+
+        Raises:
+            ValueError: as by `sweep`.
+        """
+        key = level, grid.dims, value
+        with self._preparing:
+            if key not in self._prepared:
+                prepared = PreparedSweep.of(self._scene.problem_at(level), grid, value=value)
+                prepared(_first_start(grid), rtol)  # compiles, so that later runs tell their cost
+                self._prepared[key] = prepared
+        return self._prepared[key](grid, rtol)
+
+    def pictures(
+        self, view: View, show: Callable[[Picture], None], fail: Callable[[Exception], None]
+    ) -> Iterator[float]:
+        """Pieces of work that end with a call of `show` for each picture, or with one of `fail`."""
+        began = time.monotonic()
+        try:
+            size = self._quick_size(view)
+            show(self._quick(view, size))
+            yield began + REST
+            if size < view.size and self._quick_cost(view, view.size) < LONGEST:
+                show(self._quick(view, view.size))
+                yield 0.0
+            cells, basins = cells_of(self._scene, view, view.size), []
+            for level in _levels(view):
+                parts, row = [], 0
+                while row < cells.rows:
+                    rows = slice(row, row + self._rows_of_piece(cells, level))
+                    parts.append(self._timed(level, cells.piece(rows), view.rtol, True))
+                    row = rows.stop
+                    yield 0.0
+                basins.append(_joined(parts, cells.grid))
+            show(picture_of(view, basins, cells.folded, view.size, True))
+        except Exception as error:  # the thread works for other pages, too
+            fail(error)
+
+    def _quick(self, view: View, size: int) -> Picture:
+        """A picture by a loose tolerance, without estimates of errors.
+
+        Labels are wrong within a small part of the tolerance from a boundary, which is not seen
+        unless the starts are as close as that.
+        """
+        rtol = max(view.rtol, LOOSE) if finest_step(view) > LOOSE else view.rtol
+        cells = cells_of(self._scene, view, size)
+        basins = [self._timed(level, cells.grid, rtol, UNCHECKED) for level in _levels(view)]
+        return picture_of(view, basins, cells.folded, size, False)
+
+    def _timed(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
+        basin = self.sweep(level, grid, rtol, value)
+        key, cost = (level, value), max(basin.seconds - OVERHEAD, 0.0) / basin.outcome.size
+        self._cost[key] = (self._cost.get(key, cost) + cost) / 2
+        return basin
+
+    def _quick_cost(self, view: View, size: int) -> float:
+        """Seconds that the starts of a quick picture take; infinite if that is not known."""
+        costs = [self._cost.get((level, UNCHECKED), math.inf) for level in _levels(view)]
+        return sum(costs) * cells_of(self._scene, view, size).count
+
+    def _quick_size(self, view: View) -> int:
+        """The largest size, a power of two below that of the view, that does not take long."""
+        size = view.size
+        while size > FEWEST and self._quick_cost(view, size) > QUICK:
+            size //= 2
+        return size
+
+    def _rows_of_piece(self, cells: Cells, level: Level | None) -> int:
+        """How many rows take no longer than `PIECE`, as far as is known."""
+        quick = self._cost.get((level, UNCHECKED), 0.0)
+        row = self._cost.get((level, True), 2 * quick) * cells.count / cells.rows
+        rows = max(int(PIECE / row), 1) if row > 0 else cells.rows
+        return 1 << (rows.bit_length() - 1)  # few sizes, since each is traced once
+
+
+def _levels(view: View) -> tuple[Level | None, ...]:
+    return view.levels or (None,)
+
+
+def _first_start(grid: Grid) -> Grid:
+    return Grid(**{name: values[:1] for name, values in grid.axes.items()})
+
+
+def _joined(parts: list[Basin], grid: Grid) -> Basin:
+    """The basin over a grid from those over its rows."""
+    names = parts[0].columns
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in names}
+    seconds = sum(part.seconds for part in parts)
+    whole = {"shape": grid.shape, "coords": grid.coords, "columns": columns}
+    return replace(parts[0], **whole, seconds=seconds)

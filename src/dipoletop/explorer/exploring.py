@@ -1,0 +1,186 @@
+"""The function `explore`, and what it returns."""
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from typing import Any
+
+from .._base.tolerances import tolerance
+from .._maps.basin import Basin
+from ..equations.levels import Level
+from . import addresses, recipes
+from .drawing import Drawing
+from .pictures import Picture
+from .scenes import Over, Scene, scene_of
+from .views import View, first_view
+
+NEEDED = "panel", "bokeh"
+MISSING = "The explorer needs Panel: pip install 'dipoletop[explore]'."
+
+IN_NOTEBOOK = "In a notebook the explorer is shown as output of a cell; `serve` is for scripts."
+
+
+class Explorer:
+    """A page to look round in: it appears in a notebook, or at an address by `serve`.
+
+    Every notebook output and every session of a server has its own state.
+
+    Attributes:
+        view: property; what the page shows that was changed last.
+        basins: property; the basins of its last finished picture, one for each level, or none.
+    """
+
+    def __init__(self, scene: Scene, view: View) -> None:
+        self._scene, self._first = scene, view
+        self._workshop: Any = None
+        self._page: Any = None
+        self._picture: Picture | None = None
+
+    @property
+    def view(self) -> View:
+        """What the page shows that was opened last."""
+        return self._first if self._page is None else self._page.view
+
+    @property
+    def basins(self) -> tuple[Basin, ...]:
+        """The basins of the last finished picture, before `plots.unfold`; none at first."""
+        return () if self._picture is None else self._picture.basins
+
+    def code(self) -> str:
+        """A script that computes and draws what `view` says."""
+        return recipes.code_of(self._scene, self.view)
+
+    def address(self) -> str:
+        """The query of an address that opens a page at `view`."""
+        return addresses.address_of(self.view)
+
+    def serve(
+        self,
+        address: str = "127.0.0.1",
+        port: int = 0,
+        *,
+        origins: Sequence[str] = (),
+        show: bool = True,
+        say: Callable[[str], None] = print,
+    ) -> None:
+        """Serve the page until Ctrl-C, with a state of its own for everyone who opens it.
+
+        Args:
+            address: where to listen; others than loopback let other machines in, and there is no
+                password.
+            port: where, too; 0 means any that is free.
+            origins: hosts such as "example.org:8080" whose pages may open a session, too, as where
+                the server stands behind a proxy. Pages of all others are refused.
+            show: whether to open a browser.
+            say: called with the address of the page.
+
+        Raises:
+            ValueError: bad arguments, or the program has an event loop already, as a notebook has.
+            OSError: the address or the port cannot be used.
+        """
+        from .server import serve
+
+        with contextlib.suppress(RuntimeError):
+            asyncio.get_running_loop()
+            raise ValueError(IN_NOTEBOOK)
+        place = {"address": address, "port": port, "origins": origins}
+        serve(self._session, **place, show=show, say=say)
+
+    def _session(self, query: dict[str, list[str]]) -> Any:
+        """The page for the query of an address, or one that says why it is refused."""
+        from .page import refusal_page
+
+        try:
+            view = addresses.view_at(self._scene, self._first, query)
+        except ValueError as error:
+            return refusal_page(str(error))
+        return self._opened(view)
+
+    def _opened(self, view: View) -> Any:
+        import panel as pn
+
+        from .page import Page, Workshop
+
+        if self._workshop is None:
+            self._workshop = Workshop(self._scene, Drawing(self._scene))
+        page = Page(self._workshop, view, self._keep)
+        self._page = page
+        if pn.state.curdoc and pn.state.curdoc.session_context:
+            pn.state.on_session_destroyed(lambda _: page.close())
+        return page.layout
+
+    def _keep(self, picture: Picture) -> None:
+        self._picture = picture
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
+        """A new page, as output of a notebook."""
+        import panel as pn
+
+        if not pn.extension._loaded:
+            pn.extension()
+        return self._opened(self.view)._repr_mimebundle_(include, exclude)
+
+    def __repr__(self) -> str:
+        view = self.view
+        levels = ", ".join(level.label for level in view.levels) or "a given equation"
+        return f"Explorer({levels}: {view.x}, {view.y}; `.serve()` opens it in a browser)"
+
+
+def explore(
+    problem: Any = None,
+    over: Over | None = None,
+    *,
+    level: str | Level | Sequence[str | Level] = (),
+    x: str | None = None,
+    y: str | None = None,
+    size: int = 256,
+    rtol: float = 1e-8,
+) -> Explorer:
+    """A page with the basin map of dω/dτ = equation(ω) over two axes, and sliders for the others.
+
+    In a notebook the result is shown as output; elsewhere its method `serve` opens a page in a
+    browser, as `dipoletop explore` does. The picture follows a slider, coarse at first. A click on
+    a start shows its verdict, its motion, and the derivatives of ω∞ there. The page also writes the
+    code of what it shows.
+
+    | `problem` | what is explored | quantities |
+    |---|---|---|
+    | None | the transverse top at any level | delta, phi, and w_perp, w3 or amplitude, theta |
+    | `TransverseReduced`, `TransverseSemi` | the same, at this level and δ | the same |
+    | another equation | its starts | phi, and w_perp, w3 or amplitude, theta |
+    | a function as for `sweep` | the same problem | its arguments |
+
+    Args:
+        problem: see the table. A function must be pure JAX, and its arguments numbers.
+        over: for each quantity a number, where it is at first, or a pair (low, high), its range.
+            A function needs one or the other for every argument; numbers are kept. ω is in units
+            of 1/τ₀, angles are in radians.
+        level: one level of the equation, or two that are compared, such as ("order-1", "semi");
+            none means that of `problem`, or semi-reduced.
+        x: the horizontal axis; None means φ if there is one.
+        y: the vertical axis; None means ω₃ or ϑ if there is one.
+        size: starts on each axis: 64, 128, 256, 512 or 1024.
+        rtol: relative tolerance of every step.
+
+    Returns:
+        An `Explorer`.
+
+    Raises:
+        ImportError: Panel is not installed (`pip install 'dipoletop[explore]'`).
+        ValueError: bad arguments.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> explorer = dt.explore(dt.TransverseSemi(-0.3), {"w_perp": 0.1}, y="delta")
+        >>> explorer
+        Explorer(semi-reduced: phi, delta; `.serve()` opens it in a browser)
+        >>> print(explorer.code().splitlines()[-1])
+        dt.plots.basin(basin, x="phi", y="delta", unfold=True).figure.savefig("map.png")
+    """
+    if any(find_spec(name) is None for name in NEEDED):
+        raise ImportError(MISSING)
+    tolerance("rtol", rtol)
+    scene = scene_of(problem, over)
+    levels = (level,) if isinstance(level, str) else tuple(level)
+    return Explorer(scene, first_view(scene, x, y, levels or scene.at_first, rtol=rtol, size=size))

@@ -1,0 +1,169 @@
+"""The maps of a page: a Bokeh figure for each level, with the same ranges."""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.events import RangesUpdate, Reset, Tap
+from bokeh.models import (
+    AdaptiveTicker,
+    ColumnDataSource,
+    CustomJS,
+    CustomJSTickFormatter,
+    FixedTicker,
+    Range1d,
+)
+from bokeh.plotting import figure
+
+from .pictures import Picture
+from .views import Range, View
+
+HEIGHT = 440
+TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
+TICKS = """
+// Where all ticks of an axis begin with the same digits, only the first one shows them.
+const step = Math.abs(ticks[1] - ticks[0]), most = Math.max(...ticks.map(Math.abs))
+if (of_angle && step > 0.3) {
+  const eighths = Math.round(tick/(Math.PI/4))
+  if (Math.abs(tick - eighths*Math.PI/4) < 1e-9) {
+    const [over, under] = eighths % 4 == 0 ? [eighths/4, 1]
+      : eighths % 2 == 0 ? [eighths/2, 2] : [eighths, 4]
+    const above = over == 0 ? "0" : over == 1 ? "π" : over == -1 ? "−π" : `${over}π`
+    return (over == 0 || under == 1 ? above : `${above}/${under}`).replace("-", "−")
+  }
+}
+if (!(step < 1e-4*most)) return String(Number(tick.toPrecision(5))).replace("-", "−")
+if (index == 0) return tick.toPrecision(Math.min(17, Math.ceil(Math.log10(most/step)) + 1))
+return "+" + Number((tick - ticks[0]).toPrecision(2)).toExponential().replace("-", "−")
+"""
+DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
+"""The browser says which picture it has, so that no more are sent than it can draw."""
+
+
+class Maps:
+    """One map, or two side by side.
+
+    Args:
+        symbols: the symbol of each quantity.
+        on_ranges: called with the ranges "x" and "y" that the user has chosen, or None for
+            the whole ones.
+        on_start: called with the number of a map and the x and y of a start in it.
+        on_drawn: called with the serial number of the newest picture in the browser.
+    """
+
+    def __init__(
+        self,
+        symbols: dict[str, str],
+        on_ranges: Callable[[dict[str, Range] | None], None],
+        on_start: Callable[[int, float, float], None],
+        on_drawn: Callable[[int], None],
+    ) -> None:
+        self._symbols, self._on_ranges, self._on_drawn = symbols, on_ranges, on_drawn
+        self._axes = "", ""
+        x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
+        self.figures = [_figure(number, x, y) for number in range(2)]
+        self._sources = [_source(number) for number in range(2)]
+        self._chosen = ColumnDataSource({"x": [], "y": []}, name="chosen")
+        for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
+            for colour, width in (("white", 5), ("black", 2)):
+                plot.scatter(
+                    "x",
+                    "y",
+                    source=self._chosen,
+                    marker="cross",
+                    size=18,
+                    line_color=colour,
+                    line_width=width,
+                )
+            plot.on_event(Tap, lambda event, number=number: on_start(number, event.x, event.y))
+        first = self.figures[0]
+        self._sources[0].js_on_change("data", CustomJS(args={"figure": first}, code=DRAWN))
+        first.on_change("tags", self._drawn)
+        first.on_event(RangesUpdate, self._moved)
+        for plot in self.figures:
+            plot.on_event(Reset, lambda _: on_ranges(None))
+        self.panes = [
+            pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)
+            for plot in self.figures
+        ]
+
+    def _drawn(self, attr: str, old: Any, new: Any) -> None:
+        if new:
+            self._on_drawn(int(new[0]))
+
+    def _moved(self, event: Any) -> None:
+        self._on_ranges({"x": (event.x0, event.x1), "y": (event.y0, event.y1)})
+
+    def look_at(self, view: View, whole: dict[str, Range]) -> None:
+        """Show the ranges of a view, and name its axes, whose `whole` ranges a reset shows."""
+        first = self.figures[0]
+        for name, span, axis in (
+            (view.x, first.x_range, "xaxis"),
+            (view.y, first.y_range, "yaxis"),
+        ):
+            (low, high), (reset_low, reset_high) = view.ranges[name], whole[name]
+            span.update(start=low, end=high, reset_start=reset_low, reset_end=reset_high)
+            for plot in self.figures:
+                _label(getattr(plot, axis), name, self._symbols[name], high - low)
+        if self._axes != (view.x, view.y):
+            self._axes = view.x, view.y
+            self.mark(None)
+        self.panes[1].visible = len(view.levels) == 2
+
+    def mark(self, place: tuple[float, float] | None) -> None:
+        """Mark a start, or none."""
+        xs, ys = ([], []) if place is None else ([place[0]], [place[1]])
+        self._chosen.data = {"x": xs, "y": ys}
+
+    def show(self, picture: Picture, serial: int) -> None:
+        """Draw a picture of the axes that are shown."""
+        (x0, x1), (y0, y1) = (picture.view.ranges[n] for n in (picture.view.x, picture.view.y))
+        place = {"x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}
+        sources = self._sources[: len(picture.images)]
+        # The first one last: once the browser has it, it has both.
+        for source, image in reversed(list(zip(sources, picture.images, strict=True))):
+            pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
+            source.data = {"image": [pixels], **place, **_about(picture, serial)}
+
+
+def _figure(number: int, x: Range1d, y: Range1d) -> Any:
+    plot = figure(
+        name=f"map-{number}",
+        x_range=x,
+        y_range=y,
+        tools=TOOLS,
+        active_scroll="wheel_zoom",
+        height=HEIGHT,
+        sizing_mode="stretch_width",
+        background_fill_color="#eeeeee",
+    )
+    plot.toolbar.logo = None
+    plot.grid.visible = False
+    return plot
+
+
+def _source(number: int) -> Any:
+    columns = "image", "x", "y", "dw", "dh", "serial", "about"
+    return ColumnDataSource({name: [] for name in columns}, name=f"picture-{number}")
+
+
+def _about(picture: Picture, serial: int) -> dict[str, list[Any]]:
+    """Which picture it is, for those who read it in the browser."""
+    about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
+    return {"serial": [serial], "about": [json.dumps(about)]}
+
+
+def _label(axes: Any, name: str, symbol: str, width: float) -> None:
+    for axis in axes:
+        if axis.axis_label != symbol:
+            axis.axis_label = symbol
+            of_angle = name in ("phi", "theta")
+            axis.formatter = CustomJSTickFormatter(args={"of_angle": of_angle}, code=TICKS)
+        turns = name in ("phi", "theta") and width > 2
+        if turns != isinstance(axis.ticker, FixedTicker):
+            quarters = [k * math.pi / 4 for k in range(-16, 17)]
+            axis.ticker = FixedTicker(ticks=quarters) if turns else AdaptiveTicker()

@@ -1,0 +1,277 @@
+"""A page: the maps of a view, its controls, and the start that was clicked."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+
+from .._base.checks import one_line
+from . import texts
+from .addresses import address_of
+from .controls import Controls
+from .curves import Curves
+from .drawing import Drawing
+from .maps import Maps
+from .outlet import Outlet
+from .pictures import Picture
+from .recipes import code_of
+from .scenes import Scene
+from .starts import motion_of, slopes_of, verdict_of
+from .turns import Turns
+from .views import Range, View, whole_ranges, zoomed
+
+CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+PATIENCE = 5.0
+"""Seconds after which a browser that has not told that it has a picture is sent another one."""
+AHEAD = 2
+"""Pictures that may be computed, or on their way, before the browser has them."""
+STARTS_AT_ONCE = 2
+"""Clicked starts, of all pages, that are computed at the same time."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """What all pages of an explorer share."""
+
+    scene: Scene
+    drawing: Drawing
+    turns: Turns = field(default_factory=Turns)
+    starts: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(STARTS_AT_ONCE, "explorer-start")
+    )
+
+
+class Page:
+    """One user's page.
+
+    Args:
+        workshop: what it shares with other pages.
+        view: what it shows at first.
+        on_picture: called with every finished picture.
+    """
+
+    def __init__(
+        self, workshop: Workshop, view: View, on_picture: Callable[[Picture], None]
+    ) -> None:
+        scene = workshop.scene
+        self._workshop, self._on_picture = workshop, on_picture
+        self.view, self._ended = zoomed(scene, view, view.ranges)
+        """What is shown, and the axes on which rounding ends the zoom."""
+        self._outlet = Outlet()
+        self._asked, self._asked_at = 0, 0.0
+        """The number of the last picture that was asked for, and when that was."""
+        self._has, self._has_changed = 0, False
+        """The number of the last picture that the browser has, and whether it lacks the view."""
+        self._inspected = 0
+        """The number of the last start that was clicked."""
+        symbols = texts.symbols_of(scene)
+        self._maps = Maps(symbols, self._zoom, self._inspect, self._drawn)
+        self._controls = Controls(scene, self._change, self._refuse)
+        self._curves = Curves()
+        self._refusal, self._status, self._legend = _html(), _html(), _html()
+        self._captions = [_html(), _html()]
+        self._verdict, self._slopes, self._code = _html(), _html(), _html()
+        self._outlet.panes = [*self._maps.panes, *self._curves.panes]
+        self.layout = self._laid_out()
+        self._controls.show(self.view)
+        self._show_maps()
+        # What changes while the browser is still loading the page would not reach it.
+        pn.state.onload(self._ask)
+
+    def _laid_out(self) -> Any:
+        whole = pn.widgets.Button(name="Whole range", width=130)
+        write = pn.widgets.Button(name="Write code", width=130)
+        whole.on_click(lambda _: self._zoom(None))
+        write.on_click(lambda _: self._write())
+        boxes = [
+            pn.Column(pane, caption, min_width=290, styles={"flex": "1 1 380px"})
+            for pane, caption in zip(self._maps.panes, self._captions, strict=True)
+        ]
+        self._second = boxes[1]
+        start = pn.FlexBox(
+            pn.Column(self._verdict, self._slopes, min_width=270, styles={"flex": "1 1 270px"}),
+            pn.Column(
+                self._curves.omega,
+                self._curves.energy,
+                min_width=290,
+                styles={"flex": "2 1 380px"},
+            ),
+            self._curves.body,
+            sizing_mode="stretch_width",
+        )
+        self._start = pn.Column(start, visible=False, sizing_mode="stretch_width")
+        main = pn.Column(
+            self._refusal,
+            pn.FlexBox(*boxes, sizing_mode="stretch_width"),
+            self._legend,
+            self._status,
+            self._start,
+            self._code,
+            styles={"flex": "1 1 320px", "min-width": "300px"},
+        )
+        side = pn.Column(self._controls.layout, pn.Row(whole, write), width=310)
+        return pn.Column(
+            _html(texts.HEAD),
+            pn.FlexBox(side, main, flex_wrap="wrap", sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )
+
+    def close(self) -> None:
+        """Compute nothing more for this page."""
+        self._inspected += 1
+        self._workshop.turns.drop(self)
+
+    # What the user does.
+
+    def _change(self, view: View) -> None:
+        """Show another view."""
+        self.view, self._ended = view, ()
+        self._show_maps()
+        self._ask()
+
+    def _zoom(self, ranges: dict[str, Range] | None) -> None:
+        """Show other ranges of the axes, or the whole ones."""
+        scene, before = self._workshop.scene, self.view
+        wanted = whole_ranges(scene, before.x, before.y)
+        if ranges is not None:
+            wanted = {before.x: ranges["x"], before.y: ranges["y"]}
+        try:
+            self.view, self._ended = zoomed(scene, before, wanted)
+        except ValueError as error:
+            self._refuse(str(error))
+            return
+        self._controls.show(self.view)
+        # The browser shows already what it has asked for, and may have gone on since.
+        if ranges is None or self.view.ranges != wanted:
+            self._show_maps()
+        if self.view != before or self._ended:
+            self._ask()
+
+    def _write(self) -> None:
+        """Show the code of the view, or hide it."""
+        scene, view = self._workshop.scene, self.view
+        self._code.object = texts.code(code_of(scene, view), address_of(view))
+
+    def _refuse(self, sentence: str) -> None:
+        self._refusal.object = texts.refused(sentence) if sentence else ""
+
+    # Pictures.
+
+    def _show_maps(self) -> None:
+        """Show the ranges of the view on the maps."""
+        view = self.view
+        self._maps.look_at(view, whole_ranges(self._workshop.scene, view.x, view.y))
+        self._second.visible = len(view.levels) == 2
+
+    def _ask(self) -> None:
+        """Ask for pictures of the view, unless the browser lags behind."""
+        lags = self._asked - self._has >= AHEAD
+        self._has_changed = lags and time.monotonic() < self._asked_at + PATIENCE
+        if self._has_changed:
+            return
+        self._code.object = ""  # it would be that of another view
+        self._asked += 1
+        self._asked_at = time.monotonic()
+        number, outlet = self._asked, self._outlet
+
+        def show(picture: Picture) -> None:
+            outlet.post(lambda: self._show(picture, number))
+
+        def fail(error: Exception) -> None:
+            outlet.post(lambda: self._fail(error))
+
+        work = self._workshop.drawing.pictures(self.view, show, fail)
+        self._workshop.turns.put(self, work)
+
+    def _show(self, picture: Picture, number: int) -> None:
+        view = self.view
+        if (picture.view.x, picture.view.y) != (view.x, view.y):
+            self._drawn(number)
+            return
+        self._maps.show(picture, number)
+        self._legend.object = texts.legend(picture)
+        self._status.object = texts.status(self._workshop.scene, picture, self._ended)
+        for k, caption in enumerate(self._captions[: len(picture.basins)]):
+            caption.object = texts.caption(picture, k)
+        if picture.is_final:
+            self._on_picture(picture)
+
+    def _fail(self, error: Exception) -> None:
+        self._refuse(_sentence(error))
+        self._drawn(self._asked)
+
+    def _drawn(self, number: int) -> None:
+        """The browser has a picture."""
+        self._has = number
+        if self._has_changed:
+            self._ask()
+
+    # The start that was clicked.
+
+    def _inspect(self, number: int, x: float, y: float) -> None:
+        """Show how a start ends, and how it moves at the level of a map."""
+        view = self.view
+        (low, high), (bottom, top) = view.ranges[view.x], view.ranges[view.y]
+        if not (low <= x <= high and bottom <= y <= top):
+            return
+        self._inspected += 1
+        values = view.values | {view.x: x, view.y: y}
+        self._maps.mark((x, y))
+        self._start.visible = True
+        self._curves.clear()
+        self._verdict.object = texts.waiting("Verdict")
+        self._slopes.object = texts.waiting("Motion and derivatives")
+        self._workshop.starts.submit(self._compute, self._inspected, view, values, number)
+
+    def _compute(self, number: int, view: View, values: dict[str, float], which: int) -> None:
+        """Compute what is shown of a start, in parts, unless another one was clicked meanwhile."""
+        workshop = self._workshop
+        scene, levels = workshop.scene, view.levels or (None,)
+        which = min(which, len(levels) - 1)
+
+        def show(change: Callable[[], None]) -> None:
+            self._outlet.post(lambda: change() if number == self._inspected else None)
+
+        try:
+            if number != self._inspected:
+                return
+            found = [verdict_of(workshop.drawing, level, values, view.rtol) for level in levels]
+            show(lambda: _set(self._verdict, texts.verdicts(scene, values, found)))
+            if number != self._inspected:
+                return
+            problem, chosen = scene.problem_at(levels[which]), found[which]
+            motion = motion_of(problem, values, chosen, min(view.rtol, 1e-8))
+            show(lambda: self._curves.show(motion))
+            note = texts.length_of(motion)
+            show(lambda: _set(self._slopes, note + texts.waiting("Derivatives of ω∞")))
+            if number != self._inspected:
+                return
+            slopes = slopes_of(problem, values, min(view.rtol, 1e-8))
+            show(lambda: _set(self._slopes, note + texts.slopes(scene, chosen.level, slopes)))
+        except Exception as error:  # the thread works for other pages, too
+            sentence = _sentence(error)
+            show(lambda: _set(self._slopes, texts.refused(sentence)))
+
+
+def _html(text: str = "") -> Any:
+    return pn.pane.HTML(text, stylesheets=[CSS], sizing_mode="stretch_width", margin=(3, 10))
+
+
+def _set(pane: Any, text: str) -> None:
+    pane.object = text
+
+
+def _sentence(error: Exception) -> str:
+    """One line that says what failed."""
+    if isinstance(error, ValueError | RuntimeError):
+        return one_line(error)
+    return f"This failed: {type(error).__name__}: {one_line(error)}"
+
+
+def refusal_page(sentence: str) -> Any:
+    """What is shown in place of a page whose address is refused."""
+    return _html(f'{texts.refused(sentence)}<p><a href="?">Open the page without it</a></p>')

@@ -1,0 +1,239 @@
+"""What is explored: its quantities, the levels to choose from, and the problem that is swept."""
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from .._base.checks import check_single, check_verdict, described, instance, refuse
+from .._base.types import Equation
+from .._maps.problems import Problem, check_problem
+from .._maps.quantities import QUANTITIES, Quantity, initial_condition, problem_of_top
+from ..equations._families import RIGID, TRANSVERSE
+from ..equations.levels import Level
+from . import sources
+
+MAPPED = tuple(level for level in Level if level is not Level.FULL)
+"""The levels of maps: the full equation takes milliseconds a start."""
+CYLINDRICAL = "w_perp", "w3", "phi"
+SPHERICAL = "amplitude", "theta", "phi"
+WHOLE = {"phi": (0.0, 2 * math.pi), "w3": (-0.6, 0.6), "theta": (0.0, math.pi)}
+"""Ranges that show all starts, rather than one symmetry cell."""
+
+Over = Mapping[str, Any]
+"""A number for each quantity where it stands at first, or its range."""
+
+
+class Source(NamedTuple):
+    """What defines the problem in code that reproduces a view."""
+
+    before: tuple[str, ...]
+    """Lines that come before."""
+    problem: Callable[[Level | None, tuple[str, ...]], tuple[str, ...]]
+    """Lines that define `problem` of these quantities at a level."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A problem with its quantities.
+
+    Attributes:
+        quantities: by name; their defaults are where the sliders begin.
+        systems: sets of quantities, each of which fixes equation and start.
+        levels: the levels to choose from, those of an equation that is given first; none if there
+            is no choice.
+        problem_at: the problem at a level, or at None.
+        source: the code of the problem.
+        symmetric: whether the dipole lies along axis 1 and the axes are principal, so that maps
+            over φ and ω₃ have the symmetries of `plots.unfold`.
+    """
+
+    quantities: dict[str, Quantity]
+    systems: tuple[tuple[str, ...], ...]
+    levels: tuple[Level, ...]
+    problem_at: Callable[[Level | None], Problem]
+    source: Source
+    symmetric: bool
+
+    @property
+    def at_first(self) -> tuple[Level, ...]:
+        """The level of a page that is asked for none."""
+        return self.levels[:1]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The quantities that may be varied."""
+        return tuple(name for name, x in self.quantities.items() if x.low < x.high)
+
+    def system_of(self, *names: str) -> tuple[str, ...]:
+        """The first system that has all of these quantities.
+
+        Raises:
+            ValueError: none has.
+        """
+        for system in self.systems:
+            if set(names) <= set(system):
+                return system
+        return _refuse_mixed(self.systems, names)
+
+
+def scene_of(problem: Any, over: Any) -> Scene:
+    """The scene of what `explore` was given.
+
+    Raises:
+        ValueError: it is neither an equation nor a problem, or `over` does not suit it.
+    """
+    if over is None:
+        over = {}
+    instance("over", over, Mapping, "map names of quantities to numbers or to ranges")
+    if problem is None:
+        return scene_of_top(over)
+    if isinstance(problem, TRANSVERSE) and _level(problem) in MAPPED:
+        check_single(problem)
+        return scene_of_top({"delta": float(problem.delta)} | dict(over), _level(problem))
+    if not isinstance(problem, type) and isinstance(problem, Equation):
+        return scene_of_equation(problem, over)
+    return scene_of_problem(problem, over)
+
+
+def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
+    """The transverse top of any δ, at any level; pages begin with the `first`."""
+    quantities = _quantities(tuple(QUANTITIES), over)
+    systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
+    levels = first, *(level for level in MAPPED if level is not first)
+    source = Source((), lambda level, names: sources.of_top(level, names))
+    return Scene(quantities, systems, levels, _problem_of_top, source, True)
+
+
+def _problem_of_top(level: Level | None) -> Problem:
+    assert level is not None  # views of this scene have one
+    return problem_of_top(level)
+
+
+def scene_of_equation(equation: Any, over: Over) -> Scene:
+    """The starts of one equation."""
+    check_verdict(equation)
+    check_single(equation)
+    quantities = _quantities(tuple(dict.fromkeys(CYLINDRICAL + SPHERICAL)), over)
+
+    def problem(**point: Any) -> tuple[Equation, Any]:
+        return equation, initial_condition(point)
+
+    systems = _ordered((CYLINDRICAL, SPHERICAL), over)
+    source = Source(sources.of_equation(equation), lambda _, names: sources.of_starts(names))
+    return Scene(quantities, systems, (), lambda _: problem, source, _is_symmetric(equation))
+
+
+def scene_of_problem(problem: Any, over: Over) -> Scene:
+    """A problem as for `sweep`, over the ranges that are given for its arguments."""
+    check_problem(problem)
+    names = tuple(inspect.signature(problem).parameters)
+    for name in over:
+        if name not in names:
+            refuse("over", f"name arguments of `problem` ({', '.join(names)})", f"names {name!r}")
+    for name in names:
+        if name not in over:
+            must = "give a number or a range (low, high) for every argument of `problem`"
+            refuse("over", must, f"gives none for `{name}`")
+    quantities = {name: _quantity(name, _plain(name), over[name]) for name in names}
+    scene = Scene(
+        quantities,
+        (names,),
+        (),
+        lambda _: problem,
+        Source(sources.of_function(problem), lambda _, names: ()),
+        False,
+    )
+    if len(scene.free) < 2:
+        refuse("over", "give a range for at least two arguments", f"gives {len(scene.free)}")
+    return scene
+
+
+def _ordered(systems: tuple[tuple[str, ...], ...], over: Over) -> tuple[tuple[str, ...], ...]:
+    """The systems, first one that has all quantities that are given."""
+    first = [system for system in systems if set(over) <= set(system)]
+    if not first:
+        _refuse_mixed(systems, over)
+    return (first[0], *(system for system in systems if system != first[0]))
+
+
+def _refuse_mixed(systems: tuple[tuple[str, ...], ...], names: Iterable[str]) -> NoReturn:
+    ways = " or ".join(", ".join(system) for system in systems)
+    refuse("start", f"be given by {ways}", f"is given by {', '.join(names)}")
+
+
+def _level(equation: Any) -> Level:
+    """The level of an equation of the transverse top."""
+    return next(level for level in Level if level.label == equation.level)
+
+
+def _is_symmetric(equation: Any) -> bool:
+    """Whether the symmetries of `plots.unfold` are known to hold."""
+    if type(equation) in TRANSVERSE:
+        return True
+    if type(equation) not in RIGID:
+        return False
+    inertia, dipole = np.asarray(equation.body.inertia), np.asarray(equation.body.dipole)
+    return bool(np.all(inertia == np.diag(np.diag(inertia))) and np.all(dipole[1:] == 0))
+
+
+def _quantities(names: tuple[str, ...], over: Over) -> dict[str, Quantity]:
+    """Quantities with customary ranges, changed by what is given."""
+    for name in over:
+        if name not in names:
+            refuse("over", f"name quantities ({', '.join(names)})", f"names {name!r}")
+    known = {}
+    for name in names:
+        low, high = WHOLE.get(name, QUANTITIES[name][3:5])
+        usual = QUANTITIES[name]._replace(low=low, high=high)
+        known[name] = _quantity(name, usual, over[name]) if name in over else usual
+    return known
+
+
+def _plain(name: str) -> Quantity:
+    """A quantity that is known only by its name, or by custom."""
+    custom = QUANTITIES.get(name, Quantity(name, "", math.nan, math.nan, math.nan))
+    return custom._replace(low=math.nan, high=math.nan)
+
+
+def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
+    """A quantity at the number, or with the range, that is given."""
+    if isinstance(given, tuple | list) and len(given) == 2:
+        low, high = (checked(name, value, usual) for value in given)
+        if not low < high:
+            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+        inside = low <= usual.default <= high
+        default = usual.default if inside else (low + high) / 2
+        return usual._replace(low=low, high=high, default=default)
+    value = checked(name, given, usual)
+    if math.isnan(usual.low):  # a problem's argument that is kept
+        return usual._replace(low=value, high=value, default=value)
+    low, high = min(usual.low, value), max(usual.high, value)
+    return usual._replace(low=low, high=high, default=value)
+
+
+def checked(name: str, value: Any, quantity: Quantity) -> float:
+    """A number that a quantity may have.
+
+    Raises:
+        ValueError: it is none, or lies out of bounds.
+    """
+    must = "be a finite number"
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        refuse(name, must, described(value))
+    number = float(value)
+    if not math.isfinite(number):
+        refuse(name, must, f"is {number}")
+    if not quantity.least <= number <= quantity.most:
+        refuse(name, _bounds(quantity), f"is {number:g}")
+    return number
+
+
+def _bounds(quantity: Quantity) -> str:
+    if math.isinf(quantity.most):
+        return f"be at least {quantity.least:g}"
+    end = ")" if quantity.most < round(quantity.most) else "]"  # δ < 1, by its last bit
+    return f"lie in [{quantity.least:g}, {quantity.most:.6g}{end}"

@@ -1,0 +1,121 @@
+"""An explorer's server, on loopback unless told otherwise."""
+
+import contextlib
+import signal
+import socket
+import webbrowser
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import panel as pn
+from bokeh.server.util import create_hosts_allowlist
+from panel.io.server import get_server
+
+from .._base.checks import instance, names_of, refuse
+from .._base.tolerances import whole
+
+LOOPBACK = "127.0.0.1"
+TITLE = "dipoletop explore"
+SIGNALS = signal.SIGINT, signal.SIGTERM
+
+
+def serve(
+    session: Callable[[dict[str, list[str]]], Any],
+    *,
+    address: str,
+    port: int,
+    origins: Sequence[str],
+    show: bool,
+    say: Callable[[str], None],
+) -> None:
+    """Serve a page for every session, until a signal ends it.
+
+    Args:
+        session: gives the page of a new session, from the query of its address.
+        address: where to listen.
+        port: where, too; 0 means any that is free.
+        origins: hosts, with or without ":port", whose pages may open a session, besides this one.
+        show: whether to open a browser.
+        say: called with the address of the page.
+
+    Raises:
+        ValueError: bad arguments.
+        OSError: the address or the port cannot be used.
+    """
+    server = made_server(session, address=address, port=port, origins=origins)
+    url = f"http://{_host(address)}:{server.port}/"
+    say(url)
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        for number in SIGNALS:
+            signal.signal(number, lambda *_: server.io_loop.add_callback_from_signal(_stop, server))
+        if show:
+            server.io_loop.add_callback(webbrowser.open, url)
+        server.start()
+        server.io_loop.start()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        with contextlib.suppress(AssertionError):  # it has stopped already
+            server.stop()
+
+
+def _stop(server: Any) -> None:
+    server.io_loop.stop()
+
+
+def made_server(
+    session: Callable[[dict[str, list[str]]], Any],
+    *,
+    address: str,
+    port: int,
+    origins: Sequence[str],
+) -> Any:
+    """The server, not started yet; see `serve`.
+
+    Raises:
+        ValueError: bad arguments.
+        OSError: the address or the port cannot be used.
+    """
+    instance("address", address, str, "be a host name or an IPv4 address")
+    if not address or ":" in address:
+        refuse("address", "be a host name or an IPv4 address", f"is {address!r}")
+    port = whole("port", port, 0, "be a whole number from 0 to 65535", 65535)
+    port = port or _free_port(address)
+    allowed = [f"{host}:{port}" for host in dict.fromkeys((_host(address), LOOPBACK, "localhost"))]
+    for origin in names_of("origins", origins):
+        allowed.append(_origin(origin))
+
+    def page() -> Any:
+        query = pn.state.session_args or {}
+        return session({name: [_text(x) for x in values] for name, values in query.items()})
+
+    return get_server(
+        page, port=port, address=address, websocket_origin=allowed, title=TITLE, show=False
+    )
+
+
+def _origin(origin: str) -> str:
+    """An origin as Bokeh takes it; patterns are refused, as they let in more than one knows."""
+    must = "be hosts such as example.org or example.org:8080"
+    if "*" in origin or "/" in origin:
+        refuse("origins", must, f"one is {origin!r}")
+    try:
+        return create_hosts_allowlist([origin], None)[0]
+    except ValueError:
+        return refuse("origins", must, f"one is {origin!r}")
+
+
+def _host(address: str) -> str:
+    """The name by which a browser on this machine reaches an address."""
+    return "localhost" if address == "0.0.0.0" else address
+
+
+def _text(value: bytes | str) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _free_port(address: str) -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind((address, 0))
+        return probe.getsockname()[1]

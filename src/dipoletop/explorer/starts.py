@@ -1,0 +1,193 @@
+"""One start of a map: its verdict, the derivatives of ω∞, its motion."""
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._base.types import Outcome, Regime, Stop
+from .._maps.grids import Grid
+from .._maps.problems import Problem
+from .._runs.sensitivity import residual_rotation
+from .._runs.simulate import simulate
+from ..equations.levels import Level
+from .drawing import Drawing
+
+FRAMES = 240
+"""Pictures of the moving body, at the beginning and at the end."""
+BETWEEN = 800
+"""Times of the curves between them."""
+TURN = 0.15
+"""Radians by which the body turns from a picture to the next, at most."""
+TOLD_APART = 0.35
+"""Radians of precession from a point of a curve to the next, at most."""
+COMPILED_SOON = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""Options of a program that runs for milliseconds, and would be compiled for many seconds."""
+SETTLED = 3.0
+"""The motion is shown so many times as long as it takes until its outcome is certain."""
+
+
+class Verdict(NamedTuple):
+    """How a start ends at a level."""
+
+    level: str
+    outcome: str
+    omega_inf: float
+    error: float
+    time: float
+    steps: int
+    certified: bool
+    regime: Regime
+    probability: float
+
+
+class OfBody(NamedTuple):
+    """What is known of a motion whose equation has a body."""
+
+    energy: Float[np.ndarray, "T"] | Float[Array, "T"]
+    attitude: Float[np.ndarray, "T 4"] | Float[Array, "T 4"]
+    dipole: Float[np.ndarray, "3"] | Float[Array, "3"]
+    inertia: Float[np.ndarray, "3 3"] | Float[Array, "3 3"]
+
+
+class Motion(NamedTuple):
+    """The motion from a start at a level."""
+
+    level: str
+    ts: Float[np.ndarray, "T"]
+    omega: Float[np.ndarray, "T 3"]
+    of_body: OfBody | None
+    is_cut: bool
+    """Whether it ends before the outcome is certain: later, points of a curve would be too far
+    apart to tell its turns."""
+
+
+def verdict_of(
+    drawing: Drawing, level: Level | None, values: Mapping[str, float], rtol: float
+) -> Verdict:
+    """How a start ends, as a map has it.
+
+    Raises:
+        ValueError: values that the problem refuses.
+    """
+    basin = drawing.sweep(level, Grid(**{name: [x] for name, x in values.items()}), rtol, True)
+    outcome, stop = Outcome(basin.outcome.item()), Stop(basin.stop.item())
+    words = outcome.name.lower() + ("" if stop is Stop.NONE else f", {stop.name.lower()}")
+    return Verdict(
+        basin.level,
+        words,
+        basin.omega_inf.item(),
+        basin.omega_inf_error.item(),
+        basin.time.item(),
+        basin.steps.item(),
+        basin.certified.item(),
+        Regime(basin.regime.item()),
+        basin.probability.item(),
+    )
+
+
+def slopes_of(problem: Problem, values: Mapping[str, float], rtol: float) -> dict[str, float]:
+    """∂ω∞ by every quantity at a start, as `residual_rotation` has them; see its table."""
+    slopes = _gradient(problem)(_point(values), jnp.asarray(rtol))
+    return {name: float(slope) for name, slope in slopes.items()}
+
+
+def _point(values: Mapping[str, float]) -> dict[str, Array]:
+    return {name: jnp.asarray(float(value)) for name, value in values.items()}
+
+
+@functools.lru_cache(maxsize=16)
+def _gradient(problem: Problem) -> Callable[..., dict[str, Array]]:
+    """The gradient of ω∞, compiled once for each problem."""
+
+    def omega_inf(point: dict[str, Array], rtol: Array) -> Array:
+        equation, omega0 = problem(**point)
+        return residual_rotation(equation, omega0, rtol=rtol)
+
+    return jax.jit(jax.grad(omega_inf), compiler_options=COMPILED_SOON)
+
+
+@functools.lru_cache(maxsize=16)
+def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
+    """ω at some times, and what is known of the body; compiled once for each problem."""
+
+    def motion(point: dict[str, Array], ts: Array, rtol: Array) -> tuple[Array, OfBody | None]:
+        equation, omega0 = problem(**point)
+        body = getattr(equation, "body", None)
+        level = None if body is None else [1.0, 0.0, 0.0, 0.0]
+        run = simulate(equation, omega0, ts, rtol=rtol, attitude=level, throw=False)
+        if body is None:
+            return run.omega, None
+        return run.omega, OfBody(run.energy, run.attitude, body.dipole, body.inertia)
+
+    return jax.jit(motion, compiler_options=COMPILED_SOON)
+
+
+def motion_of(
+    problem: Problem, values: Mapping[str, float], verdict: Verdict, rtol: float
+) -> Motion:
+    """The motion from a start until well after its outcome is certain.
+
+    Args:
+        problem: as for `sweep`.
+        values: its arguments.
+        verdict: how it ends.
+        rtol: relative tolerance of every step.
+
+    Raises:
+        ValueError: values that the problem refuses.
+        RuntimeError: the run did not reach the last of its times.
+    """
+    point = _point(values)
+    equation, omega0 = problem(**point)
+    speed = float(np.linalg.norm(np.asarray(omega0)))
+    late = abs(verdict.omega_inf) if math.isfinite(verdict.omega_inf) else 0.0
+    precession = _precession(getattr(equation, "body", None), speed)
+    ts, is_cut = times_of(speed, late, precession, verdict.time)
+    run = _motion(problem)(point, jnp.asarray(ts), jnp.asarray(rtol))
+    omega, of_body = jax.tree.map(np.asarray, run)
+    if not np.all(np.isfinite(omega)):
+        raise RuntimeError(f"The motion could not be followed to τ = {ts[-1]:.4g}.")
+    return Motion(verdict.level, ts, omega, of_body, is_cut)
+
+
+def _precession(body: Any, speed: float) -> float:
+    """A bound on the rate at which ω changes its direction in the body, |ω| if nothing is known."""
+    if body is None:
+        return speed
+    moments = np.linalg.eigvalsh(np.asarray(body.inertia))
+    return speed * float((moments[-1] - moments[0]) / moments[0])
+
+
+def times_of(
+    speed: float, late: float, precession: float, certain_at: float
+) -> tuple[Float[np.ndarray, "T"], bool]:
+    """The times of a motion: dense at both ends, for pictures of the body; always as many.
+
+    Args:
+        speed: |ω₀|.
+        late: |ω∞|, or 0 for a stop, and where it is not known.
+        precession: a bound on the rate at which ω changes its direction in the body.
+        certain_at: τ at which the outcome is certain; NaN where that is not known.
+
+    Returns:
+        The times, and whether they end before the outcome is certain.
+    """
+    if speed == 0:
+        return np.linspace(0.0, 1.0, 2 * FRAMES + BETWEEN), False
+    wanted = SETTLED * certain_at if math.isfinite(certain_at) else 0.0
+    wanted = max(wanted, 20 / speed)
+    last = min(wanted, BETWEEN * TOLD_APART / precession) if precession > 0 else wanted
+    late = max(late, 1 / math.sqrt(speed**-2 + 2 * last))  # of a top that stops
+    begin, end = (min((FRAMES - 1) * TURN / rate, 0.4 * last) for rate in (speed, late))
+    parts = (
+        np.linspace(0.0, begin, FRAMES),
+        np.linspace(begin, last - end, BETWEEN + 2)[1:-1],
+        np.linspace(last - end, last, FRAMES),
+    )
+    return np.concatenate(parts), last < certain_at

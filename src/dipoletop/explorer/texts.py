@@ -1,0 +1,166 @@
+"""What the page says, in HTML."""
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+
+from .._base.numerals import as_text
+from .._base.summaries import with_error
+from .._base.types import Regime
+from ..equations.levels import Level
+from ..plots.style import capitalised, percent
+from .pictures import Picture, colour_scale, shares
+from .scenes import Scene
+from .starts import Motion, Verdict
+from .views import View
+
+HEAD = """
+<h1 class="dt-head">How a rotating dipole ends</h1>
+<p class="dt-help">Every point of the map is a start. Click one to see its motion. Scroll to zoom,
+drag to move: the map is computed again at the new range.</p>
+"""
+LAWS = {
+    Regime.RESOLVED: "integrated",
+    Regime.SLOW_FLOW: "predicted by the average over free rotation",
+    Regime.AVERAGED: "predicted by the average over free rotation",
+    Regime.UNFOLDED: "predicted by the limit of small amplitudes",
+    Regime.EXACT: "exact",
+}
+
+
+def legend(picture: Picture) -> str:
+    """Colours and names of what is seen, and the scale of ω∞."""
+    names = dict(picture.legend)
+    if picture.scale:  # the scale shows both signs
+        names.pop("residual, ω∞ > 0", None)
+        names.pop("residual, ω∞ < 0", None)
+    parts = [
+        f'<span class="dt-class"><i style="background:{colour}"></i>{escape(name)}</span>'
+        for name, colour in names.items()
+    ]
+    if picture.differs is not None:
+        parts.append('<span class="dt-class"><i class="dt-hatch"></i>outcome differs</span>')
+    if picture.scale:
+        stops = ", ".join(colour_scale())
+        parts.append(
+            f'<span class="dt-scale">residual, ω∞ = {-picture.scale:g}'
+            f'<b style="background:linear-gradient(to right, {stops})"></b>{picture.scale:g}</span>'
+        )
+    return f'<div class="dt-legend">{"".join(parts)}</div>'
+
+
+def caption(picture: Picture, number: int) -> str:
+    """The level of one of the maps of a picture, its caveat, and the shares of the outcomes."""
+    levels = picture.view.levels
+    basin = picture.basins[number]
+    level = levels[number] if levels else None
+    lines = [f"<b>{escape(capitalised(basin.level))}</b>", escape(shares(basin))]
+    if isinstance(level, Level) and level.caveat:
+        lines.insert(1, f'<span class="dt-caveat">{escape(level.caveat)}.</span>')
+    return f'<div class="dt-caption">{"<br>".join(lines)}</div>'
+
+
+def status(scene: Scene, picture: Picture, ended: Sequence[str]) -> str:
+    """What is shown, how finely, and what limits it."""
+    view, symbols = picture.view, symbols_of(scene)
+    fixed = ", ".join(f"{symbols[name]} = {as_text(x)}" for name, x in view.fixed.items())
+    size = f"{picture.size} × {picture.size} starts"
+    lines = [f"{fixed}; {size}" if fixed else size]
+    lines[0] += "" if picture.is_final else " at first, finer ones follow …"
+    if picture.differs is not None:
+        lines.append(f"The outcome differs for {percent(picture.differs)} of the starts.")
+    lines += [_end_of_zoom(view, name, symbols[name]) for name in ended]
+    if not ended and (fine := _finer_than_tolerance(view, symbols)):
+        lines.append(fine)
+    return f'<div class="dt-status" aria-live="polite">{"<br>".join(lines)}</div>'
+
+
+def _end_of_zoom(view: View, name: str, symbol: str) -> str:
+    low, high = view.ranges[name]
+    return (
+        f'<span class="dt-caveat">Rounding ends the zoom in {escape(symbol)} here: neighbouring '
+        f"starts differ by {(high - low) / view.size:.1e}, and closer ones could not be told "
+        "apart.</span>"
+    )
+
+
+def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
+    """A warning where pixels are closer than the tolerance."""
+    for name, (low, high) in view.ranges.items():
+        step = (high - low) / view.size
+        if step < view.rtol * max(abs(low), abs(high)):
+            return (
+                f"Neighbouring starts differ in {escape(symbols[name])} by {step:.1e}, less than "
+                "the tolerance: labels next to a boundary are uncertain. A smaller rtol helps."
+            )
+    return ""
+
+
+def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[Verdict]) -> str:
+    """The start, and how it ends at each level."""
+    symbols = symbols_of(scene)
+    start = ", ".join(f"{escape(symbols[name])} = {as_text(x)}" for name, x in values.items())
+    return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
+
+
+def _verdict(verdict: Verdict) -> str:
+    rows = {"outcome": verdict.outcome, "law": LAWS[verdict.regime]}
+    if 0 < verdict.probability < 1:
+        rows["probability of residual rotation"] = f"{verdict.probability:.4g}"
+    if verdict.outcome.startswith("residual"):
+        known = math.isfinite(verdict.omega_inf)
+        value = with_error(verdict.omega_inf, verdict.error) if known else "not known"
+        rows["ω∞ (1/τ₀)"] = value
+    if math.isfinite(verdict.time):
+        rows["certain at τ"] = f"{verdict.time:.4g}, after {verdict.steps} steps"
+    rows["certified for this level"] = "yes" if verdict.certified else "no"
+    return f"<h4>{escape(capitalised(verdict.level))}</h4>{_table(rows)}"
+
+
+def length_of(motion: Motion) -> str:
+    """How far a motion is shown, if that is not far enough."""
+    if not motion.is_cut:
+        return ""
+    return (
+        f'<p class="dt-caveat">The motion is shown until τ = {motion.ts[-1]:.4g}, before its '
+        "outcome is certain: it turns too often to show more.</p>"
+    )
+
+
+def slopes(scene: Scene, level: str, found: Mapping[str, float]) -> str:
+    """The derivatives of ω∞ at a start."""
+    symbols = symbols_of(scene)
+    rows = {f"∂ω∞/∂{symbols[name]}": _slope(value) for name, value in found.items()}
+    return f"<h4>Derivatives of ω∞, {escape(level)}</h4>{_table(rows)}"
+
+
+def _slope(value: float) -> str:
+    if math.isnan(value):
+        return "none, or not known"
+    return "infinite" if abs(value) > 1e300 else f"{value:.6g}"
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = (f"<tr><th>{escape(name)}</th><td>{escape(x)}</td></tr>" for name, x in rows.items())
+    return f'<table class="dt-table">{"".join(cells)}</table>'
+
+
+def waiting(what: str) -> str:
+    """What is being computed."""
+    return f'<p class="dt-waiting">{escape(what)}: computing …</p>'
+
+
+def refused(sentence: str) -> str:
+    """A refusal, in the place where the page reports it."""
+    return f'<p class="dt-refused" role="alert">{escape(sentence)}</p>'
+
+
+def symbols_of(scene: Scene) -> dict[str, str]:
+    """The symbols of the quantities."""
+    return {name: quantity.symbol for name, quantity in scene.quantities.items()}
+
+
+def code(text: str, address: str) -> str:
+    """The script that reproduces a view, and its address."""
+    link = f'<a href="{escape(address)}" target="_blank">address of this view</a>'
+    return f'<pre class="dt-code">{escape(text)}</pre><p>{link}</p>'

@@ -1,0 +1,229 @@
+"""What a page shows: two axes with their ranges, the other values, levels, tolerance, size."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._base.checks import refuse
+from .._base.tolerances import tolerance
+from .._maps.grids import Grid
+from ..equations.levels import Level
+from .scenes import Scene, checked
+
+SIZES = 64, 128, 256, 512, 1024
+FINEST = 4
+"""Least distance of neighbouring values on an axis, in units of the last place."""
+SMALLEST = 1e-290
+"""The same near 0, where numbers soon become subnormal."""
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture, or two at different levels.
+
+    Attributes:
+        x: the horizontal axis.
+        y: the vertical axis.
+        ranges: the range of each axis.
+        values: of all quantities of the problem; those of the axes are not used.
+        levels: one level, or two to be compared; none if the equation is given.
+        rtol: relative tolerance of every step.
+        size: starts on each axis.
+    """
+
+    x: str
+    y: str
+    ranges: dict[str, Range]
+    values: dict[str, float]
+    levels: tuple[Level, ...]
+    rtol: float
+    size: int
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The values of the quantities that are no axes."""
+        axes = self.x, self.y
+        return {name: value for name, value in self.values.items() if name not in axes}
+
+
+class Cells(NamedTuple):
+    """The starts of a picture: their grid, which the symmetries may extend to all of them."""
+
+    grid: Grid
+    folded: bool
+
+    @property
+    def count(self) -> int:
+        """The number of starts to compute."""
+        return math.prod(self.grid.shape)
+
+    @property
+    def rows(self) -> int:
+        """The number of rows, along y."""
+        return self.grid.shape[-2]
+
+    def piece(self, rows: slice) -> Grid:
+        """The grid of some rows."""
+        axes = dict(self.grid.axes)
+        y = self.grid.dims[-2]
+        return Grid(**axes | {y: axes[y][rows]})
+
+
+def first_view(
+    scene: Scene,
+    x: str | None = None,
+    y: str | None = None,
+    levels: tuple[Any, ...] = (),
+    *,
+    rtol: Any = 1e-8,
+    size: Any = 256,
+) -> View:
+    """The view that a page begins with.
+
+    Raises:
+        ValueError: axes, levels, a tolerance or a size that do not suit.
+    """
+    named = [name for name in (x, y) if name is not None]
+    for argument, name in (("x", x), ("y", y)):
+        if name is not None and name not in scene.free:
+            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+    system = scene.system_of(*named)
+    x, y = axes_in(scene, system, x, y)
+    found = tuple(Level.named(level) for level in levels)
+    ranges = whole_ranges(scene, x, y)
+    values = {name: scene.quantities[name].default for name in system}
+    return checked_view(scene, View(x, y, ranges, values, found, rtol, size))
+
+
+def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None) -> tuple[str, str]:
+    """These axes; for each that is None the usual one of a system."""
+    usual = [n for n in ("phi", "w3", "theta", *system) if n in system and n in scene.free]
+    x = x or next(name for name in usual if name != y)
+    return x, y or next(name for name in usual if name != x)
+
+
+def checked_view(scene: Scene, view: View) -> View:
+    """The view, if it suits the scene.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if view.x == view.y:
+        refuse("y", "be another axis than `x`", f"is {view.y!r} too")
+    for argument, name in (("x", view.x), ("y", view.y)):
+        if name not in scene.free:
+            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+    scene.system_of(*view.values, view.x, view.y)
+    values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
+    ranges = {}
+    for name, ends in view.ranges.items():
+        low, high = (checked(name, end, scene.quantities[name]) for end in ends)
+        if not low < high:
+            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+        ranges[name] = low, high
+    allowed = (1, 2) if scene.levels else (0,)
+    for level in view.levels:
+        if level not in scene.levels:
+            choices = ", ".join(scene.levels) or "left out, since the equation is given"
+            refuse("level", f"be one of {choices}", f"is {str(level)!r}")
+    if len(set(view.levels)) < len(view.levels) or len(view.levels) not in allowed:
+        refuse(
+            "level", "be one level, or two different ones", f"is {', '.join(view.levels) or 'none'}"
+        )
+    if view.size not in SIZES:
+        refuse("size", f"be one of {', '.join(map(str, SIZES))}", f"is {view.size!r}")
+    rtol = float(tolerance("rtol", view.rtol))
+    return replace(view, ranges=ranges, values=values, rtol=rtol, size=int(view.size))
+
+
+def whole_ranges(scene: Scene, x: str, y: str) -> dict[str, Range]:
+    """The ranges of axes before any zoom."""
+    return {name: scene.quantities[name][3:5] for name in (x, y)}
+
+
+def in_system(scene: Scene, view: View, x: str, y: str, system: tuple[str, ...]) -> View:
+    """The view over other axes, with starts given by a system of quantities.
+
+    New axes have their whole range, and new quantities their defaults.
+    """
+    known = {name: view.values.get(name, scene.quantities[name].default) for name in system}
+    ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
+    return checked_view(scene, replace(view, x=x, y=y, ranges=ranges, values=known))
+
+
+def cells_of(scene: Scene, view: View, size: int) -> Cells:
+    """The starts at the middles of size × size cells; y comes before x, other axes first."""
+    folded = scene.symmetric and _is_foldable(view)
+    spans = {}
+    for name in (view.y, view.x):
+        (low, high), count = view.ranges[name], size
+        if folded and name in ("phi", "w3"):  # half of the turn, and the upper hemisphere
+            low, high, count = 0.0, high / 2 if name == "phi" else high, size // 2
+        spans[name] = middles(low, high, count)
+    fixed = {name: [value] for name, value in view.fixed.items()}
+    return Cells(Grid(**fixed, **spans), folded)
+
+
+def _is_foldable(view: View) -> bool:
+    """Whether the picture shows a whole turn of φ, with both hemispheres or at one ω₃."""
+    low, high = view.ranges.get("phi", (0.0, 0.0))
+    if low != 0 or not math.isclose(high, 2 * math.pi, rel_tol=1e-12):
+        return False
+    low, high = view.ranges.get("w3", (-1.0, 1.0))
+    return low == -high
+
+
+def middles(low: float, high: float, count: int) -> Float[np.ndarray, "n"]:
+    """The middles of so many equal cells."""
+    half = (high - low) / (2 * count)
+    return np.linspace(low + half, high - half, count)
+
+
+def least_width(low: float, high: float, size: int) -> float:
+    """The least width of a range round these ends at which rounding tells neighbours apart."""
+    return size * max(FINEST * float(np.spacing(max(abs(low), abs(high)))), SMALLEST)
+
+
+def finest_step(view: View) -> float:
+    """The least distance of neighbours on an axis, relative to the largest number there."""
+    return min(
+        (high - low) / (view.size * max(abs(low), abs(high))) for low, high in view.ranges.values()
+    )
+
+
+def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View, tuple[str, ...]]:
+    """The view at other ranges of its axes, and the axes on which rounding ends the zoom.
+
+    A range that leaves the bounds of its quantity is moved back; one that is too narrow for its
+    neighbouring values to differ is as narrow as it can be.
+
+    Raises:
+        ValueError: an end is not a finite number.
+    """
+    kept, ended = {}, []
+    for name in (view.x, view.y):
+        low, high = ranges[name]
+        if not (math.isfinite(low) and math.isfinite(high)):
+            refuse(name, "have a finite range", f"has {low} to {high}")
+        low, high = min(low, high), max(low, high)
+        least = least_width(low, high, view.size)
+        if high - low < least:
+            centre = low + (high - low) / 2
+            low, high = centre - least / 2, centre + least / 2
+            ended.append(name)
+        kept[name] = _inside(low, high, scene.quantities[name].least, scene.quantities[name].most)
+    return checked_view(scene, replace(view, ranges=kept)), tuple(ended)
+
+
+def _inside(low: float, high: float, least: float, most: float) -> Range:
+    """The range, moved within bounds, and cut if it is wider than they are."""
+    if low < least:
+        low, high = least, high + (least - low)
+    if high > most:
+        low, high = low - (high - most), most
+    return max(low, least), high

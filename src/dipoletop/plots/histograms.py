@@ -1,0 +1,98 @@
+"""Histograms of what a sweep found: of every start that was kept, or of a tally's bins."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from .._base.checks import instance, refuse
+from .._base.tolerances import budget
+from .._base.types import Outcome, Stop
+from .._maps.basin import Basin
+from .._maps.grids import counted
+from .._maps.reduction import MOTION
+from .._maps.tallies import Tally
+from .axes import check_axes
+from .plane import CLASSES, fixed_values
+from .shades import CERTIFIED, check_shade, scale_of
+from .style import capitalised, percent, symbol
+
+SHOWN = {Outcome.RESIDUAL: "residual rotation", Outcome.STOP: "stop"}
+COLOURS = {outcome: CLASSES[outcome, Stop.NONE][1] for outcome in SHOWN}
+
+
+def histogram(
+    found: Basin | Tally, column: str = "omega_inf", *, bins: int = 60, ax: Axes | None = None
+) -> Axes:
+    """How many starts have which values: of ω∞, its error, its derivatives, of times and steps.
+
+    Of ω∞, its error and its derivatives only residual starts have values of their own; of times and
+    steps both outcomes have, one above the other.
+
+    Args:
+        found: a basin, or a tally with a histogram of this column, whose bins are taken.
+        column: "omega_inf", "time", "steps", "omega_inf_error", "d_omega_inf_d_delta", ….
+        bins: how many of equal width, on a logarithmic scale for errors, times and steps.
+        ax: where to draw; None makes a figure.
+
+    Returns:
+        The axes; the title says the level and the share of each outcome.
+
+    Raises:
+        ValueError: a column without such values, or no start that has one.
+    """
+    instance("found", found, Basin | Tally, "be a Basin or a Tally")
+    check_axes(ax)
+    if isinstance(found, Tally):
+        edges, counts = found.edges(column), {"": found.merged.histogram(column).ravel()}
+    else:
+        check_shade(column, found.columns, "column")
+        edges, counts = _counted(found, column, budget("bins", bins))
+    if ax is None:
+        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    below = np.zeros(len(edges) - 1)
+    for name, count in counts.items():
+        colour = COLOURS[Outcome.STOP] if name == SHOWN[Outcome.STOP] else COLOURS[Outcome.RESIDUAL]
+        ax.stairs(below + count, edges, baseline=below, fill=True, color=colour, label=name)
+        below = below + count
+    if scale_of(column) == "log" and edges[0] > 0:
+        ax.set_xscale("log")
+    ax.set(xlabel=symbol(column), ylabel="starts", ylim=(0, None))
+    if len(counts) > 1:
+        ax.legend(frameon=False)
+    ax.set_title(_title(found), fontsize="medium")
+    return ax
+
+
+def _counted(
+    basin: Basin, column: str, bins: int
+) -> tuple[Float[np.ndarray, "edges"], dict[str, np.ndarray]]:
+    """The edges of the bins, and the counts in them by the name of the outcome."""
+    if column in (None, CERTIFIED):
+        refuse("column", "name a column of numbers", f"is {column!r}")
+    outcomes = SHOWN if column in MOTION else {Outcome.RESIDUAL: SHOWN[Outcome.RESIDUAL]}
+    column_values = np.asarray(basin.column(column), float)
+    values = {name: column_values[basin.outcome == outcome] for outcome, name in outcomes.items()}
+    values = {name: x[np.isfinite(x)] for name, x in values.items()}
+    every = np.concatenate(list(values.values()))
+    logarithmic = scale_of(column) == "log"
+    if logarithmic:
+        every = every[every > 0]
+    if not every.size:
+        refuse("column", "have values to count", f"has none in this basin ({column})")
+    low, high = every.min(), every.max()
+    if low == high:
+        low, high = (low / 2, 2 * low) if logarithmic else (low - 0.5, low + 0.5)
+    edges = (np.geomspace if logarithmic else np.linspace)(low, high, bins + 1)
+    return edges, {name: np.histogram(x, edges)[0] for name, x in values.items()}
+
+
+def _title(found: Basin | Tally) -> str:
+    """The level; the number of starts, the share of every outcome, and what is fixed."""
+    if isinstance(found, Tally):
+        size, fractions, fixed = found.starts, found.merged.fractions(), []
+    else:
+        size, fractions = found.outcome.size, found.fractions()
+        fixed = fixed_values(found)
+    shares = [f"{name.lower()} {percent(float(x.share))}" for name, x in fractions.items()]
+    return f"{capitalised(found.level)}\n{', '.join([counted((size,)), *shares, *fixed])}"

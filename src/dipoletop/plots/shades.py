@@ -1,0 +1,148 @@
+"""How the starts of an outcome are shaded by a column: colour scales, labels, legend entries."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, SymLogNorm
+
+from .._base.checks import refuse
+from .._base.types import Outcome
+from .._maps.columns import DERIVATIVE_PREFIX
+from .style import symbol
+
+SIGNED = LinearSegmentedColormap.from_list(
+    "signed", ["#8e2f00", "#e8853c", "#f7f3ee", "#5fa2d4", "#08488e"]
+)
+BLUES = LinearSegmentedColormap.from_list("residual", ["#deebf7", "#6baed6", "#08306b"])
+OLIVES = LinearSegmentedColormap.from_list("stop", ["#f6f0c0", "#bda92b", "#332e00"])
+GREENS = LinearSegmentedColormap.from_list("chance", ["#e9f7df", "#66c232", "#123d00"])
+
+UNKNOWN = "#5500aa"
+"""Colour of starts without a value in the column that shades their outcome. To normal and to
+colour-blind eyes it differs from all others."""
+CERTIFIED = "certified"
+"""The column that is not shown by shades: starts that are not certified are hatched."""
+
+Values = Mapping[Outcome, Float[np.ndarray, "n"]]
+"""The finite values of a column, of the starts with each outcome."""
+
+
+class Shade(NamedTuple):
+    """How the starts of one outcome are shaded by a column of the basin."""
+
+    outcome: Outcome
+    column: str
+    colours: Colormap
+    norm: Normalize
+    label: str
+    legend: dict[str, float]
+    """Entries of the legend, and the place in `colours`, from 0 to 1, of the colour of each."""
+    unknown: str | None = None
+    """The entry of starts without a value; None leaves them the colour of their outcome."""
+
+
+def check_shade(shade: str | None, columns: Iterable[str], argument: str = "shade") -> None:
+    """Refuse what is no column of a basin that shades its starts."""
+    can_shade = [x for x in columns if x in SHADES or x.startswith(DERIVATIVE_PREFIX)]
+    shown = [*can_shade, CERTIFIED]
+    if shade is not None and shade not in shown:
+        names = ", ".join(map(repr, shown))
+        refuse(argument, f"be a column of this basin ({names}) or None", f"is {shade!r}")
+
+
+def shades_by(column: str, values: Values) -> list[Shade]:
+    """The shading by a column of every outcome that has values."""
+    if column.startswith(DERIVATIVE_PREFIX):
+        return _derivative(column, values)
+    return SHADES[column](values) if column in SHADES else []
+
+
+def _omega_inf(values: Values) -> list[Shade]:
+    """Residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
+    residual = values[Outcome.RESIDUAL]
+    if not residual.size:
+        return []
+    most = float(np.max(np.abs(residual))) or 1.0
+    signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
+    unknown = r"residual, $\omega_\infty$ not known"
+    norm, label = Normalize(-most, most), symbol("omega_inf")
+    return [Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, norm, label, signs, unknown)]
+
+
+def _derivative(column: str, values: Values) -> list[Shade]:
+    """Residual rotation by a derivative of ω∞, linear near 0 and logarithmic beyond."""
+    residual = values[Outcome.RESIDUAL]
+    if not residual.size:
+        return []
+    # Next to the boundary it has no bound.
+    most = float(np.percentile(np.abs(residual), 99.5)) or 1.0
+    norm = SymLogNorm(most / 100, vmin=-most, vmax=most, clip=True)
+    label = symbol(column)
+    signs = {rf"residual, {label} $> 0$": 0.85, rf"residual, {label} $< 0$": 0.15}
+    unknown = "residual, no derivative"
+    return [Shade(Outcome.RESIDUAL, column, SIGNED, norm, label, signs, unknown)]
+
+
+def _error(values: Values) -> list[Shade]:
+    """Residual rotation by the estimated error of ω∞."""
+    residual = values[Outcome.RESIDUAL]
+    if not residual.size:
+        return []
+    label = symbol("omega_inf_error")
+    legend, unknown = {"residual rotation": 0.6}, "residual, no estimate of the error"
+    norm = _logarithmic(residual)
+    return [Shade(Outcome.RESIDUAL, "omega_inf_error", BLUES, norm, label, legend, unknown)]
+
+
+def _probability(values: Values) -> list[Shade]:
+    """Starts that chance decides, by the probability of residual rotation."""
+    if not values[Outcome.UNDECIDED].size:
+        return []
+    label, legend = "probability of residual rotation", {"undecided, a matter of chance": 0.6}
+    norm = Normalize(0, 1)
+    return [Shade(Outcome.UNDECIDED, "probability", GREENS, norm, label, legend)]
+
+
+def _both(column: str, label: str) -> Callable[[Values], list[Shade]]:
+    """Residual rotation and stop by a positive column, on one logarithmic scale."""
+
+    def shades(values: Values) -> list[Shade]:
+        norm = _logarithmic(np.concatenate([values[Outcome.RESIDUAL], values[Outcome.STOP]]))
+        return [
+            Shade(outcome, column, colours, norm, label.format(name), {name: 0.6})
+            for outcome, colours, name in (
+                (Outcome.RESIDUAL, BLUES, "residual rotation"),
+                (Outcome.STOP, OLIVES, "stop"),
+            )
+            if values[outcome].size
+        ]
+
+    return shades
+
+
+def _logarithmic(values: Float[np.ndarray, "n"]) -> LogNorm:
+    """A logarithmic scale for almost all positive values.
+
+    Some runs have 0, which no such scale shows, and a few, next to the boundary, take very long: so
+    the scale is open at both ends.
+    """
+    positive = values[values > 0] if np.any(values > 0) else np.ones(1)
+    least, most = np.percentile(positive, [0.5, 99.5])
+    return LogNorm(least, max(most, 10 * least), clip=True)
+
+
+def scale_of(column: str) -> Literal["linear", "log"]:
+    """The scale on which a column is shown."""
+    return "log" if column in ("omega_inf_error", "time", "steps") else "linear"
+
+
+SHADES: dict[str, Callable[[Values], list[Shade]]] = {
+    "omega_inf": _omega_inf,
+    "omega_inf_error": _error,
+    "time": _both("time", r"$\tau$ when {} is certain"),
+    "steps": _both("steps", "steps of runs that end with {}"),
+    "probability": _probability,
+}
+"""The shading by each column, derivatives apart."""

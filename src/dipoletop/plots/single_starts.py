@@ -1,0 +1,168 @@
+"""Starts as dots: along the only axis of a grid, or over two quantities of single starts."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from .._base.checks import instance, refuse
+from .._maps.basin import Basin
+from .._maps.columns import START, is_result
+from .axes import check_axes, name_axis, spacing
+from .basins import draw_colourbars, put_legend_below
+from .plane import CLASSES, Plane, classes_of, coloured, legend_colours, shades_of, title_of
+from .shades import CERTIFIED, check_shade, scale_of
+from .style import symbol
+
+
+def line(
+    basin: Basin,
+    column: str = "omega_inf",
+    *,
+    ax: Axes | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Axes:
+    """A column of a sweep against its only axis, in the colours of the outcomes.
+
+    Args:
+        basin: a basin over a grid with one axis longer than 1; the others go into the title.
+        column: ω∞, or another column of numbers: "time", "steps", "d_omega_inf_d_delta", ….
+        ax: where to draw; None makes a figure.
+        at: name = value for axes that are fixed, at the nearest value of the grid.
+
+    Returns:
+        The axes; starts whose value is not known are short marks on the horizontal axis.
+
+    Raises:
+        ValueError: no basin over a grid, not one axis longer than 1 besides those of `at`, or a
+            column that has no numbers to draw.
+    """
+    instance("basin", basin, Basin)
+    check_axes(ax)
+    check_shade(column, basin.columns, "column")
+    if column in (None, CERTIFIED):
+        refuse("column", "name a column of numbers", f"is {column!r}")
+    if at is not None:
+        instance("at", at, Mapping, "be a dict from axes to their values, or None")
+        basin = basin.sel(method="nearest", **at)
+    long = [name for name in basin.dims if len(basin.coords.get(name, ())) > 1]
+    if len(long) != 1 or basin.coords[long[0]].ndim > 1:
+        must = "have one axis of numbers that is longer than 1 (`at` fixes others)"
+        refuse("basin", must, f"has {', '.join(basin.dims)} of lengths {basin.shape}")
+    (x,) = long
+    xs, values = basin.coords[x], np.asarray(basin.column(column), float).ravel()
+    if ax is None:
+        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    shown = _flat(basin)
+    handles = []
+    for label, colour, members in _classes(shown, classes_of(shown)):
+        known = members & np.isfinite(values)
+        ax.plot(xs[known], values[known], "o", ms=3, color=colour)
+        unknown = members & ~np.isfinite(values)
+        marks = {"color": colour, "transform": ax.get_xaxis_transform(), "clip_on": False}
+        ax.plot(xs[unknown], np.zeros(unknown.sum()), "|", ms=9, **marks)
+        handles.append(Line2D([], [], ls="", marker="o", color=colour, label=label))
+    if scale_of(column) == "log" and np.any(values > 0):
+        ax.set_yscale("log")
+    if spacing(np.sort(xs)) == "log":
+        ax.set_xscale("log")
+    name_axis(ax.xaxis, x)
+    ax.set_ylabel(symbol(column))
+    ax.set_title(title_of(basin), fontsize="medium")
+    put_legend_below(ax, handles)
+    return ax
+
+
+def starts(
+    basin: Basin,
+    x: str = "phi",
+    y: str = "cos_theta",
+    *,
+    ax: Axes | None = None,
+    shade: str | None = "omega_inf",
+) -> Axes:
+    """Single starts as dots over two quantities, in the colours of a map.
+
+    By default a map of directions that keeps areas: φ and cos ϑ = ω₃/|ω₀|.
+
+    Args:
+        basin: a basin over a `Sample` or `Points`.
+        x: the horizontal quantity: "phi", "cos_theta", "amplitude", "w_perp", "w1", "w2", "w3" of
+            the start, or any number that the sample drew, or that the points list.
+        y: the vertical quantity.
+        ax: where to draw; None makes a figure.
+        shade: what shades the outcomes; see `plots.basin`.
+
+    Returns:
+        The axes; the title says the level of the equation and what share is certified.
+
+    Raises:
+        ValueError: a basin over a grid, a quantity that it does not have, or another `shade`.
+    """
+    instance("basin", basin, Basin)
+    check_axes(ax)
+    check_shade(shade, basin.columns)
+    if len(basin.dims) != 1 or basin.dims[0] in basin.coords:
+        must = "be over a `Sample` or `Points` (`plots.basin` and `plots.line` draw grids)"
+        refuse("basin", must, "is over a grid")
+    known = _quantities(basin)
+    for argument, name in (("x", x), ("y", y)):
+        if name not in known:
+            refuse(argument, f"be among {', '.join(known)}", f"is {name!r}")
+    shown = _flat(basin, shade)
+    classes, shades = classes_of(shown), shades_of([shown], shade)
+    colours = coloured(shown, classes, shades)[0] / 255
+    if ax is None:
+        _, ax = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
+    faces = colours.copy()
+    if shade == CERTIFIED:
+        faces[~basin.certified] = 0.0
+    style: dict[str, Any] = {"s": np.clip(2e4 / basin.shape[0], 2, 30), "linewidths": 0.8}
+    ax.scatter(known[x], known[y], facecolors=faces, edgecolors=colours, **style)
+    entries = legend_colours(shown, classes, shades).items()
+    handles = [Line2D([], [], ls="", marker="o", color=c, label=name) for name, c in entries]
+    if shade == CERTIFIED:
+        ring: Any = {"mfc": "none", "mec": "0.3", "ls": ""}
+        handles.append(Line2D([], [], marker="o", label="not certified", **ring))
+    name_axis(ax.xaxis, x)
+    name_axis(ax.yaxis, y)
+    ax.set_title(title_of(basin), fontsize="medium")
+    put_legend_below(ax, handles)
+    draw_colourbars(shades, [ax])
+    return ax
+
+
+def _flat(basin: Basin, shade: str | None = None) -> Plane:
+    """The columns of a basin as those of a plane with one row."""
+    names = [x for x in ("outcome", "stop", "probability", shade) if x and x in basin.columns]
+    columns = {name: basin.column(name).reshape(1, -1) for name in names}
+    return Plane("", "", np.zeros(0), np.zeros(0), columns, "")
+
+
+def _classes(shown: Plane, classes: Int[np.ndarray, "1 N"]) -> Any:
+    """Name, colour and members of every class that occurs."""
+    for k, (label, colour) in enumerate(CLASSES.values()):
+        members = classes[0] == k
+        if members.any():
+            yield label, colour, members
+
+
+def _quantities(basin: Basin) -> dict[str, Float[np.ndarray, "N"]]:
+    """Everything that single starts can be drawn over, by its name."""
+    listed = {name: values for name, values in basin.coords.items() if values.ndim == 1}
+    drawn = [name for name in basin.columns if not is_result(name) and name != START]
+    listed |= {name: x for name in drawn if (x := basin.column(name)).ndim == 1}
+    starts = basin.columns.get(START, basin.coords.get(START))
+    if starts is None:
+        return listed
+    w1, w2, w3 = np.asarray(starts if START in basin.coords else basin.omega0).T
+    across = np.hypot(w1, w2)
+    size = np.hypot(across, w3)
+    with np.errstate(invalid="ignore"):
+        cosine = w3 / size
+    of_start = {"phi": np.arctan2(w2, w1) % (2 * np.pi), "cos_theta": cosine, "amplitude": size}
+    return of_start | {"w_perp": across, "w1": w1, "w2": w2, "w3": w3} | listed

@@ -1,0 +1,173 @@
+"""Torques from outside: drag by a gas, a field on the dipole, any function of time and rotation.
+
+`with_torque` adds one to an equation of motion. Torques are in body axes, in units of I₁/τ₀², so
+that a torque M adds I⁻¹M to ω′.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.constants
+from jaxtyping import Array, Float
+
+from ._base.attitudes import Quaternion, rotate, unit_quaternion
+from ._base.checks import ArrayLike, NumberLike, finite, instance, positive, refuse
+from ._base.linalg import cross, matvec
+from ._base.types import Equation, State, Vector
+from .equations.driven import Driven, Torque, driven
+from .particles import Particle
+
+AIR = 28.97 * scipy.constants.atomic_mass
+"""Mean mass of the molecules of air, kg."""
+
+
+def with_torque(
+    equation: Equation,
+    torque: Torque,
+    *,
+    verdict: Callable[[State], Any] | None = None,
+    attitude: ArrayLike | None = None,
+) -> Driven:
+    """ω′ = F(τ, ω) + I⁻¹M(τ, ω): an equation of motion with a torque M from outside.
+
+    The radiation torque in F remains that of the motion without M, an error of the order of τ₀Ω,
+    relative to M. Several torques are added one after the other.
+
+    Args:
+        equation: of a reduced or the semi-reduced level, with a body.
+        torque: M, shape (3,), in body axes and units of I₁/τ₀²: a function of (τ, ω), or of
+            (τ, ω, q) if the attitude is followed, which is written for one top. A plain function
+            must not hold numbers that vary in a sweep or are differentiated by: make them fields
+            of an `equinox.Module`, or arguments by `jax.tree_util.Partial(function, number)`.
+        verdict: how runs end, for `classify` and `sweep`: a function of the state (ω, or (ω, q),
+            lanes behind) that gives outcome, ω∞ and False, for not certified. The regions of
+            the equation itself decide nothing once there is another torque. None: for `simulate`
+            only.
+        attitude: the attitude at the start, a unit quaternion, shape (4,), scalar first, with
+            v_lab = q∘v∘q*; the state is (ω, q) then. None: it is not followed.
+
+    Returns:
+        An equation of motion; `simulate`, and with a verdict `classify` and `sweep`, take it.
+
+    Raises:
+        ValueError: a full equation, whose physical branch knows no torque; one without a body; or
+            what is no torque, verdict or attitude.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> gamma = 0.1  # ω′ = −γω − ω³
+        >>> braked = dt.torques.with_torque(dt.TransverseReduced(0.0), dt.torques.drag(gamma))
+        >>> run = dt.simulate(braked, [0.0, 1.0, 0.0], jnp.array([0.0, 4.0]))
+        >>> expected = (jnp.exp(8 * gamma) * (1 + 1 / gamma) - 1 / gamma) ** -0.5
+        >>> bool(abs(run.omega[-1, 1] - expected) < 1e-9)
+        True
+    """
+    start = None if attitude is None else unit_quaternion("attitude", attitude)
+    return driven(equation, torque, verdict, start)
+
+
+class Drag(eqx.Module):
+    """M = −Γω, with Γ a number or a matrix in body axes."""
+
+    gamma: Float[Array, "*shape"]
+
+    def __call__(self, t: Any, omega: Vector, *attitude: Quaternion) -> Vector:
+        """The torque, shape (3,)."""
+        return -(self.gamma * omega if self.gamma.ndim == 0 else matvec(self.gamma, omega))
+
+
+def drag(gamma: NumberLike | ArrayLike) -> Drag:
+    """M = −Γω: the drag by a gas, in units of I₁/τ₀.
+
+    Args:
+        gamma: Γ, a number, or a matrix of shape (3, 3) in body axes. Of a particle it is
+            `gas_drag(…) * particle.tau0() / particle.moment()`.
+
+    Raises:
+        ValueError: another shape, or a number that is not finite.
+    """
+    array = finite("gamma", gamma, np.shape(gamma))
+    if array.shape not in ((), (3, 3)):
+        refuse("gamma", "be a number or have shape (3, 3)", f"has shape {array.shape}")
+    return Drag(array)
+
+
+class FieldOnDipole(eqx.Module):
+    """M = d × q*∘E∘q, with E constant in the laboratory."""
+
+    dipole: Float[Array, "3"]
+    field: Float[Array, "3"]
+
+    def __call__(self, t: Any, omega: Vector, attitude: Quaternion) -> Vector:
+        """The torque, shape (3,)."""
+        back = jnp.concatenate([attitude[:1], -attitude[1:]])
+        return cross(self.dipole, rotate(back, self.field))
+
+
+def field_on_dipole(equation: Equation, field: ArrayLike) -> FieldOnDipole:
+    """M = d × E: a field that is constant in the laboratory; the attitude must be followed.
+
+    Args:
+        equation: an equation with a body, whose dipole it is.
+        field: E in the laboratory, shape (3,), in units of I₁/(τ₀²|d|) for a body of unit dipole.
+
+    Raises:
+        ValueError: an equation without a body, or a field of another shape.
+
+    Example:
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> top = dt.TransverseSemi(0.3)
+        >>> pulled = dt.torques.field_on_dipole(top, [0.0, 1e-3, 0.0])
+        >>> level = [1.0, 0.0, 0.0, 0.0]
+        >>> equation = dt.torques.with_torque(top, pulled, attitude=level)
+        >>> run = dt.simulate(equation, [0.0, 0.0, 0.0], jnp.array([0.0, 1.0]))
+        >>> [float(f"{x:.2e}") for x in run.omega[-1]]  # I₃ω₃′ = E at first, I₃ = 1 − δ
+        [0.0, 0.0, 0.00143]
+    """
+    body = getattr(equation, "body", None)
+    if body is None:
+        refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
+    return FieldOnDipole(body.dipole, finite("field", field, (3,)))
+
+
+def gas_drag(
+    particle: Particle,
+    pressure: NumberLike | ArrayLike,
+    temperature: NumberLike | ArrayLike = 300.0,
+    molecular_mass: NumberLike | ArrayLike = AIR,
+) -> Float[Array, "..."]:
+    """Γ = (2π/3)R⁴p√(8m/(πk_BT)): the drag of a rarefied gas on a rotating sphere, N m s.
+
+    Its torque is −ΓΩ. The gas is so thin that molecules seldom meet within a radius, and they leave
+    the surface in all directions, at its velocity: each takes away the momentum that the surface
+    had given it. Of other bodies with the largest radius R this is the order of magnitude.
+
+    Args:
+        particle: with a known radius R.
+        pressure: p in Pa.
+        temperature: T in K.
+        molecular_mass: m in kg; that of air by default.
+
+    Raises:
+        ValueError: a particle without a radius, or a number that is not positive.
+
+    Source: the mass flux on a surface is p√(m/(2πk_BT)); see P. S. Epstein, Phys. Rev. 23 (1924)
+    710, for the sphere.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> bead = dt.Particle.sphere(50e-9, [0.0, 0.0, 1e-27], density=2000.0)
+        >>> rate = dt.torques.gas_drag(bead, 1e-6) / bead.moment()  # 1/s, at 1e-8 mbar
+        >>> f"{rate:.2e}"
+        '6.80e-05'
+    """
+    instance("particle", particle, Particle)
+    if particle.radius is None:
+        refuse("particle", "have a known radius", "has none")
+    p, temperature = positive("pressure", pressure), positive("temperature", temperature)
+    mass = positive("molecular_mass", molecular_mass)
+    speed = jnp.sqrt(8 * mass / (jnp.pi * scipy.constants.k * temperature))  # ρ v̄/p
+    return 2 * jnp.pi / 3 * particle.radius**4 * p * speed

@@ -1,0 +1,260 @@
+"""The page in a real browser: slider, click, zoom, code, users, bad addresses, foreign pages."""
+
+import contextlib
+import http.client
+import json
+import signal
+import time
+import urllib.parse
+import urllib.request
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import dipoletop as dt
+from benchmarks import browsing
+from dipoletop.explorer import drawing, pictures, scenes, views
+
+TOP = scenes.scene_of_top({})
+SMALL = replace(views.first_view(TOP, levels=("semi",)), size=128)
+
+
+def expected_image(view):
+    """The picture of a view, from `dt.sweep` itself."""
+    cells = views.cells_of(TOP, view, view.size)
+    basins = [dt.sweep(TOP.problem_at(level), cells.grid, rtol=view.rtol) for level in view.levels]
+    return pictures.picture_of(view, basins, cells.folded, view.size, True).images[0]
+
+
+def test_a_slider_redraws_what_a_sweep_gives(visit):
+    before = visit.pixels()
+    np.testing.assert_array_equal(before, expected_image(SMALL))
+    visit.drag("w_perp", 40)
+    value = visit.value("w_perp")
+    assert value > 0.25
+    visit.final(w_perp=value)
+    after = visit.pixels()
+    assert np.mean(np.any(before != after, axis=2)) > 0.05
+    values = SMALL.values | {"w_perp": value}
+    np.testing.assert_array_equal(after, expected_image(replace(SMALL, values=values)))
+
+
+def test_pictures_come_while_a_slider_moves(visit):
+    serials = set()
+    box = visit.slider("delta").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    visit.page.mouse.move(x, y)
+    visit.page.mouse.down()
+    for k in range(40):
+        visit.page.mouse.move(x - k, y)
+        visit.page.wait_for_timeout(30)
+        serials.add(visit.about()["serial"])
+    assert len(serials) >= 5
+    visit.page.mouse.up()
+    visit.final(delta=visit.value("delta"))
+
+
+def test_exact_values_are_taken_and_bad_ones_refused(visit):
+    box = visit.page.locator(".dt-value-delta input")
+    box.fill("-1/3")
+    box.press("Enter")
+    visit.until(lambda: "Argument `delta` must be a finite number" in visit.text(), "a refusal")
+    box.fill("1")
+    box.press("Enter")
+    visit.until(
+        lambda: "Argument `delta` must lie in [-1, 1), but is 1." in visit.text(), "another"
+    )
+    assert visit.about()["fixed"]["delta"] == -0.2
+    box.fill("-0.123456789")
+    box.press("Enter")
+    visit.final(delta=-0.123456789)
+    assert "must lie" not in visit.text()
+
+
+def test_a_click_shows_the_start(visit):
+    x, y = visit.place(0.05, 0.9)  # far from the dipole's plane of rotation, fast: it stops
+    visit.page.mouse.click(x, y)
+    visit.until(lambda: "outcome" in visit.text() and "certified for" in visit.text(), "a verdict")
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives", 120)
+    chosen = visit.page.evaluate(
+        f"() => {{ {browsing.MODEL} const d = named('chosen').data; return [d.x[0], d.y[0]] }}"
+    )
+    assert chosen == pytest.approx([0.1 * np.pi, 0.48], abs=0.02)
+    omega0 = dt.cylindrical(0.2, chosen[1], chosen[0])
+    verdict = dt.classify(dt.TransverseSemi(-0.2), omega0)
+    assert dt.Outcome(int(verdict.outcome)).name.lower() in visit.text()
+    curves = visit.page.evaluate(
+        f"""() => {{ {browsing.MODEL}
+            const w = named("omega").data, e = named("energy").data, b = named("lines").data
+            return [w.w3[0], w.tau.length, e.energy[0], e.energy[e.energy.length - 1],
+                    b.x0.length]
+        }}"""
+    )
+    assert curves[0] == pytest.approx(chosen[1])
+    assert curves[1] > 100
+    assert curves[2] > curves[3] > 0
+    assert curves[4] > 100
+
+
+def test_the_body_moves(visit):
+    visit.page.mouse.click(*visit.place(0.3, 0.3))
+    drawn = f"() => {{ {browsing.MODEL} return Array.from(named('arrows').data.x1) }}"
+    visit.until(lambda: visit.page.evaluate(drawn), "the body", 120)
+    first = visit.page.evaluate(drawn)
+    visit.page.locator(".play").first.click()
+    visit.until(lambda: visit.page.evaluate(drawn) != first, "a motion", 10)
+
+
+def test_a_zoom_computes_again_at_the_new_range(visit):
+    visit.page.mouse.move(*visit.place(0.5, 0.5))
+    visit.page.mouse.wheel(0, -400)
+    left, right, bottom, top = visit.until(
+        lambda: visit.ranges() if visit.ranges()[1] < 6 else None, "the zoom"
+    )
+    assert right - left < 2 * np.pi
+    about = visit.until(lambda: _final_at(visit, left, right), "the picture there")
+    assert (about["y"], about["dh"]) == pytest.approx((bottom, top - bottom))
+    view = replace(SMALL, ranges={"phi": (left, right), "w3": (bottom, top)})
+    np.testing.assert_array_equal(visit.pixels(), expected_image(view))
+    visit.page.get_by_role("button", name="Whole range").click()
+    visit.until(lambda: visit.ranges() == pytest.approx((0, 2 * np.pi, -0.6, 0.6)), "all")
+
+
+def _final_at(visit, left, right):
+    about = visit.about()
+    there = about["x"] == left and about["dw"] == pytest.approx(right - left)
+    return about if there and about["final"] else None
+
+
+def test_rounding_ends_the_zoom_and_the_page_says_so(chromium, server):
+    low, high = 0.3, 0.3 + 128 * 5 * float(np.spacing(0.3))
+    query = f"?size=128&phi={low!r}..{high!r}&w3=0.2..{0.2 + 1e-13!r}"
+    visit = browsing.Visit.of(chromium, server[0] + query)
+    visit.final()
+    x, y = visit.place(0.5, 0.5)
+    visit.page.mouse.move(x, y)
+    for _ in range(6):
+        visit.page.mouse.wheel(0, -400)
+        visit.page.wait_for_timeout(50)
+    visit.until(lambda: "Rounding ends the zoom in φ" in visit.text(), "the end of the zoom")
+    left, right, *_ = visit.ranges()
+    assert right - left >= 128 * 4 * np.spacing(0.3)
+    assert visit.complaints == []
+    visit.close()
+
+
+def test_two_levels_side_by_side(chromium, server):
+    visit = browsing.Visit.of(chromium, f"{server[0]}?size=128&level=order-1&level=semi")
+    visit.final()
+    text = visit.until(lambda: _with(visit, "The outcome differs for"), "the share")
+    assert "Order 1 lacks a leading term of the full equation." in text
+    assert "Semi-reduced" in text
+    view = replace(SMALL, levels=(dt.Level.ORDER_1, dt.Level.SEMI))
+    np.testing.assert_array_equal(visit.pixels(0), expected_image(view))
+    black = np.all(visit.pixels(0)[..., :3] == 0, axis=2)
+    assert black.any()
+    np.testing.assert_array_equal(black, np.all(visit.pixels(1)[..., :3] == 0, axis=2))
+    assert visit.complaints == []
+    visit.close()
+
+
+def _with(visit, words):
+    text = visit.text()
+    return text if words in text else None
+
+
+def test_the_code_button_writes_code_that_runs(visit, tmp_path, monkeypatch):
+    visit.page.get_by_role("button", name="Write code").click()
+    code = visit.until(lambda: visit.page.locator(".dt-code").text_content(), "the code")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(code, "view.py", "exec"), names)
+    cells = views.cells_of(TOP, SMALL, 128)
+    assert names["basin"] == dt.sweep(TOP.problem_at(dt.Level.SEMI), cells.grid)
+    assert (tmp_path / "map.png").exists()
+    href = visit.page.locator("a", has_text="address of this view").get_attribute("href")
+    query = urllib.parse.parse_qs(href.removeprefix("?"))
+    assert query["size"] == ["128"]
+
+
+@pytest.mark.parametrize(
+    ("query", "sentence"),
+    [
+        ("delta=3", "Argument `delta` must lie in [-1, 1), but is 3."),
+        ("level=best", "Argument `level` must be one of"),
+        ("size=1e9", "Argument `size` must be one of 64, 128, 256, 512, 1024"),
+        ("delta=<script>alert(1)</script>", "but is '<script>alert(1)</script>'."),
+    ],
+)
+def test_bad_addresses_are_refused_in_a_sentence(chromium, server, query, sentence):
+    visit = browsing.Visit.of(chromium, f"{server[0]}?{query}")
+    visit.until(lambda: sentence in visit.text(), "the refusal")
+    assert visit.about() is None
+    assert visit.complaints == []
+    visit.close()
+
+
+def test_a_second_user_is_served_while_the_first_one_computes(chromium, server):
+    url = server[0]
+    slow = "?size=1024&level=order-4&level=order-3&phi=0.1..3&w3=0.01..0.6&rtol=1e-11"
+    first = browsing.Visit.of(chromium, url + slow)
+    first.until(first.about, "a coarse picture")
+    began = time.monotonic()
+    second = browsing.Visit.of(chromium, f"{url}?size=64&delta=-0.31")
+    second.final(delta=-0.31)
+    took = time.monotonic() - began
+    assert not first.about()["final"]
+    second.drag("delta", 20)
+    second.final(delta=second.value("delta"))
+    assert took < 15
+    assert first.complaints == second.complaints == []
+    first.close()
+    second.close()
+
+
+def handshake(url, origin):
+    """The status of a websocket that a page of some origin opens."""
+    place = urllib.parse.urlparse(url)
+    with urllib.request.urlopen(url, timeout=20) as page:
+        html = page.read().decode()
+    token = json.loads(html.split('"token":')[1].split(",")[0].split("}")[0])
+    connection = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
+    headers = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Protocol": f"bokeh, {token}",
+        "Origin": origin,
+    }
+    with contextlib.closing(connection):
+        connection.request("GET", "/ws", headers=headers)
+        with contextlib.closing(connection.getresponse()) as answer:
+            return answer.status
+
+
+def test_pages_of_foreign_origins_open_no_session(server):
+    url = server[0]
+    port = urllib.parse.urlparse(url).port
+    assert handshake(url, f"http://127.0.0.1:{port}") == 101
+    assert handshake(url, f"http://localhost:{port}") == 101
+    for origin in ("http://evil.example", f"http://evil.example:{port}", "http://127.0.0.1:1"):
+        assert handshake(url, origin) == 403
+
+
+def test_interrupting_ends_the_server_quietly():
+    with browsing.served("--size", "64") as (url, process):
+        assert handshake(url, url.rstrip("/")) == 101
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == 0
+        assert "Traceback" not in said
+
+
+def test_the_drawing_is_that_of_the_page():
+    """What the browser is compared with comes from `dt.sweep`, and so does what pages draw."""
+    shown: list = []
+    for _ in drawing.Drawing(TOP).pictures(SMALL, shown.append, pytest.fail):
+        pass
+    np.testing.assert_array_equal(shown[-1].images[0], expected_image(SMALL))

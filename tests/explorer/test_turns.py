@@ -1,0 +1,79 @@
+"""Turns: users are served by turns, the newest work counts, and the thread ends."""
+
+import time
+
+import pytest
+
+from dipoletop.explorer import turns
+
+
+def pieces(log, name, count, seconds=0.005):
+    for k in range(count):
+        time.sleep(seconds)
+        log.append((name, k))
+        yield 0.0
+
+
+def finished(log, name, k, timeout=10.0):
+    end = time.monotonic() + timeout
+    while (name, k) not in log:
+        assert time.monotonic() < end, log
+        time.sleep(0.001)
+
+
+def test_a_second_user_waits_for_a_piece_of_the_first_one_only():
+    log, crew = [], turns.Turns()
+    crew.put("first", pieces(log, "first", 200))
+    finished(log, "first", 3)
+    begun = len(log)
+    crew.put("second", pieces(log, "second", 5))
+    finished(log, "second", 4)
+    assert len(log) - begun <= 12  # five of his, as many of the first, and those under way
+    crew.drop("first")
+
+
+def test_newer_work_replaces_what_is_left_of_older_work():
+    log, crew = [], turns.Turns()
+    crew.put("user", pieces(log, "old", 100))
+    finished(log, "old", 2)
+    crew.put("user", pieces(log, "new", 3))
+    finished(log, "new", 2)
+    assert ("old", 10) not in log
+    time.sleep(0.05)
+    assert log[-1] == ("new", 2)
+
+
+def test_dropped_work_is_not_continued():
+    log, crew = [], turns.Turns()
+    crew.put("user", pieces(log, "user", 100))
+    finished(log, "user", 1)
+    crew.drop("user")
+    time.sleep(0.05)
+    assert len(log) <= 4
+
+
+def test_work_that_waits_lets_others_work():
+    def waiting():
+        log.append(("waiting", 0))
+        yield time.monotonic() + 0.2
+        log.append(("waiting", 1))
+
+    log, crew = [], turns.Turns()
+    crew.put("patient", waiting())
+    finished(log, "waiting", 0)
+    crew.put("other", pieces(log, "other", 5))
+    finished(log, "waiting", 1)
+    assert log.index(("other", 4)) < log.index(("waiting", 1))
+
+
+def test_the_thread_ends_without_work_and_begins_again(monkeypatch):
+    monkeypatch.setattr(turns, "IDLE", 0.05)
+    log, crew = [], turns.Turns()
+    for name in ("first", "second"):
+        crew.put("user", pieces(log, name, 2))
+        finished(log, name, 1)
+        end = time.monotonic() + 5
+        while crew._thread is not None:
+            if time.monotonic() > end:
+                pytest.fail("the thread does not end")
+            time.sleep(0.01)

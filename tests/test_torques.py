@@ -1,0 +1,253 @@
+"""Torques from outside: closed forms, conserved quantities, sweeps by every engine, refusals."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.tree_util import Partial
+from scipy.integrate import solve_ivp
+
+import dipoletop as dt
+from dipoletop import Outcome, torques
+from dipoletop.equations.rigid import free_rotation
+
+GAMMA = 0.1
+SPIN = [0.0, 1.0, 0.0]
+LEVEL = [1.0, 0.0, 0.0, 0.0]
+
+
+def braked(gamma, w, t):
+    """ω′ = −γω − ω³, a Bernoulli equation."""
+    return (np.exp(2 * gamma * t) * (1 / w**2 + 1 / gamma) - 1 / gamma) ** -0.5
+
+
+@pytest.mark.parametrize("equation", [dt.TransverseReduced(0.3), dt.Reduced(dt.axisymmetric(0.3))])
+def test_drag_and_radiation_brake_a_rotator(equation):
+    ts = jnp.linspace(0.0, 8.0, 9)
+    run = dt.simulate(torques.with_torque(equation, torques.drag(GAMMA)), SPIN, ts)
+    np.testing.assert_allclose(run.omega[:, 1], braked(GAMMA, 1.0, np.asarray(ts)), rtol=1e-9)
+    assert run.level == f"{equation.level}, with a torque"
+
+
+def test_a_given_torque_in_time():
+    """Along the dipole nothing radiates: I₁ω₁′ = M(τ)."""
+
+    def push(t, omega):
+        return jnp.stack([jnp.cos(t), jnp.zeros_like(t), jnp.zeros_like(t)])
+
+    ts = jnp.linspace(0.0, 5.0, 11)
+    run = dt.simulate(torques.with_torque(dt.TransverseSemi(0.3), push), [0.5, 0.0, 0.0], ts)
+    np.testing.assert_allclose(run.omega[:, 0], 0.5 + np.sin(ts), rtol=1e-9, atol=1e-9)
+
+
+class NoRadiation(eqx.Module):
+    """Free rotation, to see the torque alone."""
+
+    body: dt.Body
+
+    def __call__(self, t, y, args=None):
+        return free_rotation(self.body, y)[0]
+
+    def lift(self, omega0):
+        return omega0
+
+    def omega(self, y):
+        return y
+
+
+def test_a_field_on_the_dipole_conserves_energy_and_the_momentum_along_it():
+    """Without radiation ½ω·Iω − d·E and the momentum along E are constants of the motion."""
+    body = dt.Body(np.diag([1.0, 1.3, 0.8]), [0.6, 0.0, 0.8])
+    field = np.array([0.0, 0.3, 0.4])
+    pulled = torques.field_on_dipole(NoRadiation(body), field)
+    equation = torques.with_torque(NoRadiation(body), pulled, attitude=LEVEL)
+    run = dt.simulate(equation, [0.3, -0.2, 0.5], jnp.linspace(0.0, 40.0, 81), rtol=1e-11)
+    q = np.asarray(jax.vmap(equation.attitude)(run.ys))
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=1e-14)
+
+    def rotated(q, v):
+        w, u = q[0], q[1:]
+        return v + 2 * w * np.cross(u, v) + 2 * np.cross(u, np.cross(u, v))
+
+    dipole = np.array([rotated(x, np.asarray(body.dipole)) for x in q])
+    energy = np.asarray(run.energy) - dipole @ field
+    np.testing.assert_allclose(energy, energy[0], atol=1e-9)
+    momenta = np.asarray(run.omega) @ np.asarray(body.inertia)
+    lab = np.array([rotated(x, m) for x, m in zip(q, momenta, strict=True)])
+    along = lab @ field
+    np.testing.assert_allclose(along, along[0], atol=1e-9)
+    assert np.ptp(np.linalg.norm(lab, axis=1)) > 0.1  # the field does act
+
+
+def test_several_torques_add_up():
+    first = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(0.04))
+    both = torques.with_torque(first, torques.drag(0.06 * np.eye(3)))
+    run = dt.simulate(both, SPIN, [0.0, 8.0])
+    np.testing.assert_allclose(run.omega[-1, 1], braked(GAMMA, 1.0, 8.0), rtol=1e-9)
+
+
+def test_semi_reduced_with_drag_against_another_integrator():
+    equation = torques.with_torque(dt.TransverseSemi(-0.2), torques.drag(0.01))
+    start = np.asarray(dt.cylindrical(0.3, 0.2, 0.5))
+    radiating = eqx.filter_jit(dt.TransverseSemi(-0.2))
+
+    def field(t, y):
+        return np.asarray(radiating(t, jnp.asarray(y))) - 0.01 * y / [1, 1, 1.2]
+
+    exact = solve_ivp(field, (0, 10), start, rtol=1e-11, atol=1e-13, method="DOP853").y[:, -1]
+    run = dt.simulate(equation, start, [0.0, 10.0], rtol=1e-11)
+    np.testing.assert_allclose(run.omega[-1], exact, rtol=1e-8)
+
+
+# Verdicts of the user
+
+
+def rests(y):
+    """A motion has stopped once |ω| is below 0.01."""
+    still = y[0] ** 2 + y[1] ** 2 + y[2] ** 2 < 1e-4
+    return jnp.where(still, int(Outcome.STOP), 0), jnp.zeros_like(y[0]), still & False
+
+
+def test_a_run_ends_by_the_verdict_of_the_user():
+    equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(GAMMA), verdict=rests)
+    found = dt.classify(equation, SPIN)
+    assert found.outcome == Outcome.STOP
+    assert not found.certified
+    assert braked(GAMMA, 1.0, float(found.time)) <= 0.01
+
+
+def test_the_regions_of_the_equation_do_not_decide_with_a_torque():
+    equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(GAMMA))
+    with pytest.raises(ValueError, match="`equation` must have a method `verdict"):
+        dt.classify(equation, SPIN)
+    with pytest.raises(ValueError, match="have a method `verdict"):
+        dt.sweep(lambda w3: (equation, dt.cylindrical(0.2, w3, 0.1)), dt.Grid(w3=[0.1]))
+
+
+@pytest.mark.parametrize("engine", ["jax", "auto"])
+@pytest.mark.filterwarnings("ignore:.*native engine:UserWarning")
+def test_sweeps_vary_the_torque(engine):
+    """Each start has the drag of its own point, as in a run alone."""
+
+    def problem(gamma, w3):
+        drag = torques.drag(gamma)
+        equation = torques.with_torque(dt.TransverseSemi(0.3), drag, verdict=rests)
+        return equation, dt.cylindrical(0.3, w3, 1.0)
+
+    grid = dt.Grid(gamma=[0.05, 0.1, 0.2, 0.4], w3=[0.0, 0.1, 0.2])
+    basin = dt.sweep(problem, grid, engine=engine, slow_flow=False, value="unchecked")
+    assert np.all(basin.outcome == Outcome.STOP)
+    for i, gamma in enumerate(grid.coords["gamma"]):
+        alone = dt.classify(*problem(jnp.asarray(gamma), jnp.asarray(0.1)), value="unchecked")
+        np.testing.assert_allclose(basin.time[i, 1], alone.time, rtol=0.3)
+    assert np.all(np.diff(basin.time, axis=0) < 0)  # more drag, earlier rest
+
+
+def test_plain_functions_in_sweeps_see_one_top():
+    def push(t, omega):
+        assert omega.shape == (3,)
+        return jnp.array([0.0, 0.0, 1e-3])
+
+    def problem(w3):
+        equation = torques.with_torque(dt.TransverseSemi(-0.2), push, verdict=rests)
+        return equation, dt.cylindrical(0.005, w3, 0.1)
+
+    basin = dt.sweep(problem, dt.Grid(w3=[0.0, 0.001]), engine="jax", slow_flow=False)
+    assert np.all(basin.outcome == Outcome.STOP)  # at once
+
+
+def test_a_verdict_may_depend_on_the_attitude():
+    def turned(y):
+        done = y[3] ** 2 < 0.5  # by more than a quarter of a turn
+        return jnp.where(done, int(Outcome.STOP), 0), jnp.zeros_like(y[0]), done & False
+
+    top = dt.TransverseReduced(0.0)
+    pulled = torques.field_on_dipole(top, [0.0, 0.0, 0.0])
+    equation = torques.with_torque(top, pulled, verdict=turned, attitude=LEVEL)
+    found = dt.classify(equation, SPIN)
+    angle = np.sqrt(1 + 2 * float(found.time)) - 1  # ∫ω dτ by (2.4)
+    assert np.pi / 2 <= angle < np.pi
+
+
+def test_derivatives_pass_through_torques():
+    def end(gamma):
+        equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(gamma))
+        return dt.simulate(equation, SPIN, [0.0, 4.0]).omega[-1, 1]
+
+    h = 1e-4
+    slope = (braked(GAMMA + h, 1.0, 4.0) - braked(GAMMA - h, 1.0, 4.0)) / (2 * h)
+    np.testing.assert_allclose(jax.grad(end)(GAMMA), slope, rtol=1e-6)
+
+
+def test_parameters_of_functions_are_arguments():
+    def drag(gamma, t, omega):
+        return -gamma * omega
+
+    def end(gamma):
+        equation = torques.with_torque(dt.TransverseReduced(0.3), Partial(drag, gamma))
+        return dt.simulate(equation, SPIN, [0.0, 4.0]).omega[-1, 1]
+
+    np.testing.assert_allclose(jax.jit(end)(GAMMA), braked(GAMMA, 1.0, 4.0), rtol=1e-9)
+
+
+# The drag of a gas
+
+
+def test_gas_drag_is_the_momentum_that_molecules_take_away():
+    """Each leaves with the velocity of the surface on average; points of the surface at random."""
+    radius, pressure, temperature = 5e-8, 1e-3, 290.0
+    bead = dt.Particle.sphere(radius, [0.0, 0.0, 1e-27], density=2000.0)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200_000, 3))
+    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
+    boltzmann, mass = 1.380649e-23, 28.97 * 1.66053906660e-27
+    flux = pressure * np.sqrt(mass / (2 * np.pi * boltzmann * temperature))  # kg/(m² s)
+    spin = np.array([0.0, 0.0, 1.0])
+    torque = np.cross(points, np.cross(spin, points)).mean(axis=0) * 4 * np.pi * radius**2 * flux
+    found = torques.gas_drag(bead, pressure, temperature)
+    np.testing.assert_allclose(found, torque[2], rtol=5e-3)
+    pressures = [pressure, 2 * pressure]
+    np.testing.assert_allclose(torques.gas_drag(bead, pressures, temperature), [found, 2 * found])
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((dt.TransverseFull(0.3), torques.drag(0.1)), {}, "`equation` must be of a reduced or"),
+        ((dt.RotatorFull(), torques.drag(0.1)), {}, "`equation` must be of a reduced"),
+        (
+            (dt.TransverseSemi(0.3), torques.drag(0.1)),
+            {"attitude": [1.0, 1.0, 0.0, 0.0]},
+            "`attitude` must be a unit quaternion",
+        ),
+    ],
+)
+def test_refusals(arguments, options, message):
+    with pytest.raises(ValueError, match=message):
+        torques.with_torque(*arguments, **options)
+
+
+def test_a_function_that_holds_a_traced_number_is_refused():
+    def end(gamma):
+        equation = torques.with_torque(dt.TransverseReduced(0.3), lambda t, w: -gamma * w)
+        return dt.simulate(equation, SPIN, [0.0, 4.0]).omega[-1, 1]
+
+    with pytest.raises(ValueError, match="`torque` must take parameters that vary as arguments"):
+        jax.grad(end)(GAMMA)
+    assert end(GAMMA) > 0  # a plain number may be held
+
+
+def test_numbers_of_torques_are_checked():
+    with pytest.raises(ValueError, match=r"`gamma` must be a number or have shape \(3, 3\)"):
+        torques.drag([0.1, 0.2])
+    with pytest.raises(ValueError, match="`field`"):
+        torques.field_on_dipole(dt.TransverseSemi(0.1), [1.0, 2.0])
+    with pytest.raises(ValueError, match="`equation` must have a body"):
+        torques.field_on_dipole(NoRadiation, [1.0, 2.0, 3.0])
+    bead = dt.Particle(1e-18, 1e-35 * np.eye(3), [0.0, 0.0, 1e-27])
+    with pytest.raises(ValueError, match="`particle` must have a known radius"):
+        torques.gas_drag(bead, 1.0)
