@@ -34,19 +34,26 @@ LISTINGS = ("_modules/", "genindex", "py-modindex", "search.html")
 """Pages that Sphinx makes from others: their links are checked, but no browser opens them."""
 BROKEN_PICTURES = """() => [...document.images]
     .filter(x => !x.complete || x.naturalWidth === 0).map(x => x.getAttribute("src"))"""
-BAD_FORMULAS = """() => [...document.querySelectorAll("mjx-merror")].map(x => x.textContent)"""
+BAD_FORMULAS = """() => [...document.querySelectorAll("article .math")]
+    .filter(x => !x.querySelector("mjx-container")
+        || x.querySelector("mjx-merror, mjx-mtext[style*=red]")).map(x => x.textContent)"""
+"""Formulas that MathJax does not read: with unbalanced braces, an error, an unknown command."""
 SETTLED = """async () => {
     document.querySelectorAll("img[loading=lazy]").forEach(x => x.loading = "eager");
     if (window.MathJax?.startup) await MathJax.startup.promise;
     await Promise.all([...document.images].map(x => x.decode().catch(() => {})));
 }"""
 WIDER = """() => {
-    const room = document.documentElement.clientWidth;
-    if (document.documentElement.scrollWidth <= room) return [];
-    const wide = [...document.querySelectorAll("article *")]
-        .filter(x => x.getBoundingClientRect().right > room + 1);
-    return wide.slice(0, 3).map(x => x.tagName + "." + x.className).concat("page");
+    const room = document.documentElement.clientWidth, main = document.querySelector("article");
+    const scrolls = x => x && x !== main && x.parentElement
+        && (getComputedStyle(x).overflowX !== "visible" || scrolls(x.parentElement));
+    const wide = [...(main ?? document.body).querySelectorAll("*")].filter(
+        x => x.getBoundingClientRect().right > room + 1 && !scrolls(x.parentElement)
+            && !x.closest("mjx-assistive-mml"));  // for readers of screens, not shown
+    const names = wide.slice(0, 3).map(x => `${x.tagName.toLowerCase()} ${x.className}`.trim());
+    return document.documentElement.scrollWidth > room ? ["the page", ...names] : names;
 }"""
+"""What sticks out of the page on the right, unless it is inside of a thing that scrolls."""
 
 
 class Links(HTMLParser):

@@ -18,14 +18,12 @@ import dipoletop
 SUBJECTS = {
     "equations": ("Equations of motion", ["equations"]),
     "motions": ("Motions and their ends", ["_base", "_branch", "_runs"]),
-    "maps": ("Maps, samples and stores", ["_maps"]),
+    "maps": ("Maps, samples and stores", ["_maps", "explorer"]),
     "bodies": ("Bodies", ["bodies"]),
     "real_particles": ("Real particles", ["particles", "prediction", "atlases", "emission"]),
     "equilibria": ("Equilibria", ["stability"]),
 }
 """Pages of the top level: title, and the modules whose exports are there."""
-OTHERS = ("others", "Other names")
-"""Where a name goes whose module belongs to no subject."""
 NOT_FOR_READERS = ("dipoletop.cli", "dipoletop.paper.ledger_")
 """The command line has `--help`; the ledger is read through `paper.ledger`."""
 
@@ -40,7 +38,10 @@ def top_level() -> dict[str, str]:
 def subject_of(module: str) -> str:
     """The page of the exports of a module."""
     first = module.split(".")[0]
-    return next((page for page, (_, homes) in SUBJECTS.items() if first in homes), OTHERS[0])
+    for page, (_, homes) in SUBJECTS.items():
+        if first in homes:
+            return page
+    raise LookupError(f"No page for what `{module}` exports: add it to SUBJECTS.")
 
 
 def public_modules(package: ModuleType = dipoletop) -> list[ModuleType]:
@@ -101,12 +102,11 @@ def pages() -> dict[str, str]:
     """The text of every page by its file name, without the ending."""
     homes = top_level()
     found = {}
-    for slug, heading in [*((s, t) for s, (t, _) in SUBJECTS.items()), OTHERS]:
+    for slug, (heading, _) in SUBJECTS.items():
         names = [name for name, home in homes.items() if subject_of(home) == slug]
-        if names:
-            values = {f"dipoletop.{name}": getattr(dipoletop, name) for name in names}
-            intro = "All of this is at the top level: ``import dipoletop as dt``.\n"
-            found[slug] = page(heading, intro, values)
+        values = {f"dipoletop.{name}": getattr(dipoletop, name) for name in names}
+        intro = "All of this is at the top level: ``import dipoletop as dt``.\n"
+        found[slug] = page(heading, intro, values)
     for module in public_modules():
         known = {name: getattr(dipoletop, name) for name in homes}
         own, elsewhere = {}, []
