@@ -9,8 +9,9 @@ Numbers: [explorer.json](explorer.json). Command, some minutes on two cores:
 that draws without a GPU, both on this machine. Milliseconds from the event of the mouse that moves the
 slider of δ to the second frame after the picture has arrived, so that it has been drawn.
 
-- **First**: a picture of any size. **Full size**: of all starts, ω∞ without an estimate of its error.
-  **Finished**: with that estimate; it is begun when the slider has rested for 120 ms.
+- **First**: a picture of any size. **Full size**: of all starts, at the tolerance 1e-5 and without
+  estimates of errors. **Finished**: at the tolerance that is asked for, and with these estimates; it is
+  begun when the slider has rested for 100 ms.
 - **While it moves**: the slider moves without a rest; the age of the values that a picture shows.
 - On the whole plane the symmetries leave a quarter of the starts to compute; on a part of it all are.
 """

@@ -24,9 +24,12 @@ def test_programs_of_a_page_run(page, tmp_path, monkeypatch, capsys):
         exec(compile(source, str(page), "exec"), {"__name__": page.stem})
     finally:
         plt.close("all")
-    printed = capsys.readouterr().out.split()
+    printed = capsys.readouterr().out
     for word in SAID.findall(source):
-        assert word in printed
+        assert word in printed.split()
+    text = page.read_text("utf-8")
+    for output in re.findall(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        assert output in printed
 
 
 def test_what_a_page_says_is_found():

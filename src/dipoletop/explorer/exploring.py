@@ -1,7 +1,6 @@
 """The function `explore`, and what it returns."""
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from typing import Any
@@ -76,14 +75,14 @@ class Explorer:
             say: called with the address of the page.
 
         Raises:
-            ValueError: bad arguments, or the program has an event loop already, as a notebook has.
+            ValueError: bad arguments.
+            RuntimeError: the program has an event loop already, as a notebook has.
             OSError: the address or the port cannot be used.
         """
         from .server import serve
 
-        with contextlib.suppress(RuntimeError):
-            asyncio.get_running_loop()
-            raise ValueError(IN_NOTEBOOK)
+        if _in_event_loop():
+            raise RuntimeError(IN_NOTEBOOK)
         place = {"address": address, "port": port, "origins": origins}
         serve(self._session, **place, show=show, say=say)
 
@@ -114,17 +113,27 @@ class Explorer:
         self._picture = picture
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
-        """A new page, as output of a notebook."""
+        """A new page, as output of a notebook; text where there is no browser."""
         import panel as pn
 
+        if not _in_event_loop():
+            return {"text/plain": repr(self)}
         if not pn.extension._loaded:
-            pn.extension()
+            pn.extension(inline=True)  # so that it needs no other server
         return self._opened(self.view)._repr_mimebundle_(include, exclude)
 
     def __repr__(self) -> str:
         view = self.view
         levels = ", ".join(level.label for level in view.levels) or "a given equation"
         return f"Explorer({levels}: {view.x}, {view.y}; `.serve()` opens it in a browser)"
+
+
+def _in_event_loop() -> bool:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
 
 
 def explore(

@@ -98,6 +98,16 @@ class Maps:
     def _moved(self, event: Any) -> None:
         self._on_ranges({"x": (event.x0, event.x1), "y": (event.y0, event.y1)})
 
+    def once_loaded(self, begin: Callable[[], None]) -> None:
+        """Call this when the browser has laid out the map for the first time."""
+        waiting = [begin]
+
+        def laid_out(attr: str, old: Any, new: Any) -> None:
+            while waiting:
+                waiting.pop()()
+
+        self.figures[0].on_change("inner_width", laid_out)
+
     def look_at(self, view: View, whole: dict[str, Range]) -> None:
         """Show the ranges of a view, and name its axes, whose `whole` ranges a reset shows."""
         first = self.figures[0]

@@ -1,6 +1,6 @@
 """Results of other threads, brought to a page on a server or in a notebook."""
 
-import threading
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -8,17 +8,19 @@ import panel as pn
 
 
 class Outlet:
-    """Runs what changes a page where it may be run.
+    """Runs what changes a page in the thread that the page belongs to.
 
     On a server that is its event loop, at the next opportunity, so that no session waits for
-    another one's work. In a notebook it is any thread, one at a time; changes of Bokeh's models
-    are then sent by hand.
+    another one's work. In a notebook it is the loop of the kernel, between the cells; parts of
+    messages of two threads would be mixed. There, changes of Bokeh's models are sent by hand.
     """
 
     def __init__(self) -> None:
         document = pn.state.curdoc
         self._document = document if document and document.session_context else None
-        self._changing = threading.RLock()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        if self._document is None:
+            self._loop = asyncio.get_running_loop()
         self.panes: list[Any] = []
         """The panes of Bokeh's figures."""
 
@@ -31,7 +33,9 @@ class Outlet:
         """Run a change of the page."""
         if self._document is not None:
             self._document.add_next_tick_callback(change)
-            return
-        with self._changing:
-            change()
-            pn.io.push_notebook(*self.panes)
+        elif self._loop is not None:
+            self._loop.call_soon_threadsafe(self._changed, change)
+
+    def _changed(self, change: Callable[[], None]) -> None:
+        change()
+        pn.io.push_notebook(*self.panes)

@@ -80,7 +80,11 @@ class Page:
         self._controls.show(self.view)
         self._show_maps()
         # What changes while the browser is still loading the page would not reach it.
-        pn.state.onload(self._ask)
+        if self._outlet.is_served:
+            pn.state.onload(self._ask)
+        else:
+            self._draw_at_once()
+            self._maps.once_loaded(self._ask)
 
     def _laid_out(self) -> Any:
         whole = pn.widgets.Button(name="Whole range", width=130)
@@ -116,7 +120,14 @@ class Page:
         side = pn.Column(self._controls.layout, pn.Row(whole, write), width=310)
         return pn.Column(
             _html(texts.HEAD),
-            pn.FlexBox(side, main, flex_wrap="wrap", sizing_mode="stretch_width"),
+            # On a narrow screen the maps come before the controls.
+            pn.FlexBox(
+                side,
+                main,
+                flex_wrap="wrap-reverse",
+                align_items="flex-end",
+                sizing_mode="stretch_width",
+            ),
             sizing_mode="stretch_width",
         )
 
@@ -199,6 +210,14 @@ class Page:
             caption.object = texts.caption(picture, k)
         if picture.is_final:
             self._on_picture(picture)
+
+    def _draw_at_once(self) -> None:
+        """Draw a first picture here and now, which a notebook also keeps without its kernel."""
+
+        def show(picture: Picture) -> None:
+            self._show(picture, 0)
+
+        next(self._workshop.drawing.pictures(self.view, show, self._fail), None)
 
     def _fail(self, error: Exception) -> None:
         self._refuse(_sentence(error))
