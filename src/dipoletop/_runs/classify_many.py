@@ -143,7 +143,7 @@ class _Runs(NamedTuple):
             t1 = np.where(np.arange(length) < size - first, t1, np.zeros_like(t1))
         runs: Any = slice(first, end) if full else np.minimum(np.arange(first, end), size - 1)
 
-        def lanewise(leaf: Array) -> np.ndarray:
+        def lanewise(leaf: Array | np.ndarray) -> np.ndarray:
             numbers = np.asarray(leaf)
             if self.single:
                 return np.broadcast_to(numbers[..., None], (*numbers.shape, length))
