@@ -264,16 +264,13 @@ def _slow_flow(results: dict[str, Any]) -> list[Line]:
 
 
 def _explorer(results: dict[str, Any]) -> list[Line]:
-    lines = []
-    for row in results["rows"]:
-        if row["name"] == "part of it":
-            question = (
-                f"Explorer, from a slider to a picture of {row['size']}² starts, in a browser"
-            )
-            times = row["full"]
-            answer = f"{times['median']:.0f} ms, 95 % within {times['95%']:.0f} ms"
-            lines.append((question, answer, "explorer"))
-    return lines
+    answers = [
+        f"{row['full']['median']:.0f} ms, 95 % within {row['full']['95%']:.0f} ms ({row['size']}²)"
+        for row in results["rows"]
+        if row["name"] == "part of it"
+    ]
+    question = "Explorer: from a slider to a picture without use of symmetries, in a browser"
+    return [(question, "; ".join(answers), "explorer")]
 
 
 def _derivatives(first_and_second: dict[str, Any], along: list[dict[str, Any]]) -> list[Line]:

@@ -20,8 +20,10 @@ from .views import Cells, View, cells_of, finest_step
 
 QUICK = 0.06
 """Seconds that the starts of a first picture may take."""
-LONGEST = 2.0
+LONGEST = 1.0
 """The same of a picture that comes between the first and the last one."""
+FEW_STEPS = 2000
+"""Steps of a run of these pictures, at most."""
 LOOSE = 1e-5
 """Relative tolerance of these pictures."""
 OVERHEAD = 0.02
@@ -53,7 +55,9 @@ class Drawing:
         key = level, grid.dims, value
         with self._preparing:
             if key not in self._prepared:
-                prepared = PreparedSweep.of(self._scene.problem_at(level), grid, value=value)
+                budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
+                problem = self._scene.problem_at(level)
+                prepared = PreparedSweep.of(problem, grid, value=value, **budget)
                 prepared(_first_start(grid), rtol)  # compiles, so that later runs tell their cost
                 self._prepared[key] = prepared
         return self._prepared[key](grid, rtol)
@@ -64,11 +68,16 @@ class Drawing:
         """Pieces of work that end with a call of `show` for each picture, or with one of `fail`."""
         began = time.monotonic()
         try:
-            size = self._quick_size(view)
+            size, is_new = self._quick_size(view, QUICK), self._quick_cost(view, 2) == math.inf
             show(self._quick(view, size))
+            if is_new:  # what it compiled is no part of the cost
+                for level in _levels(view):
+                    del self._cost[level, UNCHECKED]
+                self._quick(view, size)
             yield began + REST
-            if size < view.size and self._quick_cost(view, view.size) < LONGEST:
-                show(self._quick(view, view.size))
+            larger = self._quick_size(view, LONGEST)
+            if larger > size:
+                show(self._quick(view, larger))
                 yield 0.0
             cells, basins = cells_of(self._scene, view, view.size), []
             for level in _levels(view):
@@ -105,10 +114,10 @@ class Drawing:
         costs = [self._cost.get((level, UNCHECKED), math.inf) for level in _levels(view)]
         return sum(costs) * cells_of(self._scene, view, size).count
 
-    def _quick_size(self, view: View) -> int:
-        """The largest size, a power of two below that of the view, that does not take long."""
+    def _quick_size(self, view: View, seconds: float) -> int:
+        """The largest size, that of the view over a power of two, that takes no longer."""
         size = view.size
-        while size > FEWEST and self._quick_cost(view, size) > QUICK:
+        while size > FEWEST and self._quick_cost(view, size) > seconds:
             size //= 2
         return size
 

@@ -113,8 +113,6 @@ class Page:
             pn.FlexBox(*boxes, sizing_mode="stretch_width"),
             self._legend,
             self._status,
-            self._start,
-            self._code,
             styles={"flex": "1 1 320px", "min-width": "300px"},
         )
         side = pn.Column(self._controls.layout, pn.Row(whole, write), width=310)
@@ -128,6 +126,8 @@ class Page:
                 align_items="flex-end",
                 sizing_mode="stretch_width",
             ),
+            self._code,
+            self._start,
             sizing_mode="stretch_width",
         )
 
