@@ -5,6 +5,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.text import Annotation
 
 from dipoletop import Level, TransverseReduced, cli, validation
 from dipoletop.cli import commands
@@ -109,12 +110,20 @@ def test_domains_and_curves_of_figure_3():
     assert curves["AOC in closed form"][at, 1] == pytest.approx(-1 / 3**0.5, rel=1e-12)
     # ϖ > f runs away upwards, and ϖ > g has come from below.
     minus, plus = r"{-}\infty", r"{+}\infty"
-    texts = {text.get_position(): text.get_text() for text in ax.texts}
+    letters = {text.get_text(): text.xy for text in ax.texts if isinstance(text, Annotation)}
+    texts = {x.get_position(): x.get_text() for x in ax.texts if not isinstance(x, Annotation)}
     for (w, rate), text in texts.items():
         past = minus if rate > 1.5 or w < -1 else plus
         future = plus if rate > 0 else minus
         assert text == rf"$\omega: {past}\to{future}$"
     assert len(texts) == 4
+    # The letters of the legend stand on their curves.
+    assert sorted(letters) == ["A", "B", "C", "D", "O"]
+    assert letters.pop("O") == (0, 0)
+    for letter, (w, rate) in letters.items():
+        curve = curves["AOC" if letter in "AC" else "BOD"]
+        assert rate == curve[np.searchsorted(curve[:, 0], w), 1]
+        assert (w < 0) == (letter in "AB")
 
 
 def test_the_command_writes_what_is_asked_for(tmp_path):
