@@ -369,6 +369,13 @@ def test_compare_takes_axes_and_another_shade():
     assert pixels(left).shape == (3, 2, 4)
 
 
+def test_compare_may_leave_a_symmetry_cell_as_it_is():
+    cell = dt.symmetry_cell(4, 2)
+    one, two = (made(np.full((2, 4), R), 0.1, axes=cell.coords) for _ in range(2))
+    assert pixels(plots.compare(one, two).axes[0]).shape == (3, 9, 4)
+    assert pixels(plots.compare(one, two, unfold=False).axes[0]).shape == (2, 4, 4)
+
+
 def test_compare_counts_the_starts_of_the_cell_once():
     cell = dt.symmetry_cell(4, 2)
     first, second = np.full((2, 4), R), np.full((2, 4), R)

@@ -22,10 +22,10 @@ def code_of(scene: Scene, view: View) -> str:
         if problem:
             parts.append("\n" + "\n".join(problem) + "\n")
         parts.append(f"{name} = dt.sweep(problem, grid, rtol={view.rtol!r})")
+    where = f'x="{view.x}", y="{view.y}", unfold={cells.folded}'
     if len(names) == 2:
-        parts.append('dt.plots.compare(first, second).savefig("map.png")')
+        parts.append(f'dt.plots.compare(first, second, {where}).savefig("map.png")')
     else:
-        where = f'x="{view.x}", y="{view.y}", unfold={cells.folded}'
         parts.append(f'dt.plots.basin(basin, {where}).figure.savefig("map.png")')
     return "\n\n".join(parts) + "\n"
 

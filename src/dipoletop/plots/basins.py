@@ -154,6 +154,7 @@ def compare(
     *,
     axes: Sequence[Axes] | np.ndarray | None = None,
     shade: str | None = "omega_inf",
+    unfold: bool = True,
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
@@ -164,6 +165,7 @@ def compare(
         second: a basin over the same grid.
         axes: a pair of axes to draw on; None makes a figure.
         shade: what shades the outcomes; see `plots.basin`.
+        unfold: whether to extend a symmetry cell, as in `plots.basin`.
         x: the horizontal axis; None means φ if there is one, else the last.
         y: the vertical axis; None means the other one.
 
@@ -175,6 +177,7 @@ def compare(
     """
     instance("first", first, Basin)
     instance("second", second, Basin)
+    unfold = flag("unfold", unfold)
     _check_same_grid(first, second)
     pair: list[Any] = [None, None] if axes is None else np.ravel(np.asarray(axes, object)).tolist()
     if len(pair) != 2:
@@ -183,7 +186,7 @@ def compare(
         check_axes(ax, "axes")
     outcomes_differ = first.outcome != second.outcome
     line = f"outcome differs for {percent(float(np.mean(outcomes_differ)))} of the starts (hatched)"
-    planes = [plane_of(basin, shade, True, (x, y)) for basin in (first, second)]
+    planes = [plane_of(basin, shade, unfold, (x, y)) for basin in (first, second)]
     planes = [plane._replace(title=f"{plane.title}\n{line}") for plane in planes]
     if axes is None:
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
