@@ -8,7 +8,7 @@ from benchmarks import browsing
 @pytest.fixture(scope="module")
 def chromium():
     if browsing.BROWSER is None:
-        pytest.skip("no Chromium on this machine (apt-get install chromium); `.ci/run` has one")
+        pytest.skip("no Chromium on this machine (apt-get install chromium); `.ci/run` installs it")
     with browsing.browser() as found:
         yield found
 

@@ -2,7 +2,7 @@
 
 `plane` and `shades` compute what a map shows before it is drawn; `axes` and `style` hold what
 several pictures share; the other modules draw. The colours can be told apart by
-colour-blind people. Only this folder, `paper` and `cli` import matplotlib.
+colour-blind people. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
 """
 
 from .._maps.symmetry import unfold
