@@ -11,13 +11,16 @@ from .problems import Problem
 from .running import finish
 from .sweep_plan import Plan, Settings, plan_of
 from .sweep_stores import ColumnsInMemory, MemoryStore
+from .tiling import Tiling
 
 
 @dataclass(frozen=True)
 class PreparedSweep:
     """What does not depend on the values on the axes is found once; see `sweep`.
 
-    Tracing the problem and choosing an engine take longer than some ten thousand starts.
+    Tracing the problem and choosing an engine take longer than some ten thousand starts. So do
+    several tiles: what is done for each of them in Python is done by one thread at a time. An
+    engine that has its own threads is therefore given all starts at once.
 
     Attributes:
         plan: the plan of a sweep over any grid with the same axes.
@@ -32,7 +35,11 @@ class PreparedSweep:
         Raises:
             ValueError: bad arguments.
         """
-        return cls(plan_of(problem, grid, Settings(**settings)))
+        plan = plan_of(problem, grid, Settings(**settings))
+        if not all(engine.has_own_threads for engine in plan.engines.values()):
+            return cls(plan)
+        threads = len(plan.devices)
+        return cls(replace(plan, devices=plan.devices[:1], cut=Tiling.whole, threads=threads))
 
     def __call__(self, grid: Grid, rtol: float) -> Basin:
         """The basin over a grid with these axes, as `sweep` gives it.

@@ -1,7 +1,7 @@
 """What a sweep computes: its arguments, checked, and from them the columns of each tile."""
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -98,6 +98,8 @@ class Plan:
         devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
         settings: what `blocks` and `rules` do not tell, and the arguments as the user gave them.
+        cut: how starts of a shape are cut into tiles.
+        threads: how many share a tile, of an engine that has its own.
     """
 
     blocks: BlockBuilder
@@ -106,11 +108,13 @@ class Plan:
     devices: list[Device]
     engines: dict[Device, Engine]
     settings: Settings
+    cut: Callable[[tuple[int, ...]], Tiling] = Tiling.of_sweep
+    threads: int = 1
 
     @functools.cached_property
     def tiling(self) -> Tiling:
         """How the starts are cut into tiles."""
-        return Tiling.of_sweep(self.blocks.over.shape)
+        return self.cut(self.blocks.over.shape)
 
     @property
     def column_names(self) -> list[str]:
@@ -231,7 +235,7 @@ class Plan:
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
         atol = absolute(atol, rtol, omegas, exact_when_slow(equation, value))
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
-        way = Way(value, self.engines[device], device, slow_flow, loosely=loosely)
+        way = Way(value, self.engines[device], device, slow_flow, self.threads, loosely)
         ends = classify_block(equation, omegas, limits, way)
         kept = columns_of_runs(slow_flow).items()
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in kept}

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import panel as pn
 
@@ -183,12 +183,19 @@ def _described(scene: Scene, system: tuple[str, ...]) -> str:
     return ", ".join(scene.quantities[name].symbol for name in system)
 
 
+class _Slider(pn.widgets.FloatSlider):
+    """A slider whose moves are followed at once."""
+
+    _debounce: ClassVar[int] = 0
+    """Milliseconds until Panel tells of a move; 50 if not set."""
+
+
 class _Value:
     """A slider of a quantity, and its exact value as text."""
 
     def __init__(self, name: str, quantity: Quantity, on_value: Callable[[str, Any], None]) -> None:
         symbol, low, high = quantity.symbol, quantity.low, quantity.high
-        self._slider = pn.widgets.FloatSlider(
+        self._slider = _Slider(
             name=symbol,
             start=low,
             end=high,

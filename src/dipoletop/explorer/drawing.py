@@ -26,7 +26,7 @@ FEW_STEPS = 2000
 """Steps of a run of these pictures, at most."""
 LOOSE = 1e-5
 """Relative tolerance of these pictures."""
-OVERHEAD = 0.02
+OVERHEAD = 0.003
 """Seconds that a sweep takes however few starts it has."""
 PIECE = 0.1
 """Seconds of a piece of work, after which others have their turn."""
