@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop import Outcome, torques
-from dipoletop.equations.rigid import free_rotation
 
 GAMMA = 0.1
 SPIN = [0.0, 1.0, 0.0]
@@ -18,8 +17,9 @@ LEVEL = [1.0, 0.0, 0.0, 0.0]
 
 
 def braked(gamma, w, t):
-    """ω′ = −γω − ω³, a Bernoulli equation."""
-    return (np.exp(2 * gamma * t) * (1 / w**2 + 1 / gamma) - 1 / gamma) ** -0.5
+    """ω′ = −(γ − γ²)ω − ω³, a Bernoulli equation: γ²ω is the ω″ of ω′ = −γω in the radiation."""
+    rate = gamma - gamma**2
+    return (np.exp(2 * rate * t) * (1 / w**2 + 1 / rate) - 1 / rate) ** -0.5
 
 
 @pytest.mark.parametrize("equation", [dt.TransverseReduced(0.3), dt.Reduced(dt.axisymmetric(0.3))])
@@ -41,43 +41,117 @@ def test_a_given_torque_in_time():
     np.testing.assert_allclose(run.omega[:, 0], 0.5 + np.sin(ts), rtol=1e-9, atol=1e-9)
 
 
-class NoRadiation(eqx.Module):
-    """Free rotation, to see the torque alone."""
-
-    body: dt.Body
-
-    def __call__(self, t, y, args=None):
-        return free_rotation(self.body, y)[0]
-
-    def lift(self, omega0):
-        return omega0
-
-    def omega(self, y):
-        return y
+def rotated(q, v):
+    """v in the laboratory, by the attitude q."""
+    w, u = q[0], q[1:]
+    return v + 2 * w * np.cross(u, v) + 2 * np.cross(u, np.cross(u, v))
 
 
-def test_a_field_on_the_dipole_conserves_energy_and_the_momentum_along_it():
+def test_a_field_on_a_dipole_conserves_energy_and_the_momentum_along_it():
     """Without radiation ½ω·Iω − d·E and the momentum along E are constants of the motion."""
-    body = dt.Body(np.diag([1.0, 1.3, 0.8]), [0.6, 0.0, 0.8])
-    field = np.array([0.0, 0.3, 0.4])
-    pulled = torques.field_on_dipole(NoRadiation(body), field)
-    equation = torques.with_torque(NoRadiation(body), pulled, attitude=LEVEL)
+    dipole, field = np.array([0.6, 0.0, 0.8]), np.array([0.0, 0.3, 0.4])
+    dark = dt.Reduced(dt.Body(np.diag([1.0, 1.3, 0.8]), 1e-8 * dipole))  # radiates ~ 1e-16
+    pulled = torques.FieldOnDipole(jnp.asarray(dipole), jnp.asarray(field))
+    equation = torques.with_torque(dark, pulled, attitude=LEVEL)
     run = dt.simulate(equation, [0.3, -0.2, 0.5], jnp.linspace(0.0, 40.0, 81), rtol=1e-11)
     q = np.asarray(jax.vmap(equation.attitude)(run.ys))
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=1e-14)
-
-    def rotated(q, v):
-        w, u = q[0], q[1:]
-        return v + 2 * w * np.cross(u, v) + 2 * np.cross(u, np.cross(u, v))
-
-    dipole = np.array([rotated(x, np.asarray(body.dipole)) for x in q])
-    energy = np.asarray(run.energy) - dipole @ field
+    energy = np.asarray(run.energy) - np.array([rotated(x, dipole) for x in q]) @ field
     np.testing.assert_allclose(energy, energy[0], atol=1e-9)
-    momenta = np.asarray(run.omega) @ np.asarray(body.inertia)
+    momenta = np.asarray(run.omega) @ np.asarray(dark.body.inertia)
     lab = np.array([rotated(x, m) for x, m in zip(q, momenta, strict=True)])
     along = lab @ field
     np.testing.assert_allclose(along, along[0], atol=1e-9)
     assert np.ptp(np.linalg.norm(lab, axis=1)) > 0.1  # the field does act
+
+
+# The radiation of a motion that a torque drives
+
+
+def slow_roots(level, inertia, strength):
+    """Both roots s of I₃θ″ = −Eθ + θ‴, a small swing about a field along the dipole, at a level."""
+    if level == "full":
+        roots = np.roots([-1.0, inertia, 0.0, strength])
+        return roots[roots.imag != 0]
+    a, b = -strength / inertia, 0.0  # θ″ = aθ + bθ′ without radiation, then order by order
+    for _ in range(1 if level == "semi" else int(level[-1])):
+        a, b = (-strength + b * a) / inertia, (a + b * b) / inertia
+    return np.roots([1.0, -b, -a])
+
+
+@pytest.mark.parametrize(
+    ("level", "delta"),
+    [
+        ("order-1", 0.3),
+        ("order-2", -0.5),
+        pytest.param("order-3", 0.3, marks=pytest.mark.slow),
+        ("semi", -0.5),
+        ("full", 0.3),
+    ],
+)
+def test_radiation_damps_a_swing_by_the_closed_form(level, delta):
+    strength, ts, top = 0.07, np.linspace(0.0, 40.0, 21), dt.equation_at(level, delta)
+    pulled = torques.field_on_dipole(top, [strength, 0.0, 0.0])
+    equation = torques.with_torque(top, pulled, attitude=LEVEL)
+    run = dt.simulate(equation, [0.0, 0.0, 1e-6], ts, rtol=1e-11)
+    one, other = slow_roots(level, 1 - delta, strength)
+    exact = (one * np.exp(one * ts) - other * np.exp(other * ts)) / (one - other)
+    np.testing.assert_allclose(run.omega[:, 2] / 1e-6, exact.real, atol=2e-10)
+    assert abs(exact[-1]) < 0.8  # it is damped
+
+
+@pytest.mark.slow  # compiles for long
+def test_the_energy_that_a_field_gives_is_radiated():
+    """E − d·E − d₁·d₂ + ∫|d₂|²dτ is constant at the full level, at any amplitude."""
+    body = dt.Body(np.diag([1.0, 1.3, 0.8]), [0.6, 0.0, 0.8])
+    field = np.array([0.0, 0.02, 0.03])
+    pulled = torques.field_on_dipole(dt.Full(body), field)
+    equation = torques.with_torque(dt.Full(body), pulled, attitude=LEVEL)
+    run = dt.simulate(
+        equation, [0.1, -0.1, 0.15], jnp.linspace(0.0, 60.0, 31), rtol=1e-9, balance=True
+    )
+    schott = jax.vmap(lambda w, rate: dt.radiation.schott_energy(body, w, rate))
+    q = np.asarray(jax.vmap(equation.attitude)(run.ys))
+    potential = -np.array([rotated(x, np.asarray(body.dipole)) for x in q]) @ field
+    energy = np.asarray(run.energy) + potential
+    total = energy - np.asarray(schott(run.omega, run.omega_dot)) + np.asarray(run.emitted)
+    np.testing.assert_allclose(total, total[0], atol=1e-9)
+    assert energy[0] - energy[-1] > 0.01
+
+
+@pytest.mark.parametrize("level", ["order-1", "full"])
+def test_a_torque_in_time_sets_a_body_in_motion(level):
+    """I₃ω₃′ = M(τ) + ω₃″ − ω₃³ about axis 3, near rest; at order 1 with ω₃″ = M′/I₃."""
+    top, frequency, size = dt.equation_at(level, 0.4), 0.5, 1e-8
+
+    def push(t, omega):
+        zero = jnp.zeros_like(t)
+        return jnp.stack([zero, zero, size * jnp.sin(frequency * t)])
+
+    ts = np.linspace(0.0, 30.0, 61)
+    run = dt.simulate(torques.with_torque(top, push), [0.0, 0.0, 0.0], ts, atol=1e-18)
+    rate, inertia = 1j * frequency, 1 - 0.4
+    if level == "full":
+        answer = 1 / (inertia * rate - rate**2)  # ω = Im(A e^{ift}) + constant, in units of size
+    else:
+        answer = (1 + rate / inertia) / (inertia * rate)
+    exact = (answer * np.exp(rate * ts)).imag - answer.imag
+    np.testing.assert_allclose(run.omega[:, 2] / size, exact, atol=1e-8)
+
+
+@pytest.mark.slow  # compiles for long
+def test_drag_along_the_physical_branch_is_classified_and_swept():
+    def problem(gamma, w3):
+        top = dt.TransverseFull(-0.3)
+        equation = torques.with_torque(top, torques.drag(gamma), verdict=rests)
+        return equation, dt.cylindrical(0.2, w3, 1.0)
+
+    basin = dt.sweep(problem, dt.Grid(gamma=[0.05, 0.1], w3=[0.1]), value="unchecked")
+    assert np.all(basin.outcome == Outcome.STOP)
+    run = dt.simulate(problem(0.1, 0.1)[0], problem(0.1, 0.1)[1], [0.0, float(basin.time[1, 0])])
+    assert jnp.linalg.norm(run.omega[-1]) < 0.01 < jnp.linalg.norm(run.omega[0])
+    rate = dt.slow_manifold(problem(0.1, 0.1)[0], problem(0.1, 0.1)[1])
+    np.testing.assert_allclose(rate, run.omega_dot[0], rtol=1e-6)
 
 
 def test_several_torques_add_up():
@@ -88,16 +162,28 @@ def test_several_torques_add_up():
 
 
 def test_semi_reduced_with_drag_against_another_integrator():
-    equation = torques.with_torque(dt.TransverseSemi(-0.2), torques.drag(0.01))
+    """Ω̈ in the torque is that of I Ω̇ = −N − γΩ, by finite differences of the free motion."""
+    gamma, top = 0.1, dt.TransverseSemi(-0.2)
+    equation = torques.with_torque(top, torques.drag(gamma))
     start = np.asarray(dt.cylindrical(0.3, 0.2, 0.5))
-    radiating = eqx.filter_jit(dt.TransverseSemi(-0.2))
+    moments, d = np.array([1.0, 1.0, 1.2]), np.array([1.0, 0.0, 0.0])
 
-    def field(t, y):
-        return np.asarray(radiating(t, jnp.asarray(y))) - 0.01 * y / [1, 1, 1.2]
+    def free(w):
+        return (-np.cross(w, moments * w) - gamma * w) / moments
 
-    exact = solve_ivp(field, (0, 10), start, rtol=1e-11, atol=1e-13, method="DOP853").y[:, -1]
+    def field(t, w):
+        h = 1e-4
+        second = (free(w + h * free(w)) - free(w - h * free(w))) / (2 * h)  # d/dτ of free(w)
+        matrix = np.diag(moments) - np.cross(d, np.outer(w, d) + 2 * (d @ w) * np.eye(3), axis=0)
+        known = np.cross(d, np.cross(d, w @ w * w - second))
+        return np.linalg.solve(matrix, moments * free(w) + known)
+
+    def cross_matrix(t, w):  # {I − [d]×(Ω dᵀ + 2(d·Ω))} with [d]× applied to each column
+        return field(t, w)
+
+    exact = solve_ivp(cross_matrix, (0, 10), start, rtol=1e-10, atol=1e-13, method="DOP853")
     run = dt.simulate(equation, start, [0.0, 10.0], rtol=1e-11)
-    np.testing.assert_allclose(run.omega[-1], exact, rtol=1e-8)
+    np.testing.assert_allclose(run.omega[-1], exact.y[:, -1], rtol=1e-7)
 
 
 # Verdicts of the user
@@ -135,7 +221,7 @@ def test_sweeps_vary_the_torque(engine):
         equation = torques.with_torque(dt.TransverseSemi(0.3), drag, verdict=rests)
         return equation, dt.cylindrical(0.3, w3, 1.0)
 
-    grid = dt.Grid(gamma=[0.05, 0.1, 0.2, 0.4], w3=[0.0, 0.1, 0.2])
+    grid = dt.Grid(gamma=[0.02, 0.05, 0.1, 0.15], w3=[0.0, 0.1, 0.2])
     basin = dt.sweep(problem, grid, engine=engine, slow_flow=False, value="unchecked")
     assert np.all(basin.outcome == Outcome.STOP)
     for i, gamma in enumerate(grid.coords["gamma"]):
@@ -217,8 +303,7 @@ def test_gas_drag_is_the_momentum_that_molecules_take_away():
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((dt.TransverseFull(0.3), torques.drag(0.1)), {}, "`equation` must be of a reduced or"),
-        ((dt.RotatorFull(), torques.drag(0.1)), {}, "`equation` must be of a reduced"),
+        ((dt.RotatorFull(), torques.drag(0.1)), {}, "`equation` must be a level of a rigid body"),
         (
             (dt.TransverseSemi(0.3), torques.drag(0.1)),
             {"attitude": [1.0, 1.0, 0.0, 0.0]},
@@ -231,6 +316,12 @@ def test_refusals(arguments, options, message):
         torques.with_torque(*arguments, **options)
 
 
+@pytest.mark.parametrize("top", [dt.TransverseSemi(0.3), dt.TransverseFull(0.3)])
+def test_with_a_torque_rotation_along_the_dipole_is_no_equilibrium(top):
+    with pytest.raises(ValueError, match="`equation` must keep rotation along the dipole"):
+        dt.spectrum(torques.with_torque(top, torques.drag(0.1)), [0.5, 0.0, 0.0])
+
+
 def test_a_function_that_holds_a_traced_number_is_refused():
     def end(gamma):
         equation = torques.with_torque(dt.TransverseReduced(0.3), lambda t, w: -gamma * w)
@@ -241,13 +332,26 @@ def test_a_function_that_holds_a_traced_number_is_refused():
     assert end(GAMMA) > 0  # a plain number may be held
 
 
+class NoBody(eqx.Module):
+    """ω′ = −ω, of nothing in particular."""
+
+    def __call__(self, t, y, args=None):
+        return -y
+
+    def lift(self, omega0):
+        return omega0
+
+    def omega(self, y):
+        return y
+
+
 def test_numbers_of_torques_are_checked():
     with pytest.raises(ValueError, match=r"`gamma` must be a number or have shape \(3, 3\)"):
         torques.drag([0.1, 0.2])
     with pytest.raises(ValueError, match="`field`"):
         torques.field_on_dipole(dt.TransverseSemi(0.1), [1.0, 2.0])
     with pytest.raises(ValueError, match="`equation` must have a body"):
-        torques.field_on_dipole(NoRadiation, [1.0, 2.0, 3.0])
+        torques.field_on_dipole(NoBody(), [1.0, 2.0, 3.0])
     bead = dt.Particle(1e-18, 1e-35 * np.eye(3), [0.0, 0.0, 1e-27])
     with pytest.raises(ValueError, match="`particle` must have a known radius"):
         torques.gas_drag(bead, 1.0)

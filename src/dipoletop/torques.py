@@ -17,7 +17,7 @@ from ._base.attitudes import Quaternion, rotate, unit_quaternion
 from ._base.checks import ArrayLike, NumberLike, finite, instance, positive, refuse
 from ._base.linalg import cross, matvec
 from ._base.types import Equation, State, Vector
-from .equations.driven import Driven, Torque, driven
+from .equations.driven import Driven, DrivenFull, Torque, driven
 from .particles import Particle
 
 AIR = 28.97 * scipy.constants.atomic_mass
@@ -30,22 +30,23 @@ def with_torque(
     *,
     verdict: Callable[[State], Any] | None = None,
     attitude: ArrayLike | None = None,
-) -> Driven:
-    """ω′ = F(τ, ω) + I⁻¹M(τ, ω): an equation of motion with a torque M from outside.
+) -> Driven | DrivenFull:
+    """IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): an equation of motion with a torque M from outside.
 
-    The radiation torque in F remains that of the motion without M, an error of the order of τ₀Ω,
-    relative to M. Several torques are added one after the other.
+    M counts at every level as the gyroscopic torque N does: the Ω̇ and Ω̈ that a reduced level
+    inserts into the radiation torque T are those of the motion with M. A full equation is followed
+    along the physical branch that it has with M. Several torques are added one after the other.
 
     Args:
-        equation: of a reduced or the semi-reduced level, with a body.
+        equation: any level of a rigid body, or what this function gave.
         torque: M, shape (3,), in body axes and units of I₁/τ₀²: a function of (τ, ω), or of
             (τ, ω, q) if the attitude is followed, which is written for one top. A plain function
             must not hold numbers that vary in a sweep or are differentiated by: make them fields
             of an `equinox.Module`, or arguments by `jax.tree_util.Partial(function, number)`.
         verdict: how runs end, for `classify` and `sweep`: a function of the state (ω, or (ω, q),
             lanes behind) that gives outcome, ω∞ and False, for not certified. The regions of
-            the equation itself decide nothing once there is another torque. None: for `simulate`
-            only.
+            the equation itself decide nothing once there is another torque. Behind (ω, q) the
+            state of a full equation holds the part of Ω̇ that runs away. None: for `simulate` only.
         attitude: the attitude at the start, a unit quaternion, shape (4,), scalar first, with
             v_lab = q∘v∘q*; the state is (ω, q) then. None: it is not followed.
 
@@ -53,8 +54,7 @@ def with_torque(
         An equation of motion; `simulate`, and with a verdict `classify` and `sweep`, take it.
 
     Raises:
-        ValueError: a full equation, whose physical branch knows no torque; one without a body; or
-            what is no torque, verdict or attitude.
+        ValueError: another equation, or what is no torque, verdict or attitude.
 
     Example:
         >>> import jax.numpy as jnp, dipoletop as dt

@@ -11,7 +11,7 @@ STARTS = [[0.1, 0.12, -0.13], [0.02, -0.03, 0.04], [0.2, 0.02, 0.01]]
 
 @eqx.filter_jit
 def solve(start, span, rtol):
-    return solve_window(dt.TransverseFull(-0.2), start, span, rtol)
+    return solve_window(dt.TransverseFull(-0.2), 0.0, start, span, rtol)
 
 
 def test_errors_that_are_left_are_far_below_the_tolerance():

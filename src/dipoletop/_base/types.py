@@ -153,9 +153,9 @@ class DecidingEquation(Equation, Protocol):
 class FullEquation(DecidingEquation, Protocol):
     """A full equation: runaways leave a slow manifold, its physical branch, at the rates named.
 
-    The state is (ω, a), with a the part of ω′ that is free. `_branch` follows the branch by
-    boundary-value problems and asks for every member. An equation with a `branch` (see
-    `OptionalMembers`) needs of these only `runaway_rate`.
+    The state is (s, a), with a the part of ω′ that is free; s is ω, and behind it whatever else is
+    slow, as an attitude. `_branch` follows the branch by boundary-value problems and asks for every
+    member. An equation with a `branch` (see `OptionalMembers`) needs of these only `runaway_rate`.
     """
 
     @property
@@ -171,21 +171,17 @@ class FullEquation(DecidingEquation, Protocol):
         """The `Body` that moves."""
         ...
 
-    def omega_dot(self, y: State, /) -> Vector:
-        """ω′ of a state."""
-        ...
-
     def fast(self, omega_dot: Vector, /) -> State:
         """a, the part of a given ω′ that belongs to the state."""
         ...
 
     def reduced(self, order: int, /) -> Callable[..., Vector]:
-        """The reduced level of an order, which approximates the branch."""
+        """The reduced level of an order, which approximates the branch: s′ by (τ, s)."""
         ...
 
     @property
     def semi(self) -> Callable[..., Vector]:
-        """The semi-reduced level, which approximates the branch."""
+        """The same of the semi-reduced level."""
         ...
 
 
@@ -206,6 +202,9 @@ class OptionalMembers(Protocol):
     branch: DecidingEquation
     """The equation of the physical branch of a full equation, if known in closed form
     (`_common.physical`)."""
+    elements: int
+    """Into how many elements `_branch` cuts a window of a full equation; if missing, 4
+    (`_common.elements_of`)."""
     omega_scale: OmegaScale
     """What relative errors of ω refer to: a static function, or one that can be hashed. If missing,
     the largest component (`_common.omega_scale_of`)."""

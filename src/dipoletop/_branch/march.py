@@ -16,12 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import radiation
 from .._base.bisection import bisect
+from ..equations._common import rate_of_omega
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
 EFOLDS = 36.0  # of a runaway, in a first window: −ln of the rounding error of float64
 LONGER = 1.6  # factor of the length if only the error at the far end is too large
-FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # of the length otherwise, by the number of accepted elements
+FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # of the length otherwise, if 0, 1/4, … 1 of it is accepted
 PREVIOUS_ELEMENT = 30.0  # by what factor an element's truncation is less in the one before it
 MOST_REJECTED = 14  # consecutive windows
 
@@ -30,7 +31,8 @@ class MarchState(NamedTuple):
     """How far a march has come, and the length of its next window."""
 
     time: Float[Array, ""]
-    omega: Float[Array, "3"]
+    slow: Float[Array, "m"]
+    """The slow part of the state; it begins with ω."""
     span: Float[Array, ""]
     windows: Int[Array, ""]
     """Windows tried."""
@@ -45,11 +47,13 @@ class MarchState(NamedTuple):
 
 def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchState:
     """A march at ω₀, before its first window."""
-    size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(0.0, omega0)))
+    fast = jax.eval_shape(equation.fast, omega0).shape[0]
+    slow, time = equation.lift(omega0)[:-fast], jnp.asarray(time, omega0.dtype)
+    size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(time, slow)[:3]))
     span = EFOLDS / equation.runaway_rate + 4 * size / jnp.where(rate > 0, rate, 1.0)
     none = jnp.zeros((), "int32")
     rejected = jnp.where(jnp.isfinite(size + rate), 0, MOST_REJECTED).astype("int32")
-    return MarchState(jnp.asarray(time, omega0.dtype), omega0, span, none, rejected)
+    return MarchState(time, slow, span, none, rejected)
 
 
 def advance_window(
@@ -60,12 +64,10 @@ def advance_window(
     Returns:
         The next state, the window, and how many of its elements, from the first on, are accepted.
     """
-    window = solve_window(equation, state.omega, state.span, rtol)
-    size = jnp.max(jnp.abs(state.omega))
-    size = jnp.where(size > 0, size, 1.0)
+    window = solve_window(equation, state.time, state.slow, state.span, rtol)
     ends, runaway = window.times[:, -1], equation.runaway_rate
     # The error at the far end as it has decayed where an element ends, as an error of ω.
-    end_error = window.end_error / runaway / size * jnp.exp(-runaway * (state.span - ends))
+    end_error = window.end_error / runaway / window.size * jnp.exp(-runaway * (state.span - ends))
     # The truncation of an element also reaches the one before, though much less of it.
     following = jnp.append(window.truncation[1:], 0.0)
     resolved = (window.truncation <= rtol) & (following <= PREVIOUS_ELEMENT * rtol)
@@ -74,11 +76,12 @@ def advance_window(
     count = jnp.sum(jnp.cumprod(accepted.astype("int32")))
     moved, last = count > 0, jnp.maximum(count - 1, 0)
     too_short = window.converged & resolved[0] & ~decayed[0]
-    factor = jnp.where(too_short, LONGER, jnp.asarray(FACTORS, size.dtype)[count])
+    share, shares = count / ends.shape[0], jnp.linspace(0, 1, len(FACTORS))
+    factor = jnp.where(too_short, LONGER, jnp.interp(share, shares, jnp.asarray(FACTORS)))
     return (
         MarchState(
             jnp.where(moved, state.time + ends[last], state.time),
-            jnp.where(moved, window.states[last, -1, :3], state.omega),
+            jnp.where(moved, window.states[last, -1, : state.slow.shape[0]], state.slow),
             state.span * factor,
             state.windows + 1,
             jnp.where(moved, 0, state.rejected + 1).astype("int32"),
@@ -122,8 +125,8 @@ def follow(
     """
     body = equation.body
 
-    def power(y: Array) -> Array:
-        return radiation.radiated_power(body, equation.omega(y), equation.omega_dot(y))
+    def power(time: Array, y: Array) -> Array:
+        return radiation.radiated_power(body, equation.omega(y), rate_of_omega(equation, time, y))
 
     def unfinished(carry: Any) -> Bool[Array, ""]:
         state, _, _, turning = carry
@@ -133,7 +136,7 @@ def follow(
     def advance(carry: Any) -> Any:
         state, output, total, turning = carry
         new, window, accepted = advance_window(equation, state, rtol)
-        powers = jax.vmap(jax.vmap(power))(window.states)
+        powers = jax.vmap(jax.vmap(power))(state.time + window.times, window.states)
         inside = jnp.einsum("ejk,ek->ej", window.weights, powers, precision="highest")
         before = jnp.cumsum(inside[:, -1]) - inside[:, -1]
         emitted = total + before[:, None] + inside
@@ -198,7 +201,7 @@ def crossing(
     time = jax.lax.stop_gradient(bracket[0])
     for _ in range(2):  # Newton's method, since halving has no derivatives
         y = state_at(time)
-        value, slope = jax.jvp(function, (y,), (equation(0.0, y),))
+        value, slope = jax.jvp(function, (y,), (equation(before + time, y),))
         time = time - value / slope
     # NaN that depends on ω₀, so that its derivatives are NaN, too.
     return jnp.where(jnp.any(below), before + time, jnp.nan * omega0[0])

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 from .._base.checks import check_single, finite, or_nan, refuse
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import tolerance
-from ..equations._common import is_full, physical
-from .march import EFOLDS, PREVIOUS_ELEMENT
+from ..equations._common import is_full, physical, rate_of_omega
+from .march import EFOLDS, PREVIOUS_ELEMENT, start_march
 from .window import solve_window
 
 
@@ -81,8 +81,9 @@ def _by_window(
     """Ω̇ and its error at the left end of a window."""
     # The error at the far end may be as large as Ω̇ itself; it has to decay below what is wanted.
     efolds = jnp.where(wanted < 1, jnp.clip(4 - jnp.log(wanted), 8.0, EFOLDS), EFOLDS)
-    window = solve_window(equation, omega, efolds / equation.runaway_rate)
-    rate = equation.omega_dot(window.states[0, 0])
+    begun = start_march(equation, omega, 0.0)
+    window = solve_window(equation, begun.time, begun.slow, efolds / equation.runaway_rate)
+    rate = rate_of_omega(equation, begun.time, window.states[0, 0])
     size = jnp.max(jnp.abs(rate))
     # Three errors: what is left of that at the far end; the truncation of every element, as a
     # rate, which the elements before it feel little of; and rounding.
@@ -91,7 +92,7 @@ def _by_window(
     passed_on = PREVIOUS_ELEMENT ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype)
     decayed = jnp.exp(-equation.runaway_rate * window.times[:, 0])
     truncations = window.truncation * jnp.minimum(passed_on, decayed) / lengths
-    truncation = jnp.max(truncations) * jnp.max(jnp.abs(omega))
+    truncation = jnp.max(truncations) * window.size
     error = 3 * far + 10 * (truncation + jnp.finfo(omega.dtype).eps * size)
     good = window.converged & ((error <= wanted * size) | (wanted >= 1))
     return or_nan(rate, good), or_nan(error, window.converged)

@@ -44,7 +44,7 @@ from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
 from .._branch import march
 from .._engines.step_sizes import Controller
-from ..equations._common import error_scale_of, is_full, physical, twist_axis
+from ..equations._common import error_scale_of, is_full, physical, rate_of_omega, twist_axis
 from ..equations.plain import PlainFunction
 from .solver_options import (
     Options,
@@ -53,11 +53,12 @@ from .solver_options import (
     event_of,
     saved_at,
 )
-from .trajectory import BranchSolution, Trajectory, rate_of_omega
+from .trajectory import BranchSolution, Trajectory
 
 BRANCH_LOST = (
     "The physical branch of the full equation could not be followed to the last time: "
-    "ω is too large for a slow branch, or `max_steps` = {} windows did not suffice."
+    "ω is too large for a slow branch, a torque too fast, or `max_steps` = {} windows did not "
+    "suffice."
 )
 STEP_FAILED = (
     "The run ended before the last of `ts`: the solver's steps became too small, or failed."

@@ -23,7 +23,8 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
-from .._base.types import Equation, State, Vector
+from .._base.types import Equation, Vector
+from ..equations._common import rate_of_omega
 from ..equations.levels import level_of
 
 
@@ -230,8 +231,3 @@ class Trajectory(eqx.Module):
             return self.equation.omega(solution.evaluate(time)[:n])
 
         return jax.vmap(omega)(times.ravel()).reshape(*times.shape, 3)
-
-
-def rate_of_omega(equation: Equation, t: Any, y: State) -> Vector:
-    """The rate of the angular velocity of a state."""
-    return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]

@@ -56,9 +56,19 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
     return inverse, -(inverse**2) * change
 
 
+def rate_of_omega(equation: Equation, t: Any, y: State) -> Vector:
+    """The rate of the angular velocity of a state."""
+    return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]
+
+
 def is_full(equation: Any) -> bool:
     """Whether an equation has runaways, so that its physical branch has to be followed."""
     return getattr(equation, "runaway_rate", None) is not None
+
+
+def elements_of(equation: Any) -> int:
+    """The elements of a window of a full equation: `equation.elements`, else 4."""
+    return getattr(equation, "elements", 4)
 
 
 def physical(equation: Any) -> Any:

@@ -1,5 +1,11 @@
-"""An equation of motion with a torque that is added from outside."""
+"""Rigid bodies with a torque M from outside, at every level.
 
+The equation of motion is IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): the load N − M stands where N alone does in
+`rigid`. At a reduced level the Ω̇ and Ω̈ in the radiation torque T are those of a motion with M, so
+that a dipole which M alone accelerates radiates, too.
+"""
+
+import functools
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -12,13 +18,18 @@ from jaxtyping import Array, Float
 from .._base.attitudes import Quaternion, normalised, quaternion_rate
 from .._base.checks import check_single, concrete, refuse
 from .._base.linalg import inverse, matvec
-from .._base.types import Equation, OmegaScale, State, Vector
+from .._base.types import OmegaScale, Real, State, Vector
 from ..bodies import Body
+from ..radiation import gyroscopic_torque
 from ._common import error_scale_of, is_full, omega_scale_of
+from ._families import LONGITUDINAL, RIGID, TRANSVERSE
 from .levels import level_of
+from .rigid import across_dipole, full_fast_rate, full_rate, reduced_rate, semi_reduced_rate
 
 Torque = Callable[..., Vector]
 """M(τ, ω), or M(τ, ω, q) where the attitude is followed; shape (3,), in body axes."""
+Slow = Float[Array, "m *lanes"]
+"""ω, or (ω, q) where the attitude is followed."""
 
 
 class OfFunction(eqx.Module):
@@ -31,33 +42,80 @@ class OfFunction(eqx.Module):
         return self.function(t, *state)
 
 
+class Torques(eqx.Module):
+    """Several torques at once."""
+
+    parts: tuple[Any, ...]
+    follow: tuple[bool, ...] = eqx.field(static=True)
+    """Whether each depends on the attitude."""
+
+    def __call__(self, t: Any, slow: Slow) -> Vector:
+        """Their sum."""
+        total = jnp.zeros_like(slow[:3])
+        for part, follows in zip(self.parts, self.follow, strict=True):
+            attitude = (normalised(slow[3:]),) if follows else ()
+            total = total + _in_lanes(part, t, slow[:3], *attitude)
+        return total
+
+
+class Loaded(eqx.Module):
+    """A body with torques, and the rates of its slow state (ω, or (ω, q)) at each level."""
+
+    body: Body
+    torques: Torques
+
+    def load(self, t: Any, slow: Slow) -> Vector:
+        """N − M."""
+        return gyroscopic_torque(self.body, slow[:3]) - self.torques(t, slow)
+
+    def with_attitude(self, rate: Vector, slow: Slow) -> Slow:
+        """Ω̇, and behind it q̇ where q belongs to the slow state."""
+        turning = [quaternion_rate(slow[3:], slow[:3])] if slow.shape[0] > 3 else []
+        return jnp.concatenate([rate, *turning])
+
+    def rates(self, order: int | None, t: Any, slow: Slow) -> Slow:
+        """The rates at a reduced level, or at the semi-reduced one (None).
+
+        Order 0 is the motion without radiation, IΩ̇ = M − N.
+        """
+        omega, load = slow[:3], self.load(t, slow)
+        if order == 0:
+            return self.with_attitude(-matvec(inverse(self.body.inertia), load), slow)
+        lower = 0 if order is None else order - 1
+
+        def rates_below(t: Any, slow: Slow) -> Slow:
+            return self.rates(lower, t, slow)
+
+        first = rates_below(t, slow)
+        second = jax.jvp(rates_below, (t, slow), (jnp.ones_like(t), first))[1]
+        if order is None:
+            rate = semi_reduced_rate(self.body, omega, second[:3], load)
+        else:
+            rate = reduced_rate(self.body, omega, (first[:3], second[:3]), load)
+        return self.with_attitude(rate, slow)
+
+
 class Driven(eqx.Module):
-    """ω′ = F(τ, ω) + I⁻¹M(τ, ω): an equation of motion with a torque M from outside.
+    """A reduced or the semi-reduced equation with torques from outside; see `torques.with_torque`.
 
-    With an attitude the state is (ω, q), with q′ = ½ q∘(0, ω), and M may depend on q. The radiation
-    torque in F is that of the motion without M: an error of the order of τ₀Ω, relative to M.
-
-    `torques.with_torque` makes it and checks its arguments.
+    With an attitude the state is (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
     """
 
-    equation: Equation
-    torque: Any
-    inverse_inertia: Float[Array, "3 3 *lanes"]
+    equation: Any
+    """The equation of the same level without them."""
+    loaded: Loaded
     verdict: Callable[[State], Any] | None = eqx.field(static=True)
     start: Float[Array, "4 *lanes"] | None
     """The attitude at the start; None if it is not followed."""
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
         """dy/dτ, shape (3,) or (7,), lanes (if any) behind."""
-        omega = y[:3]
-        attitude = () if self.start is None else (normalised(y[3:]),)
-        torque = _in_lanes(self.torque, t, omega, *attitude)
-        rate = self.equation(t, omega, args) + matvec(self.inverse_inertia, torque)
-        return jnp.concatenate([rate, *(quaternion_rate(y[3:], omega) for _ in attitude)])
+        order = getattr(self.equation, "order", None)
+        return self.loaded.rates(order, jnp.asarray(t, y.dtype), y)
 
     def lift(self, omega0: Vector) -> State:
         """ω itself, or with the attitude at the start behind."""
-        return omega0 if self.start is None else jnp.concatenate([omega0, self.start])
+        return _slow_state(omega0, self.start)
 
     def omega(self, y: State) -> Vector:
         """The first three components."""
@@ -65,17 +123,17 @@ class Driven(eqx.Module):
 
     def attitude(self, y: State) -> Quaternion | None:
         """The unit quaternion of a state; None if the attitude is not followed."""
-        return None if self.start is None else normalised(y[3:])
+        return None if self.start is None else normalised(y[3:7])
 
     @property
     def body(self) -> Body:
         """The body that the equation moves."""
-        return self.equation.body  # pyright: ignore[reportAttributeAccessIssue]
+        return self.loaded.body
 
     @property
     def level(self) -> str:
         """The label of the equation, and that a torque is added."""
-        return f"{level_of(self.equation)}, with a torque"
+        return _label(self.equation)
 
     @property
     def omega_scale(self) -> OmegaScale:
@@ -88,16 +146,78 @@ class Driven(eqx.Module):
         return own if self.start is None else jnp.concatenate([own, jnp.ones_like(y[3:])])
 
 
+class DrivenFull(eqx.Module):
+    """The full equation with torques from outside; see `torques.with_torque`.
+
+    The state is (ω, a), or (ω, q, a) with an attitude, and a = PΩ̇ as in `Full`, which serves for
+    bodies of every kind.
+    """
+
+    elements = 8  # a body may swing to and fro while a runaway dies away
+
+    equation: Any
+    """The full equation without them."""
+    loaded: Loaded
+    verdict: Callable[[State], Any] | None = eqx.field(static=True)
+    start: Float[Array, "4 *lanes"] | None
+    """The attitude at the start; None if it is not followed."""
+
+    def __call__(self, t: Any, y: State, args: Any = None) -> State:
+        """dy/dτ, shape (6,) or (10,), lanes (if any) behind."""
+        loaded, slow, a = self.loaded, y[:-3], y[-3:]
+        load = loaded.load(jnp.asarray(t, y.dtype), slow)
+        rate = full_rate(loaded.body, a, load)
+        fast = full_fast_rate(loaded.body, slow[:3], rate, load)
+        return jnp.concatenate([loaded.with_attitude(rate, slow), fast])
+
+    def lift(self, omega0: Vector) -> State:
+        """The state near the physical branch at τ = 0, by the reduction of order 3."""
+        slow = _slow_state(omega0, self.start)
+        rate = self.reduced(3)(jnp.zeros((), slow.dtype), slow)
+        return jnp.concatenate([slow, self.fast(rate[:3])])
+
+    def omega(self, y: State) -> Vector:
+        """The first three components."""
+        return y[:3]
+
+    def attitude(self, y: State) -> Quaternion | None:
+        """The unit quaternion of a state; None if the attitude is not followed."""
+        return None if self.start is None else normalised(y[3:7])
+
+    def fast(self, omega_dot: Vector) -> Vector:
+        """The part of Ω̇ that belongs to the state and runs away."""
+        return across_dipole(self.body, omega_dot)
+
+    def reduced(self, order: int) -> Callable[[Any, Slow], Slow]:
+        """The rates of (ω, q) at a reduced level."""
+        return functools.partial(self.loaded.rates, order)
+
+    @property
+    def semi(self) -> Callable[[Any, Slow], Slow]:
+        """The same at the semi-reduced level."""
+        return functools.partial(self.loaded.rates, None)
+
+    @property
+    def body(self) -> Body:
+        """The body that the equation moves."""
+        return self.loaded.body
+
+    @property
+    def level(self) -> str:
+        """The label of the equation, and that a torque is added."""
+        return _label(self.equation)
+
+    @property
+    def runaway_rate(self) -> Real:
+        """That of the equation: near the branch a torque by τ, ω and q changes no runaway."""
+        return self.equation.runaway_rate
+
+
 def driven(
-    equation: Equation, torque: Torque, verdict: Callable[[State], Any] | None, start: Array | None
-) -> Driven:
+    equation: Any, torque: Torque, verdict: Callable[[State], Any] | None, start: Array | None
+) -> Driven | DrivenFull:
     """The equation with a torque, its parts checked."""
     check_single(equation)
-    if is_full(equation):
-        must = "be of a reduced or the semi-reduced level (a torque has no physical branch)"
-        refuse("equation", must, f"is {type(equation).__name__}")
-    if getattr(equation, "body", None) is None:
-        refuse("equation", "have a body, whose inertia the torque moves", "has none")
     if not callable(torque):
         refuse("torque", "be a function of τ and ω", f"is {torque!r}")
     if verdict is not None and not callable(verdict):
@@ -105,8 +225,27 @@ def driven(
     if inspect.isroutine(torque):
         _check_constants(torque)
         torque = OfFunction(torque)
-    body: Any = equation.body  # pyright: ignore[reportAttributeAccessIssue]
-    return Driven(equation, torque, inverse(body.inertia), verdict, start)
+    parts, follow = (torque,), (start is not None,)
+    if isinstance(equation, Driven | DrivenFull):  # these torques are added to those
+        if start is not None and equation.start is not None:
+            refuse("attitude", "be None, as `equation` has one", "is another one")
+        before = equation.loaded.torques
+        parts, follow = (*before.parts, *parts), (*before.follow, *follow)
+        start = equation.start if start is None else start
+        equation = equation.equation
+    if not isinstance(equation, RIGID + TRANSVERSE + LONGITUDINAL):
+        must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
+        refuse("equation", must, f"is {type(equation).__name__}")
+    kind = DrivenFull if is_full(equation) else Driven
+    return kind(equation, Loaded(equation.body, Torques(parts, follow)), verdict, start)
+
+
+def _slow_state(omega0: Vector, start: Quaternion | None) -> Slow:
+    return omega0 if start is None else jnp.concatenate([omega0, start])
+
+
+def _label(equation: Any) -> str:
+    return f"{level_of(equation)}, with a torque"
 
 
 def _check_constants(function: Any) -> None:

@@ -173,7 +173,7 @@ class LongitudinalFull(eqx.Module):
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """dy/dτ, shape (5,) or (5, B)."""
-        rate = self.omega_dot(y)
+        rate = jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
         balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
         return jnp.concatenate([rate, (rate - balance)[:2]])
 
@@ -197,10 +197,6 @@ class LongitudinalFull(eqx.Module):
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that belongs to the state and runs away: (ω₁′, ω₂′)."""
         return omega_dot[:2]
-
-    def omega_dot(self, y: FullState) -> Vector:
-        """ω′ of a state."""
-        return jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
 
     def reduced(self, order: int) -> LongitudinalReduced:
         """The reduced level of that order."""

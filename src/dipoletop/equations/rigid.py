@@ -1,7 +1,8 @@
 """Any rigid body, any dipole: the full equation of motion and its reductions.
 
 The equation of motion (3.3) is IΩ̇ + N = T(Ω, Ω̇, Ω̈) with N = Ω×IΩ and T the radiation torque.
-The levels differ in the Ω̇ and Ω̈ that they insert into T.
+The levels differ in the Ω̇ and Ω̈ that they insert into T. The rates by these levels are functions
+of the load, N here; N − M where a torque M acts from outside (`driven`).
 """
 
 from typing import Any
@@ -33,6 +34,44 @@ def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
     return first, jax.jvp(rate, (omega,), (first,))[1]
 
 
+def reduced_rate(body: Body, omega: Vector, rates: tuple[Vector, Vector], load: Vector) -> Vector:
+    """Ω̇ = I⁻¹{T(Ω, Ω̇, Ω̈) − load}, with the rates (Ω̇, Ω̈) of a lower order in T."""
+    torque = radiation_torque(body, omega, *rates) - load
+    return matvec(inverse(body.inertia), torque)
+
+
+def semi_reduced_rate(body: Body, omega: Vector, second: Vector, load: Vector) -> Vector:
+    """Ω̇ of IΩ̇ = T(Ω, Ω̇, Ω̈) − load, with Ω̈ of a lower order in T, which is linear in Ω̇."""
+    known = radiation_torque(body, omega, jnp.zeros_like(omega), second)
+
+    def column(i: int) -> Vector:
+        unit = jnp.zeros_like(omega).at[i].set(1.0)
+        return matvec(body.inertia, unit) - (radiation_torque(body, omega, unit, second) - known)
+
+    matrix = jnp.stack([column(i) for i in range(3)], axis=1)
+    return solve(matrix, known - load)
+
+
+def full_rate(body: Body, a: Vector, load: Vector) -> Vector:
+    """Ω̇ = a + s n, s = −[n·load + n·(I a)]/(n·I n), at which no radiation torque is along n."""
+    inertia_d = matvec(body.inertia, body.dipole)  # d·(I a) = (I d)·a, since I is symmetric
+    along = dot(body.dipole, load) + dot(inertia_d, a)
+    return a - scale(along / dot(inertia_d, body.dipole), body.dipole)
+
+
+def full_fast_rate(body: Body, omega: Vector, rate: Vector, load: Vector) -> Vector:
+    """ȧ = PΩ̈ = P[IΩ̇ + load − T(Ω, Ω̇, 0)]/|d|²."""
+    torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
+    unbalanced = matvec(body.inertia, rate) + load - torque
+    return across_dipole(body, scale(1 / dot(body.dipole, body.dipole), unbalanced))
+
+
+def across_dipole(body: Body, v: Vector) -> Vector:
+    """Pv = v − n (n·v), n = d/|d|."""
+    d = body.dipole
+    return v - scale(dot(d, v) / dot(d, d), d)
+
+
 class Reduced(eqx.Module):
     """Reduced equation of order m: IΩ̇ = −N + T(Ω, F, DF·F), F the rates of order m − 1.
 
@@ -56,11 +95,10 @@ class Reduced(eqx.Module):
         """dΩ/dτ, shape (3,) or (3, B)."""
         body = self.body
         if self.order == 1:
-            rate, second = free_rotation(body, y)
+            rates = free_rotation(body, y)
         else:
-            rate, second = one_order_up(Reduced(body, self.order - 1), t, y)
-        torque = radiation_torque(body, y, rate, second) - gyroscopic_torque(body, y)
-        return matvec(inverse(body.inertia), torque)
+            rates = one_order_up(Reduced(body, self.order - 1), t, y)
+        return reduced_rate(body, y, rates, gyroscopic_torque(body, y))
 
     def lift(self, omega0: Vector) -> Vector:
         """The state is ω itself."""
@@ -99,16 +137,8 @@ class SemiReduced(eqx.Module):
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """dΩ/dτ, shape (3,) or (3, B)."""
-        body = self.body
-        _, second = free_rotation(body, y)
-        known = radiation_torque(body, y, jnp.zeros_like(y), second)
-
-        def column(i: int) -> Vector:  # the torque is linear in Ω̇
-            unit = jnp.zeros_like(y).at[i].set(1.0)
-            return matvec(body.inertia, unit) - (radiation_torque(body, y, unit, second) - known)
-
-        matrix = jnp.stack([column(i) for i in range(3)], axis=1)
-        return solve(matrix, known - gyroscopic_torque(body, y))
+        _, second = free_rotation(self.body, y)
+        return semi_reduced_rate(self.body, y, second, gyroscopic_torque(self.body, y))
 
     def lift(self, omega0: Vector) -> Vector:
         """The state is ω itself."""
@@ -146,18 +176,9 @@ class Full(eqx.Module):
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """d(Ω, a)/dτ, shape (6,) or (6, B)."""
         body, omega = self.body, y[:3]
-        rate = self.omega_dot(y)
-        torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
-        unbalanced = matvec(body.inertia, rate) + gyroscopic_torque(body, omega) - torque
-        square = dot(body.dipole, body.dipole)
-        return jnp.concatenate([rate, self.fast(scale(1 / square, unbalanced))])
-
-    def omega_dot(self, y: FullState) -> Vector:
-        """Ω̇ of a state, shape (3,) or (3, B)."""
-        body, omega, a = self.body, y[:3], y[3:]
-        inertia_d = matvec(body.inertia, body.dipole)  # d·(I a) = (I d)·a, since I is symmetric
-        along = dot(body.dipole, gyroscopic_torque(body, omega)) + dot(inertia_d, a)
-        return a - scale(along / dot(inertia_d, body.dipole), body.dipole)
+        load = gyroscopic_torque(body, omega)
+        rate = full_rate(body, y[3:], load)
+        return jnp.concatenate([rate, full_fast_rate(body, omega, rate, load)])
 
     def verdict(self, y: FullState) -> Verdict:
         """For a state on the physical branch, by the tests of the other levels; uncertified."""
@@ -165,8 +186,7 @@ class Full(eqx.Module):
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that belongs to the state and runs away: a = PΩ̇."""
-        d = self.body.dipole
-        return omega_dot - scale(dot(d, omega_dot) / dot(d, d), d)
+        return across_dipole(self.body, omega_dot)
 
     def reduced(self, order: int) -> Reduced:
         """The reduced level of that order."""

@@ -206,7 +206,7 @@ class TransverseFull(eqx.Module):
         """dy/dτ, shape (5,) or (5, B)."""
         w, p2, p3 = y[:3], y[3], y[4]
         zero = jnp.zeros_like(w)
-        rate = self.omega_dot(y)
+        rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
         balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
 
@@ -226,10 +226,6 @@ class TransverseFull(eqx.Module):
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
         """The part of ω′ that belongs to the state and runs away: (ω₂′, ω₃′)."""
         return omega_dot[1:]
-
-    def omega_dot(self, y: FullState) -> Vector:
-        """ω′ of a state."""
-        return jnp.stack([self.delta * y[1] * y[2], y[3], y[4]])
 
     def reduced(self, order: int) -> TransverseReduced:
         """The reduced level of that order."""

@@ -9,6 +9,7 @@ import numpy as np
 from .. import exact, radiation
 from .._base.linalg import cross, dot, inverse, matvec
 from ..bodies import Body, axisymmetric, from_charges
+from ..equations._common import rate_of_omega
 from ..equations.rigid import Full, Reduced, free_rotation
 from ..equations.rotator import RotatorFull, RotatorReduced
 from .ledger_entry import LANES, Entry, gap, states, unsolved
@@ -86,13 +87,13 @@ def balance() -> Iterator[Entry]:
     y = y.at[3:].set(y[3:] - dot(n, y[3:])[None] * n[:, None])
 
     def conserved(y: jnp.ndarray) -> tuple[jnp.ndarray, jnp.ndarray]:
-        omega, rate = equation.omega(y), equation.omega_dot(y)
+        omega, rate = equation.omega(y), rate_of_omega(equation, 0.0, y)
         energy = radiation.kinetic_energy(body, omega) - radiation.schott_energy(body, omega, rate)
         momentum = radiation.angular_momentum(body, omega)
         return energy, momentum - radiation.schott_angular_momentum(body, omega, rate)
 
     (_, momentum), (energy_rate, momentum_rate) = jax.jvp(conserved, (y,), (equation(0.0, y),))
-    omega, rate = equation.omega(y), equation.omega_dot(y)
+    omega, rate = equation.omega(y), rate_of_omega(equation, 0.0, y)
     first, second = radiation.dipole_derivatives(body, omega, rate)
     claim = "IΩ̇ + N = d×d⃛: d/dt(E − d₁·d₂) = −|d₂|²"
     yield Entry("(3.3)", claim, gap(energy_rate, -dot(second, second)), 1e-12)
