@@ -8,6 +8,7 @@ It needs Chromium and playwright (`pip install -e '.[test]'`).
 """
 
 import argparse
+import itertools
 import statistics
 from typing import Any
 
@@ -28,10 +29,10 @@ WATCH = """
     const models = [...Bokeh.documents[0]._all_models.values()]
     const moved = models.find((m) => m.type == "Slider" && m.css_classes.includes(slider))
     const source = Bokeh.documents[0].get_model_by_name(picture)
-    window.asked = new Map(); window.drawn = []
+    window.asked = []; window.drawn = []
     let last = 0  // when the mouse moved
     document.addEventListener("mousemove", (event) => { last = event.timeStamp }, true)
-    moved.properties.value.change.connect(() => { window.asked.set(moved.value, last) })
+    moved.properties.value.change.connect(() => { window.asked.push([moved.value, last]) })
     source.properties.data.change.connect(() => {
         const about = JSON.parse(source.data.about[0])
         // Bokeh draws at the next frame, and at the one after it the picture has been shown.
@@ -70,11 +71,10 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
     x, y = grasped(visit)
     times: dict[str, list[float]] = {"first": [], "full": [], "final": []}
     for k in range(1, steps + 4):
-        visit.page.evaluate("() => { asked.clear(); drawn.length = 0 }")
+        visit.page.evaluate("() => { asked.length = 0; drawn.length = 0 }")
         visit.page.mouse.move(x + 20 * (1 if k % 2 else -1) + k % 7, y)
         visit.until(lambda: visit.page.evaluate("() => drawn.some((p) => p.final)"), "a picture")
-        asked, drawn = visit.page.evaluate("() => [[...asked.entries()].pop(), drawn]")
-        value, began = asked
+        (value, began), drawn = visit.page.evaluate("() => [asked.at(-1), drawn]")
         mine = [shown for shown in drawn if shown["value"] == value]
         wanted = {
             "first": mine,
@@ -91,25 +91,28 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
 def moving(visit: browsing.Visit, seconds: float) -> Record:
     """The slider moves all the time: how old is what a picture shows when it is drawn?"""
     x, y = grasped(visit)
-    visit.page.evaluate("() => { asked.clear(); drawn.length = 0 }")
+    visit.page.evaluate("() => { asked.length = 0; drawn.length = 0 }")
     moves = int(seconds / 0.02)
     for k in range(moves):
         visit.page.mouse.move(x + 40 * abs((k / 100) % 2 - 1) - 20, y)
         visit.page.wait_for_timeout(16)
     visit.page.mouse.up()
     visit.page.wait_for_timeout(1000)
-    asked, drawn = visit.page.evaluate("() => [[...asked.entries()], drawn]")
-    began = dict(asked)
-    first: dict[float, Record] = {}
-    for shown in drawn:
-        first.setdefault(shown["value"], shown)
-    known = [shown for value, shown in first.items() if value in began]
-    lasted = (max(began.values()) - min(began.values())) / 1000
+    asked, drawn = visit.page.evaluate("() => [asked, drawn]")
+    # A value comes again, and its picture a second time when it is refined.
+    first = [b for a, b in itertools.pairwise(drawn) if b["value"] != a["value"]]
+    ages = [age for shown in first if (age := age_of(shown, asked)) is not None]
     return {
-        "age": shares([shown["at"] - began[shown["value"]] for shown in known]),
-        "pictures": len(known) / lasted,
-        "pixels": statistics.median(shown["size"] for shown in known),
+        "age": shares(ages),
+        "pictures": 1000 * len(ages) / (asked[-1][1] - asked[0][1]),
+        "pixels": statistics.median(shown["size"] for shown in first),
     }
+
+
+def age_of(shown: Record, asked: list[tuple[float, float]]) -> float | None:
+    """Since when the slider has stood at the value of a picture, within the last second."""
+    ages = [shown["at"] - began for value, began in asked if value == shown["value"]]
+    return max((age for age in ages if 0 <= age < 1000), default=None)
 
 
 def grasped(visit: browsing.Visit) -> tuple[float, float]:
