@@ -101,18 +101,18 @@ def moving(visit: browsing.Visit, seconds: float) -> Record:
     asked, drawn = visit.page.evaluate("() => [asked, drawn]")
     # A value comes again, and its picture a second time when it is refined.
     first = [b for a, b in itertools.pairwise(drawn) if b["value"] != a["value"]]
-    ages = [age for shown in first if (age := age_of(shown, asked)) is not None]
+    ages, matched = [], -1  # pictures come in the order in which they were asked for
+    for shown in first:
+        later = range(matched + 1, len(asked))
+        found = next((i for i in later if asked[i][0] == shown["value"]), None)
+        if found is not None:
+            matched = found
+            ages.append(shown["at"] - asked[found][1])
     return {
         "age": shares(ages),
         "pictures": 1000 * len(ages) / (asked[-1][1] - asked[0][1]),
         "pixels": statistics.median(shown["size"] for shown in first),
     }
-
-
-def age_of(shown: Record, asked: list[tuple[float, float]]) -> float | None:
-    """Since when the slider has stood at the value of a picture, within the last second."""
-    ages = [shown["at"] - began for value, began in asked if value == shown["value"]]
-    return max((age for age in ages if 0 <= age < 1000), default=None)
 
 
 def grasped(visit: browsing.Visit) -> tuple[float, float]:

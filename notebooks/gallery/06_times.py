@@ -2,7 +2,7 @@
 How long it takes
 =================
 
-The same plane, shaded by the time at which the outcome is certain. Near the boundary it takes
+The same plane, shaded by the time at which the outcome is decided. Near the boundary it takes
 longest, since the motion follows the boundary first.
 """
 

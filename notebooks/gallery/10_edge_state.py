@@ -2,8 +2,8 @@
 The motion on the boundary
 ==========================
 
-A start on the boundary neither stops nor keeps rotating. Its motion goes to a saddle, which for
-small amplitudes is known: the edge state (circle).
+A motion on the boundary comes to rest, too, but in a way of its own: φ and ω₃/ω⊥² tend to fixed
+values. This edge state (circle) is a saddle, which for small amplitudes is known.
 """
 
 import jax

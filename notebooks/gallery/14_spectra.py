@@ -3,7 +3,7 @@ Spectra of the residual rotation
 ================================
 
 Eigenvalues of perturbations of the rotation about the dipole, over w², against the shape. At the
-consistent levels the real parts are negative for every shape.
+semi-reduced level the real parts are negative for every shape, at order 1 only above δ = −1/2.
 """
 
 import jax

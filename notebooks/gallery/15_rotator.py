@@ -2,8 +2,8 @@
 The plane rotator
 =================
 
-The phase plane of the full equation ω″ = ω′ + ω³. Only the motions on the curve AOC are
-physical; all others run away, forwards in time.
+The phase plane of the full equation ω″ = ω′ + ω³. Only the motions on one curve are physical, AOC
+in figure 3 of the article; all others run away, forwards in time.
 """
 
 import jax

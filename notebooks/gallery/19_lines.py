@@ -2,8 +2,9 @@
 The light of a tumbling grain
 =============================
 
-The spectrum of the dipole radiation of free rotation has lines at the multiples of 2π/T, and
-beside the precession frequency.
+The dipole radiation of free rotation has lines at the frequencies j·2π/T, from the dipole along L,
+and |Φ̇ + j·2π/T|, from the dipole across L. T is the period of Ω in body axes, Φ̇ the mean
+precession about L.
 """
 
 import jax

@@ -123,7 +123,7 @@ def length_of(motion: Motion) -> str:
         return ""
     return (
         f'<p class="dt-caveat">The motion is shown until τ = {motion.ts[-1]:.4g}, before its '
-        "outcome is certain: it turns too often to show more.</p>"
+        "outcome is decided: it turns too often to show more.</p>"
     )
 
 

@@ -65,7 +65,7 @@ SYMBOLS = {
     "cos_theta": r"$\cos\vartheta = \omega_3/|\omega_0|$",
     "omega_inf": r"$\omega_\infty = \tau_0\Omega_\infty$ (dimensionless)",
     "omega_inf_error": r"estimated error of $\omega_\infty$",
-    "time": r"$\tau$ when the outcome is certain",
+    "time": r"$\tau$ when the outcome is decided",
 }
 """Labels of quantities and columns; one of another name is labelled by that name."""
 
