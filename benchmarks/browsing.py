@@ -24,7 +24,7 @@ OPTIONS = [
     "--disable-default-apps",
     "--disable-dev-shm-usage",
 ]
-MODEL = "const named = (name) => Bokeh.documents[0].get_model_by_name(name);"
+MODEL = "const named = (name) => Bokeh.documents.at(-1).get_model_by_name(name);"
 PATIENCE = 60.0  # seconds; the first picture of a process compiles
 
 
@@ -165,7 +165,7 @@ class Visit:
         """The value of a slider in the browser."""
         return self.page.evaluate(
             """(css) => {
-                const models = [...Bokeh.documents[0]._all_models.values()]
+                const models = [...Bokeh.documents.at(-1)._all_models.values()]
                 return models.find((m) => m.css_classes && m.css_classes.includes(css)
                     && m.type == "Slider").value
             }""",
