@@ -3,7 +3,7 @@ The light of a tumbling grain
 =============================
 
 The dipole radiation of free rotation has lines at the frequencies j·2π/T, from the dipole along L,
-and |Φ̇ + j·2π/T|, from the dipole across L. T is the period of Ω in body axes, Φ̇ the mean
+and at Φ̇ + j·2π/T, from the dipole across L. T is the period of Ω in body axes, Φ̇ the mean
 precession about L.
 """
 
