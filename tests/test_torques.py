@@ -316,6 +316,63 @@ def test_refusals(arguments, options, message):
         torques.with_torque(*arguments, **options)
 
 
+@pytest.mark.parametrize("engine", ["jax", "native"])
+def test_sweeps_know_the_time(engine):
+    """I₁ω₁′ = τ/100 along the dipole, from rest; the verdict gives ω₁ where the run ended."""
+
+    def verdict(y):
+        return jnp.where(y[0] > 0.5, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.5) & False
+
+    def push(slope, t, omega):
+        return jnp.stack([slope * t, 0 * t, 0 * t])
+
+    def problem(slope):
+        torque = Partial(push, slope)
+        equation = torques.with_torque(dt.TransverseSemi(0.3), torque, verdict=verdict)
+        return equation, jnp.array([0.1, 0.0, 0.0])
+
+    slopes = np.array([0.01, 0.02])
+    basin = dt.sweep(problem, dt.Grid(slope=slopes), engine=engine, value="unchecked")
+    ends = 0.1 + slopes * basin.time**2 / 2
+    np.testing.assert_allclose(basin.omega_inf, ends, rtol=1e-7)
+
+
+def test_stores_tell_torques_apart_that_agree_at_first(tmp_path):
+    """sin τ and tanh τ at τ = 0."""
+
+    def problem_of(function):
+        def push(t, omega):
+            return jnp.stack([0 * t, 0 * t, 1e-3 * function(t)])
+
+        def problem(w3):
+            equation = torques.with_torque(dt.TransverseSemi(-0.2), push, verdict=rests)
+            return equation, dt.cylindrical(0.005, w3, 0.1)
+
+        return problem
+
+    grid = dt.Grid(w3=[0.0, 0.001])
+    dt.sweep(problem_of(jnp.sin), grid, store=tmp_path / "a.zarr")
+    with pytest.raises(dt.StoreMismatch):
+        dt.sweep(problem_of(jnp.tanh), grid, store=tmp_path / "a.zarr")
+
+
+def test_half_of_the_energy_is_lost_when_a_growing_drag_has_taken_it():
+    """I₁ω₁′ = −(1 + τ)ω₁/10 along the dipole."""
+
+    def drag(t, omega):
+        return jnp.stack([-0.1 * (1 + t) * omega[0], 0 * t, 0 * t])
+
+    equation = torques.with_torque(dt.TransverseSemi(0.3), drag, verdict=rests)
+    found = dt.decay_time(equation, [0.2, 0.0, 0.0], 0.5)
+    np.testing.assert_allclose(found, np.sqrt(1 + 10 * np.log(2)) - 1, rtol=1e-6)
+
+
+def test_a_motion_with_a_torque_is_not_begun_again_from_a_late_state():
+    equation = torques.with_torque(dt.TransverseSemi(0.3), torques.drag(0.1), verdict=rests)
+    with pytest.raises(ValueError, match="`equation` must have no torque from outside"):
+        dt.boundary.edge_state(equation, [0.2, 0.0, 0.0], [-0.2, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("top", [dt.TransverseSemi(0.3), dt.TransverseFull(0.3)])
 def test_with_a_torque_rotation_along_the_dipole_is_no_equilibrium(top):
     with pytest.raises(ValueError, match="`equation` must keep rotation along the dipole"):

@@ -35,7 +35,9 @@ def with_torque(
 
     M counts at every level as the gyroscopic torque N does: the Ω̇ and Ω̈ that a reduced level
     inserts into the radiation torque T are those of the motion with M. A full equation is followed
-    along the physical branch that it has with M. Several torques are added one after the other.
+    along the physical branch that it has with M. A reduced level is an expansion: it holds while M
+    changes little within τ₀, that is for Γ ≪ I and E ≪ I, with the smallest moment. Several
+    torques are added one after the other.
 
     Args:
         equation: any level of a rigid body, or what this function gave.
@@ -58,10 +60,11 @@ def with_torque(
 
     Example:
         >>> import jax.numpy as jnp, dipoletop as dt
-        >>> gamma = 0.1  # ω′ = −γω − ω³
+        >>> gamma = 0.1  # ω′ = −(γ − γ²)ω − ω³, since ω″ = γ²ω without radiation
         >>> braked = dt.torques.with_torque(dt.TransverseReduced(0.0), dt.torques.drag(gamma))
         >>> run = dt.simulate(braked, [0.0, 1.0, 0.0], jnp.array([0.0, 4.0]))
-        >>> expected = (jnp.exp(8 * gamma) * (1 + 1 / gamma) - 1 / gamma) ** -0.5
+        >>> rate = gamma - gamma**2
+        >>> expected = (jnp.exp(8 * rate) * (1 + 1 / rate) - 1 / rate) ** -0.5
         >>> bool(abs(run.omega[-1, 1] - expected) < 1e-9)
         True
     """

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import dipoletop as dt
 from dipoletop._runs.sensitivity import decay_time
@@ -156,6 +157,18 @@ def test_a_single_start_is_followed_until_it_is_decided():
     fast, too_fast = (dt.classify(Isotropic(), jnp.array([0.0, w, 0.0])) for w in (1e3, 1e6))
     assert fast.outcome == dt.Outcome.STOP
     assert too_fast.outcome == dt.Outcome.FAILED
+
+
+@pytest.mark.parametrize("off", [1e-15, 1e-9, 1e-6])
+def test_a_start_beside_the_residual_rotation_is_followed(off):
+    """It hardly moves, so that its first window would be as long as 1/off."""
+    top = dt.TransverseFull(-0.5)
+    run = dt.simulate(top, [0.3, off, off], [0.0, 50.0])
+    in_axes = np.array([[0.0, 1.0], [-1.0, 0.0]])  # the axes a and b of the spectrum are 3 and −2
+    linear = in_axes.T @ np.asarray(dt.spectrum(top, [0.3, 0.0, 0.0]).across) @ in_axes
+    rounding = 4e-18 / off
+    expected = expm(50.0 * linear) @ [1.0, 1.0]
+    np.testing.assert_allclose(run.omega[-1, 1:] / off, expected, atol=rounding + 1e-7)
 
 
 def slowed(equation, y):

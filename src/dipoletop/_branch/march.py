@@ -25,6 +25,7 @@ LONGER = 1.6  # factor of the length if only the error at the far end is too lar
 FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # of the length otherwise, if 0, 1/4, … 1 of it is accepted
 PREVIOUS_ELEMENT = 30.0  # by what factor an element's truncation is less in the one before it
 MOST_REJECTED = 14  # consecutive windows
+PATIENT = 3  # of them, after which windows are cut down ever faster
 
 
 class MarchState(NamedTuple):
@@ -78,6 +79,9 @@ def advance_window(
     too_short = window.converged & resolved[0] & ~decayed[0]
     share, shares = count / ends.shape[0], jnp.linspace(0, 1, len(FACTORS))
     factor = jnp.where(too_short, LONGER, jnp.interp(share, shares, jnp.asarray(FACTORS)))
+    # A first window may be too long by many orders of magnitude, as at a start that hardly moves.
+    halvings = jnp.maximum(state.rejected - PATIENT, 1).astype(ends.dtype)
+    factor = jnp.where(window.converged, factor, 0.5**halvings)
     return (
         MarchState(
             jnp.where(moved, state.time + ends[last], state.time),

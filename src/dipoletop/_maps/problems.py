@@ -129,7 +129,7 @@ class BlockBuilder:
             state = jax.eval_shape(equation.lift, omegas)
             digests = {
                 "problem": program_digest(self._vectorised, points),
-                "field": _digest_of(lambda equation, y: equation(0.0, y, None), equation, state),
+                "field": _digest_of(_rates, equation, (jnp.zeros(()), state)),
                 "lift": _digest_of(lambda equation, omega: equation.lift(omega), equation, omegas),
                 "verdict": _digest_of(_verdict, equation, state),
                 "sizes": _digest_of(
@@ -149,6 +149,11 @@ def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: 
         return jax.tree.leaves(method(eqx.combine(arrays, rest), argument))
 
     return program_digest(leaves, arrays, argument)
+
+
+def _rates(equation: Equation, at: tuple[Array, State]) -> State:
+    """dy/dτ at (τ, y)."""
+    return equation(*at, None)
 
 
 def _verdict(equation: DecidingEquation, y: State) -> Verdict:

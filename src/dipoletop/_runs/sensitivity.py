@@ -295,7 +295,7 @@ def _time_of_energy(
     # s from 0 to 1 is the part of the way, and the last component is the time over `late`, whose
     # error is then relative.
     def by_energy(s: Any, y: Array, args: Any) -> Array:
-        rate = equation(0.0, y[:-1], None)
+        rate = equation(late * y[-1], y[:-1], None)
         power = jax.jvp(energy, (y[:-1],), (rate,))[1]
         return jnp.append(rate, 1 / late) * (level - energy(end)) / power
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import check_single, check_verdict, finite
+from .._base.checks import check_single, check_verdict, finite, refuse
 from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
@@ -26,6 +26,7 @@ from .._engines.interface import Limits, lifted
 from .._engines.select import select_engine
 from .._maps.problems import Problem
 from ..equations._common import physical
+from ..equations.driven import Driven, DrivenFull
 from .crossings import Coordinates, Crossings, bisect, fates_at, narrow, unsearched, unsearched_rows
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
@@ -131,6 +132,9 @@ def edge_state(
         >>> edge.settled, edge.shape[-1].round(3).tolist()
         (True, [0.615, 2.357])
     """
+    if isinstance(equation, Driven | DrivenFull):  # its time and attitude do not begin again
+        must = "have no torque from outside, since motions are begun again from late states"
+        refuse("equation", must, f"is {type(equation).__name__}")
     problem, tol = problem_of_starts(equation), float(tolerance("shape_tol", shape_tol))
     start_a = to_coordinates(np.asarray(finite("a", a, (3,), batch=False))[None])
     start_b = to_coordinates(np.asarray(finite("b", b, (3,), batch=False))[None])
