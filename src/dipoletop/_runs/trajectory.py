@@ -120,7 +120,7 @@ class Trajectory(eqx.Module):
         """Change of E − d₁·d₂ + ∫|d₂|²dτ since the first time, over the initial energy.
 
         Zero for the full equation, whatever the motion. At a reduced level the defect measures
-        the distance from the full equation.
+        the distance from the full equation. The work of a torque from outside is part of it.
 
         Raises:
             ValueError: the trajectory was computed without `balance=True`.
