@@ -209,7 +209,7 @@ class DrivenFull(eqx.Module):
 
     @property
     def runaway_rate(self) -> Real:
-        """That of the equation: near the branch a torque by τ, ω and q changes no runaway."""
+        """That of the equation. A field against the dipole makes it smaller, by a third at most."""
         return self.equation.runaway_rate
 
 
