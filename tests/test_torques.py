@@ -161,6 +161,21 @@ def test_several_torques_add_up():
     np.testing.assert_allclose(run.omega[-1, 1], braked(GAMMA, 1.0, 8.0), rtol=1e-9)
 
 
+def test_a_field_is_added_to_a_field():
+    top = dt.TransverseSemi(-0.2)
+    fields = [torques.field_on_dipole(top, field) for field in ([0.0, 0.01, 0.0], [0.0, 0.0, 0.02])]
+    first = torques.with_torque(top, fields[0], attitude=LEVEL)
+    both = torques.field_on_dipole(top, [0.0, 0.01, 0.02])
+    runs = [
+        dt.simulate(equation, [0.0, 0.0, 0.0], [0.0, 5.0])
+        for equation in (
+            torques.with_torque(first, fields[1]),
+            torques.with_torque(top, both, attitude=LEVEL),
+        )
+    ]
+    np.testing.assert_allclose(runs[0].omega[-1], runs[1].omega[-1], rtol=1e-9)
+
+
 def test_semi_reduced_with_drag_against_another_integrator():
     """Ω̈ in the torque is that of I Ω̇ = −N − γΩ, by finite differences of the free motion."""
     gamma, top = 0.1, dt.TransverseSemi(-0.2)
@@ -178,10 +193,7 @@ def test_semi_reduced_with_drag_against_another_integrator():
         known = np.cross(d, np.cross(d, w @ w * w - second))
         return np.linalg.solve(matrix, moments * free(w) + known)
 
-    def cross_matrix(t, w):  # {I − [d]×(Ω dᵀ + 2(d·Ω))} with [d]× applied to each column
-        return field(t, w)
-
-    exact = solve_ivp(cross_matrix, (0, 10), start, rtol=1e-10, atol=1e-13, method="DOP853")
+    exact = solve_ivp(field, (0, 10), start, rtol=1e-10, atol=1e-13, method="DOP853")
     run = dt.simulate(equation, start, [0.0, 10.0], rtol=1e-11)
     np.testing.assert_allclose(run.omega[-1], exact.y[:, -1], rtol=1e-7)
 

@@ -35,9 +35,10 @@ def with_torque(
 
     M counts at every level as the gyroscopic torque N does: the Ω̇ and Ω̈ that a reduced level
     inserts into the radiation torque T are those of the motion with M. A full equation is followed
-    along the physical branch that it has with M. A reduced level is an expansion: it holds while M
-    changes little within τ₀, that is for Γ ≪ I and E ≪ I, with the smallest moment. Several
-    torques are added one after the other.
+    along the physical branch that it has with M. M needs finite derivatives by τ, ω and q. A
+    reduced level is an expansion: it holds for Γ ≪ I² and E ≪ I³, with the moment I about the
+    axis of the motion; where Γ > I² a drag would spin the body up. Several torques are added one
+    after the other.
 
     Args:
         equation: any level of a rigid body, or what this function gave.

@@ -225,7 +225,8 @@ def driven(
     if inspect.isroutine(torque):
         _check_constants(torque)
         torque = OfFunction(torque)
-    parts, follow = (torque,), (start is not None,)
+    follows = start is not None or getattr(equation, "start", None) is not None
+    parts, follow = (torque,), (follows,)
     if isinstance(equation, Driven | DrivenFull):  # these torques are added to those
         if start is not None and equation.start is not None:
             refuse("attitude", "be None, as `equation` has one", "is another one")
@@ -233,7 +234,7 @@ def driven(
         parts, follow = (*before.parts, *parts), (*before.follow, *follow)
         start = equation.start if start is None else start
         equation = equation.equation
-    if not isinstance(equation, RIGID + TRANSVERSE + LONGITUDINAL):
+    if type(equation) not in RIGID + TRANSVERSE + LONGITUDINAL:  # a subclass may have other rates
         must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
         refuse("equation", must, f"is {type(equation).__name__}")
     kind = DrivenFull if is_full(equation) else Driven
