@@ -209,7 +209,7 @@ class DrivenFull(eqx.Module):
 
     @property
     def runaway_rate(self) -> Real:
-        """That of the equation. A field against the dipole makes it smaller, by a third at most."""
+        """That of the equation. A torque that drives ω away from rest makes it smaller."""
         return self.equation.runaway_rate
 
 
