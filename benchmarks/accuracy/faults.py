@@ -166,6 +166,19 @@ def soak(tiles: int) -> Row:
     return {"tiles": tiles, "seen": seen, "seconds": time.perf_counter() - begun}
 
 
+def _faults(results: Row) -> list[str]:
+    """Everything that differs from what an undisturbed sweep leaves and says."""
+    faults, disk = [], results["full_disk"]
+    for part, name in (("killed", "signal"), ("damaged", "harm"), ("cluster", "killed")):
+        for row in results[part]:
+            for key in ("other_bytes", "left_behind", "wrong", "other_errors"):
+                if found := row.get(key):
+                    faults.append(f"{part}, {row[name]}: {key} = {found}")
+    if not disk.get("same_bytes", True):
+        faults.append(f"full disk: {disk}")
+    return faults
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
@@ -198,12 +211,8 @@ def main() -> None:
             results["cluster"].append(found)
     results |= measure.machine()
     pages.show("faults", results, keep=args.write)
-    disk = results["full_disk"]
-    wrong = sum(row["other_bytes"] + row["left_behind"] for row in results["killed"])
-    wrong += sum(row["other_bytes"] + row["wrong"] for row in results["damaged"])
-    wrong += sum(row["other_bytes"] + len(row["other_errors"]) for row in results["cluster"])
-    if wrong or not disk.get("same_bytes", True):
-        raise SystemExit("Stores were not as an undisturbed sweep leaves them.")
+    if faults := _faults(results):
+        raise SystemExit("Stores or errors were not as they must be: " + "; ".join(faults))
 
 
 if __name__ == "__main__":

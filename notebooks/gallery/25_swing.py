@@ -19,7 +19,7 @@ _, ax = plt.subplots(figsize=(7, 3.6), layout="constrained")
 for start in (0.1, 1.5):  # from the field to the dipole
     pull = dt.torques.field_on_dipole(top, [0.03 * jnp.cos(start), -0.03 * jnp.sin(start), 0.0])
     swinging = dt.torques.with_torque(top, pull, attitude=attitude)
-    run = dt.simulate(swinging, [0.0, 0.0, 0.0], ts, attitude=attitude)
+    run = dt.simulate(swinging, [0.0, 0.0, 0.0], ts)
     ax.plot(ts, 1 + jnp.arctan2(*run.dipole.T[1::-1]) / start, label=f"released at {start} rad")
 ax.plot(ts, jnp.exp(-0.03 * ts / 2), "k--", linewidth=0.8)
 ax.set(xlabel=r"$\tau$", ylabel="angle / first angle")

@@ -26,7 +26,7 @@ from ._base.types import Equation
 from .bodies import Body
 from .equations._common import is_full
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
-from .equations.driven import Driven, DrivenFull
+from .equations.driven import DrivenEquation
 from .equations.transverse import TransverseAveraged
 
 ITERATIONS = 128  # of S ← −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
@@ -216,7 +216,7 @@ def _body_on_line(equation: Any) -> Body:
     """The body of an equation that can stay on the line along its dipole."""
     check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
-    if isinstance(equation, TransverseAveraged | Driven | DrivenFull) or not spatial:
+    if isinstance(equation, TransverseAveraged | DrivenEquation) or not spatial:
         kind = type(equation).__name__
         refuse("equation", "keep rotation along the dipole among its motions", f"is {kind}")
     return equation.body

@@ -40,10 +40,8 @@ def with_torque(
     axis of the motion; where Γ > I² a drag would spin the body up. Several torques are added one
     after the other.
 
-    At the full level the error may exceed the tolerance by far where a torque drives ω at a rate
-    near I²/4, or a field E against the dipole is near 4I³/27; and derivatives by the first time of
-    `simulate` are wrong if M depends on τ. `plots.basin` unfolds maps by symmetries that M may
-    lack: pass `unfold=False`.
+    At the full level the physical branch ends where a torque drives ω at a rate of I²/4, or a field
+    E against the dipole reaches 4I³/27; runs near there fail at tight tolerances.
 
     Args:
         equation: any level of a rigid body, or what this function gave.

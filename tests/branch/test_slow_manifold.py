@@ -124,6 +124,18 @@ def test_derivatives_of_the_branch():
     assert float(slopes[0] + slopes[1] @ way) == pytest.approx(float(found), rel=1e-10)
 
 
+def test_derivatives_by_the_body_of_a_sphere():
+    """Where both runaways have the same rate, they are those by the shape, I₃ = 1 − δ."""
+    start = jnp.array([0.1, 0.2, 0.1])
+
+    def general(delta):
+        inertia = jnp.diag(jnp.stack([1.0 + 0 * delta, 1.0 + 0 * delta, 1 - delta]))
+        return dt.slow_manifold(dt.Full(dt.Body(inertia, [1.0, 0.0, 0.0])), start)
+
+    special = jax.jacfwd(lambda delta: dt.slow_manifold(dt.TransverseFull(delta), start))(0.0)
+    np.testing.assert_allclose(jax.jacfwd(general)(0.0), special, rtol=1e-9)
+
+
 def test_small_amplitudes_have_the_series():
     """The orders approach the branch, each by a power of ω more."""
     start = jnp.array([0.3, 0.5, -0.4])

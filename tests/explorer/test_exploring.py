@@ -4,12 +4,18 @@ import asyncio
 import sys
 
 import jax
+import panel
 import pytest
 from click.testing import CliRunner
 
 import dipoletop as dt
 from dipoletop.cli import main
 from dipoletop.explorer import server
+
+
+def test_panel_has_the_delay_that_sliders_switch_off():
+    """It is private; without it, each move of a slider would wait for 50 ms again."""
+    assert isinstance(panel.widgets.FloatSlider._debounce, int)
 
 
 def test_it_has_a_view_and_code_without_any_page():

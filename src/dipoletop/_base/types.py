@@ -202,6 +202,13 @@ class OptionalMembers(Protocol):
     branch: DecidingEquation
     """The equation of the physical branch of a full equation, if known in closed form
     (`_common.physical`)."""
+    torque: Callable[..., Vector]
+    """A torque M from outside by (τ, y), in body axes, whose work the balance of energy contains
+    (`_common.energy_flows`)."""
+    start: Any
+    """The attitude at the start, if states hold one (`_common.follows_attitude`)."""
+    attitude: Callable[[State], Any]
+    """The attitude of a state then, a unit quaternion."""
     elements: int
     """Into how many elements `_branch` cuts a window of a full equation; if missing, 4
     (`_common.elements_of`)."""

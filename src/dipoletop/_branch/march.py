@@ -6,6 +6,7 @@ length follows the number of these elements. Fast components are never handed on
 solves for them anew.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,9 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .. import radiation
 from .._base.bisection import bisect
-from ..equations._common import rate_of_omega
+from ..equations._common import energy_flows
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
@@ -24,6 +24,7 @@ EFOLDS = 36.0  # of a runaway, in a first window: −ln of the rounding error of
 LONGER = 1.6  # factor of the length if only the error at the far end is too large
 FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # of the length otherwise, if 0, 1/4, … 1 of it is accepted
 PREVIOUS_ELEMENT = 30.0  # by what factor an element's truncation is less in the one before it
+UNRESOLVED = 1e3  # changes at the far end of a long window are kept at most so many times larger
 MOST_REJECTED = 14  # consecutive windows
 PATIENT = 3  # of them, after which windows are cut down ever faster
 
@@ -52,6 +53,7 @@ def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchSta
     slow, time = equation.lift(omega0)[:-fast], jnp.asarray(time, omega0.dtype)
     size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(time, slow)[:3]))
     span = EFOLDS / equation.runaway_rate + 4 * size / jnp.where(rate > 0, rate, 1.0)
+    span = jax.lax.stop_gradient(span)  # no motion depends on it
     none = jnp.zeros((), "int32")
     rejected = jnp.where(jnp.isfinite(size + rate), 0, MOST_REJECTED).astype("int32")
     return MarchState(time, slow, span, none, rejected)
@@ -66,13 +68,11 @@ def advance_window(
         The next state, the window, and how many of its elements, from the first on, are accepted.
     """
     window = solve_window(equation, state.time, state.slow, state.span, rtol)
-    ends, runaway = window.times[:, -1], equation.runaway_rate
-    # The error at the far end as it has decayed where an element ends, as an error of ω.
-    end_error = window.end_error / runaway / window.size * jnp.exp(-runaway * (state.span - ends))
+    ends, sizes = window.times[:, -1], window.sizes
     # The truncation of an element also reaches the one before, though much less of it.
-    following = jnp.append(window.truncation[1:], 0.0)
+    following = jnp.append(window.truncation[1:] * sizes[1:] / sizes[:-1], 0.0)
     resolved = (window.truncation <= rtol) & (following <= PREVIOUS_ELEMENT * rtol)
-    decayed = end_error <= rtol
+    decayed = (window.end_error <= rtol) & _is_physical(equation, window)
     accepted = window.converged & resolved & decayed
     count = jnp.sum(jnp.cumprod(accepted.astype("int32")))
     moved, last = count > 0, jnp.maximum(count - 1, 0)
@@ -95,12 +95,23 @@ def advance_window(
     )
 
 
+def _is_physical(equation: Any, window: Window) -> Bool[Array, ""]:
+    """Whether changes at the far end of a window decay towards its left end.
+
+    They grow if the levels that give the end value agree on a runaway. In windows that are much
+    longer than a runaway takes, they grow by many orders of magnitude, and may be as large at the
+    left end otherwise: elements that are too long for collocation to resolve a decay keep them.
+    """
+    long = equation.runaway_rate * window.span > EFOLDS
+    return window.retained < jnp.where(long, UNRESOLVED, 1.0)
+
+
 class Motion(NamedTuple):
     """The physical motion at given times; NaN where it was not found."""
 
     states: Float[Array, "T n"]
-    emitted: Float[Array, "T"]
-    """∫|d₂|²dτ from the first time on."""
+    energies: Float[Array, "T k"]
+    """∫`energy_flows` dτ from the first time on."""
     windows: Int[Array, ""]
     reached: Float[Array, ""]
     """The time up to which the motion was found."""
@@ -127,10 +138,7 @@ def follow(
         max_windows: budget, of the pieces of `turning`, too.
         attitude: whether the attitude is wanted.
     """
-    body = equation.body
-
-    def power(time: Array, y: Array) -> Array:
-        return radiation.radiated_power(body, equation.omega(y), rate_of_omega(equation, time, y))
+    flows = functools.partial(energy_flows, equation)
 
     def unfinished(carry: Any) -> Bool[Array, ""]:
         state, _, _, turning = carry
@@ -140,14 +148,14 @@ def follow(
     def advance(carry: Any) -> Any:
         state, output, total, turning = carry
         new, window, accepted = advance_window(equation, state, rtol)
-        powers = jax.vmap(jax.vmap(power))(state.time + window.times, window.states)
-        inside = jnp.einsum("ejk,ek->ej", window.weights, powers, precision="highest")
-        before = jnp.cumsum(inside[:, -1]) - inside[:, -1]
-        emitted = total + before[:, None] + inside
-        values = jnp.concatenate([window.states, emitted[..., None]], axis=-1)
+        rates = jax.vmap(jax.vmap(flows))(state.time + window.times, window.states)
+        inside = jnp.einsum("ejk,eki->eji", window.weights, rates, precision="highest")
+        before = jnp.cumsum(inside[:, -1], axis=0) - inside[:, -1]
+        energies = total[None, None] + before[:, None] + inside
+        values = jnp.concatenate([window.states, energies], axis=-1)
         wanted = (times >= state.time) & (times <= new.time) & (accepted > 0)
         here = evaluate(window, values, jnp.where(wanted, times - state.time, 0.0))
-        total = jnp.where(accepted > 0, emitted[jnp.maximum(accepted - 1, 0), -1], total)
+        total = jnp.where(accepted > 0, energies[jnp.maximum(accepted - 1, 0), -1], total)
         if turning is not None:
             since = jnp.where(wanted, times - state.time, -1.0)
             asked = {"accepted": accepted, "since": since, "rtol": rtol, "most": max_windows}
@@ -157,14 +165,15 @@ def follow(
             new = new._replace(time=time)
         return new, jnp.where(wanted[:, None], here, output), total, turning
 
-    n = jax.eval_shape(equation.lift, omega0).shape[0]
+    state = jax.eval_shape(equation.lift, omega0)
+    n, k = state.shape[0], jax.eval_shape(flows, times[0], state).shape[0]
     # NaN that depends on ω₀, so that its derivatives are NaN, too: those of a constant are 0.
-    output = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + 1))
+    output = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + k))
     turning = start_turning(omega0, times.shape[0]) if attitude else None
-    begun = start_march(equation, omega0, times[0]), output, jnp.zeros((), omega0.dtype), turning
+    begun = start_march(equation, omega0, times[0]), output, jnp.zeros(k, omega0.dtype), turning
     state, output, _, turning = jax.lax.while_loop(unfinished, advance, begun)
     turned = None if turning is None else attitudes(equation, turning)
-    return Motion(output[:, :n], output[:, n], state.windows, state.time, turned)
+    return Motion(output[:, :n], output[:, n:], state.windows, state.time, turned)
 
 
 def crossing(

@@ -16,7 +16,9 @@ from .march import EFOLDS, PREVIOUS_ELEMENT, start_march
 from .window import solve_window
 
 
-def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bool = False) -> Any:
+def slow_manifold(
+    equation: Any, omega: Any, *, time: Any = 0.0, rtol: Any = None, with_error: bool = False
+) -> Any:
     """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
 
     The motion from Ω on is solved for as a boundary-value problem over several e-foldings of a
@@ -25,7 +27,9 @@ def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bo
 
     Args:
         equation: a full equation, such as `TransverseFull` or `Full`.
-        omega: Ω, shape (3,), dimensionless, body axes.
+        omega: Ω, shape (3,), dimensionless, body axes. Where a torque depends on the attitude, that
+            is the attitude at the start of the equation.
+        time: τ, for a torque that depends on it.
         rtol: the accuracy wanted, relative to the largest component of Ω̇; None means the best
             there is. A looser tolerance needs a shorter window and converges up to larger |Ω|.
         with_error: also return an estimate of the error.
@@ -47,52 +51,53 @@ def slow_manifold(equation: Any, omega: Any, *, rtol: Any = None, with_error: bo
     if not is_full(equation):
         refuse("equation", "be a full equation", f"is {type(equation).__name__}")
     check_single(equation)
-    start = finite("omega", omega, (3,), batch=False)
+    start, now = finite("omega", omega, (3,), batch=False), finite("time", time, batch=False)
     wanted = jnp.asarray(jnp.inf) if rtol is None else tolerance("rtol", rtol)
     if physical(equation) is not equation:
-        rate, error = _known_branch(equation, start, wanted)
+        rate, error = _known_branch(equation, start, now, wanted)
         return (rate, error) if with_error else rate
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    x, unravel = ravel_pytree((arrays, start))
+    x, unravel = ravel_pytree((arrays, start, now))
 
     def rate_and_error(x: Array, wanted: Array) -> Array:
-        arrays, omega = unravel(x)
-        return jnp.append(*_by_window(eqx.combine(arrays, rest), omega, wanted))
+        arrays, omega, now = unravel(x)
+        return jnp.append(*_by_window(eqx.combine(arrays, rest), omega, now, wanted))
 
     result = forward_differentiable(rate_and_error)(x, wanted)
     return (result[:3], result[3]) if with_error else result[:3]
 
 
 def _known_branch(
-    equation: Any, omega: Float[Array, "3"], wanted: Float[Array, ""]
+    equation: Any, omega: Float[Array, "3"], time: Float[Array, ""], wanted: Float[Array, ""]
 ) -> tuple[Array, Array]:
     """Ω̇ and its error where the branch is known in closed form."""
     branch = physical(equation)
     y = branch.lift(omega)
-    rate = jax.jvp(branch.omega, (y,), (branch(0.0, y),))[1]
+    rate = jax.jvp(branch.omega, (y,), (branch(time, y),))[1]
     error = 10 * jnp.finfo(omega.dtype).eps * jnp.max(jnp.abs(rate))
     return or_nan(rate, error <= wanted * jnp.max(jnp.abs(rate))), error
 
 
 @eqx.filter_jit
 def _by_window(
-    equation: Any, omega: Float[Array, "3"], wanted: Float[Array, ""]
+    equation: Any, omega: Float[Array, "3"], time: Float[Array, ""], wanted: Float[Array, ""]
 ) -> tuple[Array, Array]:
     """Ω̇ and its error at the left end of a window."""
     # The error at the far end may be as large as Ω̇ itself; it has to decay below what is wanted.
     efolds = jnp.where(wanted < 1, jnp.clip(4 - jnp.log(wanted), 8.0, EFOLDS), EFOLDS)
-    begun = start_march(equation, omega, 0.0)
-    window = solve_window(equation, begun.time, begun.slow, efolds / equation.runaway_rate)
+    begun, runaway = start_march(equation, omega, time), equation.runaway_rate
+    runaway = jax.lax.stop_gradient(runaway)  # only the length of the window depends on it
+    window = solve_window(equation, begun.time, begun.slow, efolds / runaway)
     rate = rate_of_omega(equation, begun.time, window.states[0, 0])
     size = jnp.max(jnp.abs(rate))
     # Three errors: what is left of that at the far end; the truncation of every element, as a
     # rate, which the elements before it feel little of; and rounding.
-    far = window.end_error * jnp.exp(-efolds)
+    far = window.first_error
     lengths = window.times[:, -1] - window.times[:, 0]
     passed_on = PREVIOUS_ELEMENT ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype)
-    decayed = jnp.exp(-equation.runaway_rate * window.times[:, 0])
-    truncations = window.truncation * jnp.minimum(passed_on, decayed) / lengths
-    truncation = jnp.max(truncations) * window.size
+    decayed = jnp.exp(-runaway * window.times[:, 0])
+    truncations = window.truncation * window.sizes * jnp.minimum(passed_on, decayed) / lengths
+    truncation = jnp.max(truncations)
     error = 3 * far + 10 * (truncation + jnp.finfo(omega.dtype).eps * size)
     good = window.converged & ((error <= wanted * size) | (wanted >= 1))
     return or_nan(rate, good), or_nan(error, window.converged)

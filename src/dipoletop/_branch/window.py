@@ -8,9 +8,10 @@ posed: it is dichotomic, as the theory of boundary-value problems says (Ascher, 
 *Numerical Solution of Boundary Value Problems for Ordinary Differential Equations*, SIAM 1995).
 
 At T the value of a comes from the asymptotic series of A(ω), with an error ε that is not small. At
-an earlier τ only ε e^{−λ(T − τ)} of it is left. To bring it below a tolerance, T must lie
+an earlier τ about ε e^{−λ(T − τ)} of it is left. To bring it below a tolerance, T must lie
 ln(ε/tolerance) runaway e-foldings past the part of the window that is kept: 36 of them for the
-rounding error of float64.
+rounding error of float64. What is left of it is not taken from λ, which torques change: it is the
+linear response of the window to a change of its end value.
 
 The window is cut into elements, on each of which the state is a polynomial (Chebyshev collocation
 in integral form):
@@ -45,6 +46,7 @@ LEAST_DAMPING = 0.02  # below, a step is accepted even if the residual does not 
 CONVERGED = 1e-10  # relative size of the last step, after which the error is far smaller
 NEGLIGIBLE = 1e-15  # relative size of the step after it that also tells so, at least
 REMAINDER = 1e-3  # of the tolerance: what that step may be
+REVISED = 4  # iterations in which the correction of the end value follows the states
 FALLING = 0.03  # of one step over that before it, at most, where convergence is quadratic
 SUBSTEPS = 2  # of the initial guess, between two nodes
 
@@ -54,8 +56,10 @@ class Window(NamedTuple):
 
     span: Float[Array, ""]
     """Length."""
-    size: Float[Array, ""]
-    """The largest component of ω, to which errors are compared."""
+    sizes: Float[Array, "E"]
+    """The largest component of ω in each element, to which its errors are compared.
+
+    A torque may change ω by orders of magnitude within a window."""
     bend: Float[Array, ""]
     """κ of the map τ = span·(e^{κσ} − 1)/(e^κ − 1): a motion slows down as it is braked."""
     times: Float[Array, "E K"]
@@ -66,9 +70,13 @@ class Window(NamedTuple):
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
     truncation: Float[Array, "E"]
-    """Truncation error of each element over `size`: the last coefficients of ω, and of ∫a dτ."""
-    end_error: Float[Array, ""]
-    """Estimated error of the fast part at the far end."""
+    """Truncation error of each element over its size: the last coefficients of ω, and of ∫a dτ."""
+    end_error: Float[Array, "E"]
+    """Estimated error of the slow part of each element, by that at the far end; over its size."""
+    first_error: Float[Array, ""]
+    """Estimated error of the fast part at the left end, for the same reason."""
+    retained: Float[Array, ""]
+    """That part of a change of the fast part at the far end which is left at the left end."""
 
 
 def solve_window(
@@ -103,20 +111,43 @@ def solve_window(
     slow = _guess(field, time, slow0, times)
     fast = jax.vmap(jax.vmap(lambda t, s: equation.fast(field(t, s)[:3])))(time + times, slow)
     guess = jnp.concatenate([slow, fast], axis=-1)
-    # A torque may set a body in motion that rests at the left end.
-    size = jnp.maximum(jnp.max(jnp.abs(omega0)), jnp.max(jnp.abs(slow[..., :3])))
-    size = jax.lax.stop_gradient(jnp.where(size > 0, size, 1.0))
     negligible = jnp.maximum(jnp.asarray(REMAINDER * rtol, dtype), NEGLIGIBLE)
-    problem = _Problem(equation, time + times, slow0, forward, backward, size, negligible)
-    states, converged, iterations, end_error = _solution(problem, guess)
+    parts = equation, time + times, slow0, forward, backward, _sizes(slow), negligible
+    states, converged, iterations, end = _solution(_Problem(*parts), guess)
     coefficients = jnp.einsum("kj,ejn->ekn", transform, states, precision="highest")
     last = jnp.max(jnp.abs(coefficients[:, -2:]), axis=1)
     lengths, m = jnp.diff(times[:, -1], prepend=0.0), slow0.shape[0]
     last = jnp.concatenate([last[:, :m], lengths[:, None] * last[:, m:]], axis=-1)
-    truncation = jnp.max(last / problem.scale(last.shape[-1])[None], axis=1)
-    return Window(
-        span, size, bend, times, forward, states, converged, iterations, truncation, end_error
-    )
+    sizes = _sizes(states)
+    scale = _scale(sizes, m, last.shape[-1])
+    truncation = jnp.max(last / scale, axis=1)
+    end_error = end.error * jnp.max(end.response[..., :m] / scale[:, None, :m], axis=(1, 2))
+    first = jnp.max(end.response[0, 0, m:])
+    outcome = converged, iterations, truncation, end_error, end.error * first, first
+    return Window(span, sizes, bend, times, forward, states, *outcome)
+
+
+def _sizes(states: Float[Array, "E K n"]) -> Float[Array, "E"]:
+    """The largest component of ω in each element; 1 where it is 0."""
+    sizes = jnp.max(jnp.abs(states[..., :3]), axis=(1, 2))
+    return jax.lax.stop_gradient(jnp.where(sizes > 0, sizes, 1.0))
+
+
+def _scale(sizes: Float[Array, "E"], m: int, n: int) -> Float[Array, "E n"]:
+    """What errors of n components, m of them slow, are compared to; 1 for an attitude."""
+    sizes = jnp.broadcast_to(sizes[:, None], (sizes.shape[0], n))
+    return sizes.at[:, 3:m].set(1.0)
+
+
+class _End(NamedTuple):
+    """What is known of the value at the far end."""
+
+    correction: Float[Array, "f"]
+    """By what it differs from that of the semi-reduced level."""
+    error: Float[Array, ""]
+    """Its estimated error."""
+    response: Float[Array, "E K n"]
+    """The response of the states to a change of it by 1 in any direction."""
 
 
 class _NewtonState(NamedTuple):
@@ -131,7 +162,7 @@ class _NewtonState(NamedTuple):
     """The relative size of the step before it, if that was a full one; else 0."""
     damping: Float[Array, ""]
     """The factor of the step."""
-    end_error: Float[Array, ""]
+    end: _End
     count: Int[Array, ""]
 
     def converged(self, problem: "_Problem") -> Bool[Array, ""]:
@@ -155,42 +186,49 @@ class _Problem(NamedTuple):
     slow0: Float[Array, "m"]
     forward: Float[Array, "E K K"]
     backward: Float[Array, "E K K"]
-    size: Float[Array, ""]
-    """The largest component of ω."""
+    sizes: Float[Array, "E"]
+    """The largest component of ω in each element, as it is guessed."""
     negligible: Float[Array, ""]
     """The relative size of errors that Newton's method may leave."""
 
-    def scale(self, n: int) -> Float[Array, "n"]:
-        """What errors of n components are compared to: `size`, and 1 for an attitude."""
-        attitude = jnp.ones(self.slow0.shape[0] - 3, self.size.dtype)
-        omega, fast = jnp.full(3, self.size), jnp.full(n - self.slow0.shape[0], self.size)
-        return jnp.concatenate([omega, attitude, fast])
-
     def largest(self, states: Float[Array, "E K n"]) -> Float[Array, ""]:
-        """The largest component, relative to `scale`."""
-        return jnp.max(jnp.abs(states) / self.scale(states.shape[-1])[None, None])
+        """The largest component, relative to the size of its element."""
+        scale = _scale(self.sizes, self.slow0.shape[0], states.shape[-1])
+        return jnp.max(jnp.abs(states) / scale[:, None])
 
-    def end_value(self, slow: Array) -> tuple[Array, Array]:
-        """The fast part on the branch by the asymptotic series, and its estimated error."""
+    def end_value(self, slow: Array) -> tuple[Array, Array, Array]:
+        """The fast part at the semi-reduced level; its correction by the series, and the error."""
         levels = (self.equation.semi, self.equation.reduced(2), self.equation.reduced(3))
         rates = [self.equation.fast(level(self.times[-1, -1], slow)[:3]) for level in levels]
         early, late = (jnp.max(jnp.abs(b - a)) for a, b in itertools.pairwise(rates))
-        converges = late < early
-        error = jnp.minimum(early, late)
-        return jnp.where(converges, rates[2], rates[0]), error
+        correction = jnp.where(late < early, rates[2] - rates[0], 0.0)
+        # Levels that agree to the last digit may do so on a runaway. The rounding error shows it:
+        # its effect grows towards the left end then.
+        rounding = jnp.finfo(slow.dtype).eps * jnp.max(jnp.abs(rates[0]))
+        return rates[0], correction, jnp.maximum(jnp.minimum(early, late), rounding)
 
-    def residual(self, states: Array) -> tuple[Array, Array]:
-        """The defects of the two integral equations at every node; the error at the far end."""
+    def residual(self, states: Array, kept: Any = None) -> tuple[Array, tuple[Array, Array]]:
+        """The defects of the two integral equations at every node.
+
+        Also the correction of the end value, with its error. If one is kept (a pair: whether, and
+        which), the end value has the slope that Newton's method assumes, and the error contains
+        what the correction would change by.
+        """
         m = self.slow0.shape[0]
         rates = jax.vmap(jax.vmap(self.equation))(self.times, states)
-        end, error = self.end_value(states[-1, -1, :m])
+        semi, correction, error = self.end_value(states[-1, -1, :m])
+        if kept is not None:
+            used = jnp.where(kept[0], kept[1], correction)
+            error = jnp.maximum(error, jnp.max(jnp.abs(used - correction)))
+            correction = used
+        end = semi + correction
         left = jnp.concatenate([self.slow0[None], states[:-1, -1, :m]])
         right = jnp.concatenate([states[1:, 0, m:], end[None]])
         from_left = jnp.einsum("ejk,eki->eji", self.forward, rates[..., :m], precision="highest")
         to_right = jnp.einsum("ejk,eki->eji", self.backward, rates[..., m:], precision="highest")
         slow = states[..., :m] - left[:, None] - from_left
         fast = states[..., m:] - right[:, None] + to_right
-        return jnp.concatenate([slow, fast], axis=-1), error
+        return jnp.concatenate([slow, fast], axis=-1), (correction, error)
 
     def newton(self, guess: Float[Array, "E K n"]) -> _NewtonState:
         """Newton's method, its steps halved until the residual falls."""
@@ -200,32 +238,37 @@ class _Problem(NamedTuple):
 
         def iterate(now: _NewtonState) -> _NewtonState:
             new = now.states - now.damping * now.step
-            residual, error = self.residual(new)
+            residual, far = self.residual(new, (now.count > REVISED, now.end.correction))
             defect = self.largest(residual)
             accept = defect < now.defect * (1 - now.damping / 4)
             accept = accept | (now.damping < LEAST_DAMPING)
             keep = functools.partial(jnp.where, accept)
+            step, response = self.newton_step(new, residual)
+            end = _End(*map(keep, (*far, response), now.end))
             return _NewtonState(
                 keep(new, now.states),
                 keep(defect, now.defect),
-                keep(self.newton_step(new, residual), now.step),
+                keep(step, now.step),
                 jnp.where(accept & (now.damping == 1), self.largest(now.step), 0.0),
                 keep(1.0, now.damping / 2),
-                error,
+                end,
                 now.count + 1,
             )
 
-        infinite, one = jnp.asarray(jnp.inf, guess.dtype), jnp.ones_like(self.size)
-        zero = jnp.zeros_like(self.size)
-        begun = _NewtonState(
-            guess, infinite, 0 * guess, zero, one, infinite, jnp.zeros((), "int32")
-        )
+        zero, one, infinite = (jnp.asarray(x, guess.dtype) for x in (0.0, 1.0, jnp.inf))
+        none = jnp.zeros(guess.shape[-1] - self.slow0.shape[0], guess.dtype)
+        unknown = _End(none, infinite, jnp.full_like(guess, jnp.inf))
+        count = jnp.zeros((), "int32")
+        begun = _NewtonState(guess, infinite, 0 * guess, zero, one, unknown, count)
         return jax.lax.while_loop(unfinished, iterate, begun)
 
     def newton_step(
         self, states: Float[Array, "E K n"], residual: Float[Array, "E K n"]
-    ) -> Float[Array, "E K n"]:
-        """Newton's step by static condensation."""
+    ) -> tuple[Float[Array, "E K n"], Float[Array, "E K n"]]:
+        """Newton's step by static condensation; the response to changes of the end value.
+
+        The response is the root of the sum of squares over changes of ω̇ by 1 along each axis.
+        """
         (count, nodes, n), m = states.shape, self.slow0.shape[0]
         jacobian = jax.jacfwd(self.equation, argnums=1)
         jacobians = jax.vmap(jax.vmap(jacobian))(self.times, states)  # e, k, i, l
@@ -246,29 +289,31 @@ class _Problem(NamedTuple):
         slope = jax.jacfwd(lambda s: self.equation.fast(self.equation.semi(last, s)[:3]))
         slope = slope(states[-1, -1, :m])
         coupled = jnp.eye(count * n, dtype=states.dtype)
-        known = jnp.zeros((count, n), states.dtype)
+        known = jnp.zeros((count, n, 4), states.dtype)
+        known = known.at[-1, m:, 1:].set(jax.jacfwd(self.equation.fast)(jnp.zeros(3, states.dtype)))
         for e in range(count):
             low, high = slice(e * n, e * n + m), slice(e * n + m, (e + 1) * n)
             if e > 0:
                 before = slice((e - 1) * n, e * n)
                 coupled = coupled.at[low, before].add(-response[e - 1, -1, :m])
-                known = known.at[e, :m].set(own[e - 1, -1, :m])
+                known = known.at[e, :m, 0].set(own[e - 1, -1, :m])
             if e < count - 1:
                 behind = slice((e + 1) * n, (e + 2) * n)
                 coupled = coupled.at[high, behind].add(-response[e + 1, 0, m:])
-                known = known.at[e, m:].set(own[e + 1, 0, m:])
+                known = known.at[e, m:, 0].set(own[e + 1, 0, m:])
             else:
                 coupled = coupled.at[high, e * n : (e + 1) * n].add(-slope @ response[e, -1, :m])
-                known = known.at[e, m:].set(slope @ own[e, -1, :m])
-        enter = solve_dense(coupled, known.reshape(-1, 1)).reshape(count, n)
-        return own + jnp.einsum("ekil,el->eki", response, enter, precision="highest")
+                known = known.at[e, m:, 0].set(slope @ own[e, -1, :m])
+        enter = solve_dense(coupled, known.reshape(count * n, -1)).reshape(known.shape)
+        follow = jnp.einsum("ekil,elc->ekic", response, enter, precision="highest")
+        return own + follow[..., 0], jnp.sqrt(jnp.sum(follow[..., 1:] ** 2, axis=-1))
 
 
 @eqx.filter_custom_jvp
-def _solution(problem: _Problem, guess: Float[Array, "E K n"]) -> tuple[Array, ...]:
-    """States that solve a problem, whether they do, iterations, and the error at the far end."""
+def _solution(problem: _Problem, guess: Float[Array, "E K n"]) -> tuple[Any, ...]:
+    """States that solve a problem, whether they do, iterations, and the far end."""
     last = problem.newton(guess)
-    return last.states - last.step, last.converged(problem), last.count, last.end_error
+    return last.states - last.step, last.converged(problem), last.count, last.end
 
 
 @_solution.def_jvp
@@ -281,7 +326,8 @@ def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
         return problem.residual(states)[0]
 
     _, moved = eqx.filter_jvp(residual, (problem,), tangents[:1])
-    return (states, *others), (-problem.newton_step(states, moved), None, None, None)
+    constant = jax.tree.map(lambda _: None, others)
+    return (states, *others), (-problem.newton_step(states, moved)[0], *constant)
 
 
 def evaluate(

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import instance
+from ..equations.levels import WITH_TORQUE
 from .basin import Basin
 from .columns import DERIVATIVE_PREFIX
 
@@ -20,7 +21,8 @@ def unfold(basin: Basin) -> Basin:
     | axis 3 | (ω₁, ω₂) → −(ω₁, ω₂) | φ → φ + π | changes sign |
     | axis 1 | (ω₂, ω₃) → −(ω₂, ω₃) | (φ, ω₃) → (−φ, −ω₃) | is the same |
 
-    They hold whatever the other axes of the grid are. Columns of derivatives follow: all change
+    They hold whatever the other axes of the grid are; a torque from outside may lack them, so that
+    the basin of an equation with one is not extended. Columns of derivatives follow: all change
     sign where ω∞ does, and those by φ and ω₃ change sign under (φ, ω₃) → (−φ, −ω₃).
 
     Args:
@@ -36,6 +38,8 @@ def unfold(basin: Basin) -> Basin:
     Source: the symmetries of (4.2)–(4.4).
     """
     unfolded = instance("basin", basin, Basin)
+    if unfolded.level.endswith(WITH_TORQUE):
+        return basin
     if _divides(_axis(unfolded, "phi"), np.pi):
         unfolded = _to_full_turn(unfolded)
     if _divides(_axis(unfolded, "phi"), 2 * np.pi) and _rises(_axis(unfolded, "w3")):

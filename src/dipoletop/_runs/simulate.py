@@ -4,6 +4,7 @@ A full equation cannot be integrated forwards along its physical branch, since e
 fast as the runaway solutions do. `_branch.march` follows that branch instead.
 """
 
+import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +19,6 @@ from jax.flatten_util import ravel_pytree
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .. import radiation
 from .._base.attitudes import (
     attitude_after,
     no_turn,
@@ -39,12 +39,20 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
+from .._base.dependence import dependence
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
 from .._branch import march
 from .._engines.step_sizes import Controller
-from ..equations._common import error_scale_of, is_full, physical, rate_of_omega, twist_axis
+from ..equations._common import (
+    energy_flows,
+    error_scale_of,
+    follows_attitude,
+    is_full,
+    physical,
+    twist_axis,
+)
 from ..equations.plain import PlainFunction
 from .solver_options import (
     Options,
@@ -112,7 +120,8 @@ def simulate(
         max_steps: largest number of steps, or of windows along a physical branch; with
             `attitude` also of the pieces of 2 radians there.
         options: see the table. Along a physical branch only `throw`, `balance` and `attitude`. An
-            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes.
+            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes; an
+            equation whose state holds one takes no other.
 
     Returns:
         A `Trajectory`.
@@ -134,6 +143,8 @@ def simulate(
         check_body(physical(motion))
     given = options.pop("attitude", None)
     q0 = None if given is None else unit_quaternion("attitude", given)
+    if q0 is not None and follows_attitude(motion):
+        refuse("attitude", "be None for an equation whose state holds the attitude", "is given")
     whole_state = is_whole_state(omega0)
     if not whole_state:
         motion = physical(motion)
@@ -159,7 +170,7 @@ def _without_unused(run: Trajectory) -> Trajectory:
     if not concrete(run.ts):
         return run
     used = np.isfinite(run.ts)
-    parts = {name: getattr(run, name) for name in ("ts", "ys", "emitted", "_attitude")}
+    parts = {name: getattr(run, name) for name in ("ts", "ys", "emitted", "work", "_attitude")}
     return replace(run, **{name: x if x is None else x[used] for name, x in parts.items()})
 
 
@@ -193,19 +204,21 @@ def _follow(
     check_branch_options(options)
     turns = q0 is not None
     motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows, turns)
-    # `march.follow` takes the times as constants. Adding (τ − τ without derivative)·dy/dτ,
-    # which is 0, gives the states their derivatives with respect to the times.
+    # Adding (τ − τ without derivative)·dy/dτ, which is 0, gives the states their derivatives with
+    # respect to the distances of the times from the first one.
     elapsed = times - times[0]
     elapsed = elapsed - jax.lax.stop_gradient(elapsed)
     states = motion.states + jax.vmap(equation)(times, motion.states) * elapsed[:, None]
-    emitted = motion.emitted if options.get("balance", False) else None
+    energies = motion.energies.T if options.get("balance", False) else ()
     solution = BranchSolution({"num_steps": motion.windows}, motion.reached)
     attitude = motion.attitude
     if q0 is not None and attitude is not None:
         omegas = jax.vmap(equation.omega)(motion.states)
         rates = jax.vmap(quaternion_rate)(attitude, omegas)
         attitude = _from_start(q0, attitude + rates * elapsed[:, None])
-    return Trajectory(equation, times, states, emitted, solution, attitude), motion.reached
+    emitted, work = (*energies, None, None)[:2]
+    run = Trajectory(equation, times, states, emitted, solution, work, attitude)
+    return run, motion.reached
 
 
 def _from_start(q0: Float[Array, "4"], attitude: Float[Array, "T 4"]) -> Float[Array, "T 4"]:
@@ -221,13 +234,21 @@ def _differentiable_motion(
     max_windows: int,
     attitude: bool,
 ) -> march.Motion:
-    """`march.follow` with derivatives in reverse mode, too, by the equation and ω₀."""
+    """`march.follow` with derivatives in reverse mode, too, by the equation, ω₀ and the first time.
+
+    All other times are at fixed distances from the first one.
+    """
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    variables, unravel = ravel_pytree((arrays, omega0))
+    start = jax.eval_shape(equation.lift, omega0)
+    (depends_on_time,) = map(any, dependence(equation, times[0], start)[:1])
+    first = times[0] if depends_on_time else None
+    variables, unravel = ravel_pytree((arrays, omega0, first))
 
     def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
-        arrays, omega0 = unravel(variables)
+        arrays, omega0, first = unravel(variables)
         times, rtol = constants
+        if first is not None:  # all times move with the first one
+            times = times + (first - jax.lax.stop_gradient(first))
         varied = eqx.combine(arrays, rest)
         motion = march.follow(varied, omega0, times, rtol, max_windows, attitude)
         return motion._replace(windows=motion.windows.astype(variables.dtype))
@@ -244,9 +265,9 @@ def _differentiable_motion(
 
 
 def _sizes_with_energy(equation: Equation, y: State) -> State:
-    """The sizes that errors of a state are measured by; the radiated energy may follow it.
+    """The sizes that errors of a state are measured by; energies that flow may follow it.
 
-    That energy is measured by the largest component of ω squared, unless it is larger itself.
+    They are measured by the largest component of ω squared, unless they are larger themselves.
     """
     n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
     least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
@@ -254,38 +275,35 @@ def _sizes_with_energy(equation: Equation, y: State) -> State:
 
 
 def _sizes_with_turn(equation: Equation, y: State) -> State:
-    """The same of a state that a turn follows, behind the energy if there is one.
+    """The same of a state that a turn follows, behind the energies if there are any.
 
     An error of the turn is an angle, which is measured in radians.
     """
     return jnp.concatenate([_sizes_with_energy(equation, y[:-5]), jnp.ones_like(y[-5:])])
 
 
-def _with_integrals(y0: State, balance: bool, turns: bool) -> Float[Array, "m"]:
-    """A start of the state, of the radiated energy and of the turn, if wanted."""
-    if not (balance or turns):
+def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
+    """A start of the state, of the energies that flow and of the turn, if wanted."""
+    if not (flows or turns):
         return y0
-    parts = [y0]
-    if balance:
-        parts.append(jnp.zeros(1))
+    parts = [y0, jnp.zeros(flows)]
     if turns:
         parts.append(no_turn(y0))
     return jnp.concatenate(parts)
 
 
 def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
-    """The rates of a state of n numbers, of the radiated energy and of the turn, if wanted."""
+    """The rates of a state of n numbers, of the energies that flow and of the turn, if wanted."""
 
     def field(t: Any, y: State, args: Any) -> State:
         rate = equation(t, y[:n], args)
         if not (balance or turns):
             return rate
-        omega, rates = equation.omega(y[:n]), [rate]
+        rates = [rate]
         if balance:
-            quantities = equation.body, omega, rate_of_omega(equation, t, y[:n])
-            rates.append(radiation.radiated_power(*quantities)[None])
+            rates.append(energy_flows(equation, t, y[:n]))
         if turns:
-            rates.append(turn_rate(y[-5:], twist_axis(equation), omega))
+            rates.append(turn_rate(y[-5:], twist_axis(equation), equation.omega(y[:n])))
         return jnp.concatenate(rates)
 
     return field
@@ -324,6 +342,9 @@ def _solve(
     """The motion by diffrax, and diffrax's result."""
     n = y0.shape[0]
     balance, turns = options.get("balance", False), q0 is not None
+    flows = 0
+    if balance:
+        flows = jax.eval_shape(functools.partial(energy_flows, equation), times[0], y0).shape[0]
     sizes = _sizes_with_turn if turns else _sizes_with_energy
     controller = options.get("stepsize_controller")
     if controller is None:
@@ -334,7 +355,7 @@ def _solve(
         times[0],
         times[-1],
         options.get("dt0"),
-        _with_integrals(y0, balance, turns),
+        _with_integrals(y0, flows, turns),
         saveat=saved_at(options, times),
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
@@ -353,6 +374,7 @@ def _solve(
     # reverse-mode derivatives of complete runs.
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
     ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
-    states, emitted = ys[:, :n], ys[:, n] if balance else None
+    states, (emitted, work) = ys[:, :n], (*ys[:, n : n + flows].T, None, None)[:2]
     attitude = None if q0 is None else _from_start(q0, _attitudes(equation, ys))
-    return Trajectory(equation, times, states, emitted, solution, attitude), solution.result
+    run = Trajectory(equation, times, states, emitted, solution, work, attitude)
+    return run, solution.result

@@ -24,7 +24,7 @@ from .._base.checks import (
     where_valid,
 )
 from .._base.types import Equation, Vector
-from ..equations._common import rate_of_omega
+from ..equations._common import follows_attitude, rate_of_omega
 from ..equations.levels import level_of
 
 
@@ -63,10 +63,12 @@ class Trajectory(eqx.Module):
         omega_dot: property; its rate dΩ/dτ, shape (T, 3).
         energy: property; kinetic energy E = ½ Ω·IΩ, shape (T,).
         power: property; radiated power |d₂|², shape (T,).
+        work: ∫Ω·M dτ, the work of a torque M from outside since the first time, shape (T,); None
+            without `balance=True`, and without such a torque.
         balance_defect: property; error of the energy balance, shape (T,); needs `balance=True`.
         attitude: property; unit quaternions from body axes to the laboratory, scalar first, shape
-            (T, 4); needs `attitude=q0`.
-        dipole: property; the dipole in the laboratory, shape (T, 3); needs `attitude=q0`.
+            (T, 4); needs `attitude=q0`, or an equation whose state holds it.
+        dipole: property; the dipole in the laboratory, shape (T, 3); needs the attitude.
         stats: property; counts of steps, a dict.
         level: property; the level of approximation of the equation, a text.
     """
@@ -76,6 +78,7 @@ class Trajectory(eqx.Module):
     ys: Float[Array, "*batch T n"]
     emitted: Float[Array, "*batch T"] | None
     solution: diffrax.Solution | BranchSolution
+    work: Float[Array, "*batch T"] | None = None
     _attitude: Float[Array, "*batch T 4"] | None = None
 
     def __repr__(self) -> str:
@@ -117,10 +120,11 @@ class Trajectory(eqx.Module):
     @property
     @over_batch(_batch_axes)
     def balance_defect(self) -> Float[Array, "*batch T"]:
-        """Change of E − d₁·d₂ + ∫|d₂|²dτ since the first time, over the initial energy.
+        """Change of E − d₁·d₂ + ∫(|d₂|² − Ω·M)dτ since the first time, over the initial energy.
 
-        Zero for the full equation, whatever the motion. At a reduced level the defect measures
-        the distance from the full equation. The work of a torque from outside is part of it.
+        M is the torque from outside, if there is one. Zero for the full equation, whatever the
+        motion. At a reduced level the defect measures the distance from the full equation. Of a
+        motion that begins at rest it is absolute.
 
         Raises:
             ValueError: the trajectory was computed without `balance=True`.
@@ -129,6 +133,7 @@ class Trajectory(eqx.Module):
             refuse("balance", "be True in `simulate` for a balance defect", "was not")
         schott = functools.partial(radiation.schott_energy, self._body)
         total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
+        total = total if self.work is None else total - self.work
         initial = self.energy[0]
         return (total - total[0]) / jnp.where(initial > 0, initial, 1.0)
 
@@ -137,11 +142,19 @@ class Trajectory(eqx.Module):
         """Unit quaternions q with v_lab = q∘v∘q* for v in body axes, scalar first.
 
         Raises:
-            ValueError: the trajectory was computed without `attitude=q0`.
+            ValueError: the trajectory was computed without `attitude=q0`, by an equation that does
+                not follow the attitude.
         """
+        if follows_attitude(self.equation):
+            return self._attitude_of_states()
         if self._attitude is None:
             refuse("attitude", "be given to `simulate` for attitudes in the laboratory", "was not")
         return self._attitude
+
+    @over_batch(_batch_axes)
+    def _attitude_of_states(self) -> Float[Array, "*batch T 4"]:
+        equation: Any = self.equation
+        return jax.vmap(equation.attitude)(self.ys)
 
     @property
     @over_batch(_batch_axes)
@@ -149,8 +162,7 @@ class Trajectory(eqx.Module):
         """The dipole d in the laboratory.
 
         Raises:
-            ValueError: the trajectory was computed without `attitude=q0`, or its equation has no
-                body.
+            ValueError: there is no attitude, or the equation has no body.
         """
         check_body(self.equation)
         return self.to_laboratory(self._body.dipole)
@@ -166,7 +178,7 @@ class Trajectory(eqx.Module):
             Their components in the laboratory, shape (T, 3) behind any batch axes.
 
         Raises:
-            ValueError: an array of another shape, or a trajectory computed without `attitude=q0`.
+            ValueError: an array of another shape, or a trajectory without attitude.
 
         Example:
             >>> import jax.numpy as jnp, dipoletop as dt

@@ -26,7 +26,7 @@ from .._engines.interface import Limits, lifted
 from .._engines.select import select_engine
 from .._maps.problems import Problem
 from ..equations._common import physical
-from ..equations.driven import Driven, DrivenFull
+from ..equations.driven import DrivenEquation
 from .crossings import Coordinates, Crossings, bisect, fates_at, narrow, unsearched, unsearched_rows
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
@@ -132,7 +132,7 @@ def edge_state(
         >>> edge.settled, edge.shape[-1].round(3).tolist()
         (True, [0.615, 2.357])
     """
-    if isinstance(equation, Driven | DrivenFull):  # its time and attitude do not begin again
+    if isinstance(equation, DrivenEquation):  # its time and attitude do not begin again
         must = "have no torque from outside, since motions are begun again from late states"
         refuse("equation", must, f"is {type(equation).__name__}")
     problem, tol = problem_of_starts(equation), float(tolerance("shape_tol", shape_tol))

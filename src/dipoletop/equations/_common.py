@@ -14,9 +14,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._base.checks import concrete, instance, real, refuse, where_valid
-from .._base.linalg import largest, length, scale
+from .._base.linalg import dot, largest, length, scale
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
 from ..bodies import Body
+from ..radiation import radiated_power
 
 
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
@@ -59,6 +60,19 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
 def rate_of_omega(equation: Equation, t: Any, y: State) -> Vector:
     """The rate of the angular velocity of a state."""
     return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]
+
+
+def energy_flows(equation: Any, t: Any, y: State) -> Float[Array, "k"]:
+    """The radiated power |d₂|², and ω·M if the equation has a torque M from outside."""
+    omega = equation.omega(y)
+    power = radiated_power(equation.body, omega, rate_of_omega(equation, t, y))
+    torque = getattr(equation, "torque", None)
+    return jnp.stack([power] if torque is None else [power, dot(omega, torque(t, y))])
+
+
+def follows_attitude(equation: Any) -> bool:
+    """Whether states of the equation hold an attitude."""
+    return getattr(equation, "start", None) is not None
 
 
 def is_full(equation: Any) -> bool:

@@ -5,6 +5,7 @@ The equation of motion is IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): the load N − M 
 that a dipole which M alone accelerates radiates, too.
 """
 
+import abc
 import functools
 import inspect
 from collections.abc import Callable
@@ -21,10 +22,17 @@ from .._base.linalg import inverse, matvec
 from .._base.types import OmegaScale, Real, State, Vector
 from ..bodies import Body
 from ..radiation import gyroscopic_torque
-from ._common import error_scale_of, is_full, omega_scale_of
+from ._common import omega_scale_of
 from ._families import LONGITUDINAL, RIGID, TRANSVERSE
-from .levels import level_of
-from .rigid import across_dipole, full_fast_rate, full_rate, reduced_rate, semi_reduced_rate
+from .levels import WITH_TORQUE, Level
+from .rigid import (
+    across_dipole,
+    full_fast_rate,
+    full_rate,
+    reduced_rate,
+    runaway_rate,
+    semi_reduced_rate,
+)
 
 Torque = Callable[..., Vector]
 """M(τ, ω), or M(τ, ω, q) where the attitude is followed; shape (3,), in body axes."""
@@ -95,35 +103,38 @@ class Loaded(eqx.Module):
         return self.with_attitude(rate, slow)
 
 
-class Driven(eqx.Module):
-    """A reduced or the semi-reduced equation with torques from outside; see `torques.with_torque`.
+class DrivenEquation(eqx.Module):
+    """What equations with torques from outside share.
 
-    With an attitude the state is (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
+    With an attitude the state begins with (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
     """
 
-    equation: Any
-    """The equation of the same level without them."""
     loaded: Loaded
+    kind: Level = eqx.field(static=True)
+    """The level of the equation."""
     verdict: Callable[[State], Any] | None = eqx.field(static=True)
     start: Float[Array, "4 *lanes"] | None
     """The attitude at the start; None if it is not followed."""
 
+    @abc.abstractmethod
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
-        """dy/dτ, shape (3,) or (7,), lanes (if any) behind."""
-        order = getattr(self.equation, "order", None)
-        return self.loaded.rates(order, jnp.asarray(t, y.dtype), y)
+        """dy/dτ."""
 
+    @abc.abstractmethod
     def lift(self, omega0: Vector) -> State:
-        """ω itself, or with the attitude at the start behind."""
-        return _slow_state(omega0, self.start)
+        """The state at the start."""
 
     def omega(self, y: State) -> Vector:
         """The first three components."""
-        return y if self.start is None else y[:3]
+        return y[:3]
 
     def attitude(self, y: State) -> Quaternion | None:
         """The unit quaternion of a state; None if the attitude is not followed."""
         return None if self.start is None else normalised(y[3:7])
+
+    def torque(self, t: Any, y: State) -> Vector:
+        """M at a state."""
+        return self.loaded.torques(t, y[: 3 if self.start is None else 7])
 
     @property
     def body(self) -> Body:
@@ -132,21 +143,36 @@ class Driven(eqx.Module):
 
     @property
     def level(self) -> str:
-        """The label of the equation, and that a torque is added."""
-        return _label(self.equation)
+        """The label of the level, and that a torque is added."""
+        return self.kind.label + WITH_TORQUE
 
-    @property
-    def omega_scale(self) -> OmegaScale:
-        """That of the equation."""
-        return omega_scale_of(self.equation)
+    def _slow_start(self, omega0: Vector) -> Slow:
+        return omega0 if self.start is None else jnp.concatenate([omega0, self.start])
+
+
+class Driven(DrivenEquation):
+    """A reduced or the semi-reduced equation with torques from outside; see `torques.with_torque`.
+
+    The state is ω, or (ω, q).
+    """
+
+    omega_scale: OmegaScale = eqx.field(static=True)
+    """That of the equation without torques."""
+
+    def __call__(self, t: Any, y: State, args: Any = None) -> State:
+        """dy/dτ, shape (3,) or (7,), lanes (if any) behind."""
+        return self.loaded.rates(self.kind.order, jnp.asarray(t, y.dtype), y)
+
+    def lift(self, omega0: Vector) -> State:
+        """ω itself, or with the attitude at the start behind."""
+        return self._slow_start(omega0)
 
     def error_scale(self, y: State) -> State:
-        """That of the equation; errors of the attitude are angles."""
-        own = error_scale_of(self.equation)(y[:3])
-        return own if self.start is None else jnp.concatenate([own, jnp.ones_like(y[3:])])
+        """That of ω; errors of the attitude are angles."""
+        return jnp.concatenate([self.omega_scale(y[:3]), jnp.ones_like(y[3:])])
 
 
-class DrivenFull(eqx.Module):
+class DrivenFull(DrivenEquation):
     """The full equation with torques from outside; see `torques.with_torque`.
 
     The state is (ω, a), or (ω, q, a) with an attitude, and a = PΩ̇ as in `Full`, which serves for
@@ -154,13 +180,6 @@ class DrivenFull(eqx.Module):
     """
 
     elements = 8  # a body may swing to and fro while a runaway dies away
-
-    equation: Any
-    """The full equation without them."""
-    loaded: Loaded
-    verdict: Callable[[State], Any] | None = eqx.field(static=True)
-    start: Float[Array, "4 *lanes"] | None
-    """The attitude at the start; None if it is not followed."""
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
         """dy/dτ, shape (6,) or (10,), lanes (if any) behind."""
@@ -172,17 +191,9 @@ class DrivenFull(eqx.Module):
 
     def lift(self, omega0: Vector) -> State:
         """The state near the physical branch at τ = 0, by the reduction of order 3."""
-        slow = _slow_state(omega0, self.start)
+        slow = self._slow_start(omega0)
         rate = self.reduced(3)(jnp.zeros((), slow.dtype), slow)
         return jnp.concatenate([slow, self.fast(rate[:3])])
-
-    def omega(self, y: State) -> Vector:
-        """The first three components."""
-        return y[:3]
-
-    def attitude(self, y: State) -> Quaternion | None:
-        """The unit quaternion of a state; None if the attitude is not followed."""
-        return None if self.start is None else normalised(y[3:7])
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that belongs to the state and runs away."""
@@ -198,19 +209,9 @@ class DrivenFull(eqx.Module):
         return functools.partial(self.loaded.rates, None)
 
     @property
-    def body(self) -> Body:
-        """The body that the equation moves."""
-        return self.loaded.body
-
-    @property
-    def level(self) -> str:
-        """The label of the equation, and that a torque is added."""
-        return _label(self.equation)
-
-    @property
     def runaway_rate(self) -> Real:
-        """That of the equation. A torque that drives ω away from rest makes it smaller."""
-        return self.equation.runaway_rate
+        """That without torques. One that drives ω away from rest makes it smaller."""
+        return runaway_rate(self.body)
 
 
 def driven(
@@ -227,26 +228,21 @@ def driven(
         torque = OfFunction(torque)
     follows = start is not None or getattr(equation, "start", None) is not None
     parts, follow = (torque,), (follows,)
-    if isinstance(equation, Driven | DrivenFull):  # these torques are added to those
+    if isinstance(equation, DrivenEquation):  # these torques are added to those
         if start is not None and equation.start is not None:
             refuse("attitude", "be None, as `equation` has one", "is another one")
-        before = equation.loaded.torques
+        before, body, kind = equation.loaded.torques, equation.body, equation.kind
         parts, follow = (*before.parts, *parts), (*before.follow, *follow)
         start = equation.start if start is None else start
-        equation = equation.equation
-    if type(equation) not in RIGID + TRANSVERSE + LONGITUDINAL:  # a subclass may have other rates
+    elif type(equation) in RIGID + TRANSVERSE + LONGITUDINAL:  # a subclass may have other rates
+        body, kind = equation.body, Level.labelled(equation.level)
+    else:
         must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
         refuse("equation", must, f"is {type(equation).__name__}")
-    kind = DrivenFull if is_full(equation) else Driven
-    return kind(equation, Loaded(equation.body, Torques(parts, follow)), verdict, start)
-
-
-def _slow_state(omega0: Vector, start: Quaternion | None) -> Slow:
-    return omega0 if start is None else jnp.concatenate([omega0, start])
-
-
-def _label(equation: Any) -> str:
-    return f"{level_of(equation)}, with a torque"
+    shared = Loaded(body, Torques(parts, follow)), kind, verdict, start
+    if kind is Level.FULL:
+        return DrivenFull(*shared)
+    return Driven(*shared, omega_scale_of(equation))
 
 
 def _check_constants(function: Any) -> None:

@@ -5,6 +5,9 @@ from typing import Any
 
 from .._base.checks import refuse
 
+WITH_TORQUE = ", with a torque"
+"""What follows the label of the level where a torque from outside is added."""
+
 
 class Level(enum.StrEnum):
     """How closely an equation of motion approximates the full one.
@@ -37,6 +40,11 @@ class Level(enum.StrEnum):
         if level not in list(cls):
             refuse(argument, f"be one of {', '.join(cls)}", f"is {level!r}")
         return cls(level)
+
+    @classmethod
+    def labelled(cls, label: str) -> "Level":
+        """The level that has a label."""
+        return next(level for level in cls if level.label == label)
 
     @property
     def order(self) -> int | None:

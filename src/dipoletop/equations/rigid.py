@@ -72,6 +72,21 @@ def across_dipole(body: Body, v: Vector) -> Vector:
     return v - scale(dot(d, v) / dot(d, d), d)
 
 
+def runaway_rate(body: Body) -> Real:
+    """The slower of the two eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|²."""
+    inertia, d = jnp.asarray(body.inertia), jnp.asarray(body.dipole)  # NumPy's on the host
+    square, inertia_d = dot(d, d), matvec(inertia, d)
+    along = dot(inertia_d, d)
+    across = jnp.stack([inertia[i] - scale(inertia_d[i] / along, inertia_d) for i in range(3)])
+    # This matrix annihilates n from both sides without P. Its two other eigenvalues follow from
+    # its trace and from the sum of its principal 2×2 minors.
+    total = trace(across)
+    pairs = ((0, 1), (0, 2), (1, 2))
+    minors = sum(across[i, i] * across[j, j] - across[i, j] * across[j, i] for i, j in pairs)
+    root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
+    return minors / ((total / 2 + root) * square)
+
+
 class Reduced(eqx.Module):
     """Reduced equation of order m: IΩ̇ = −N + T(Ω, F, DF·F), F the rates of order m − 1.
 
@@ -204,17 +219,7 @@ class Full(eqx.Module):
         There N and T(Ω, Ω̇, 0) are negligible, so ȧ = PIΩ̇/|d|² with Ω̇ = a − n (n·Ia)/(n·In): the
         rates are the eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|².
         """
-        inertia, d = self.body.inertia, self.body.dipole
-        square, inertia_d = dot(d, d), matvec(inertia, d)
-        along = dot(inertia_d, d)
-        across = jnp.stack([inertia[i] - scale(inertia_d[i] / along, inertia_d) for i in range(3)])
-        # This matrix annihilates n from both sides without P. Its two other eigenvalues follow
-        # from its trace and from the sum of its principal 2×2 minors.
-        total = trace(across)
-        pairs = ((0, 1), (0, 2), (1, 2))
-        minors = sum(across[i, i] * across[j, j] - across[i, j] * across[j, i] for i, j in pairs)
-        root = jnp.sqrt(jnp.maximum(total**2 / 4 - minors, 0.0))
-        return minors / ((total / 2 + root) * square)
+        return runaway_rate(self.body)
 
     def lift(self, omega0: Vector) -> FullState:
         """The state near the physical branch, by the reduction of order 3."""

@@ -91,9 +91,11 @@ def scene_of(problem: Any, over: Any) -> Scene:
     instance("over", over, Mapping, "map names of quantities to numbers or to ranges")
     if problem is None:
         return scene_of_top(over)
-    if isinstance(problem, TRANSVERSE) and _level(problem) in MAPPED:
+    if isinstance(problem, TRANSVERSE) and Level.labelled(problem.level) in MAPPED:
         check_single(problem)
-        return scene_of_top({"delta": float(problem.delta)} | dict(over), _level(problem))
+        return scene_of_top(
+            {"delta": float(problem.delta)} | dict(over), Level.labelled(problem.level)
+        )
     if not isinstance(problem, type) and isinstance(problem, Equation):
         return scene_of_equation(problem, over)
     return scene_of_problem(problem, over)
@@ -163,11 +165,6 @@ def _ordered(systems: tuple[tuple[str, ...], ...], over: Over) -> tuple[tuple[st
 def _refuse_mixed(systems: tuple[tuple[str, ...], ...], names: Iterable[str]) -> NoReturn:
     ways = " or ".join(", ".join(system) for system in systems)
     refuse("start", f"be given by {ways}", f"is given by {', '.join(names)}")
-
-
-def _level(equation: Any) -> Level:
-    """The level of an equation of the transverse top."""
-    return next(level for level in Level if level.label == equation.level)
 
 
 def _is_symmetric(equation: Any) -> bool:

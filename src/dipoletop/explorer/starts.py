@@ -15,6 +15,7 @@ from .._maps.grids import Grid
 from .._maps.problems import Problem
 from .._runs.sensitivity import residual_rotation
 from .._runs.simulate import simulate
+from ..equations._common import follows_attitude
 from ..equations.levels import Level
 from .drawing import Drawing
 
@@ -119,7 +120,8 @@ def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
     def motion(point: dict[str, Array], ts: Array, rtol: Array) -> tuple[Array, OfBody | None]:
         equation, omega0 = problem(**point)
         body = getattr(equation, "body", None)
-        level = None if body is None else [1.0, 0.0, 0.0, 0.0]
+        known = body is None or follows_attitude(equation)
+        level = None if known else [1.0, 0.0, 0.0, 0.0]
         run = simulate(equation, omega0, ts, rtol=rtol, attitude=level, throw=False)
         if body is None:
             return run.omega, None
