@@ -8,6 +8,7 @@ import os
 import hypothesis
 import jax
 import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 
 import quick
@@ -31,3 +32,10 @@ hypothesis.settings.load_profile("repeatable")
 @pytest.fixture(autouse=True, scope="session")
 def lanes_as_users_compile_them():
     quick.compile_lanes_as_users_do()
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    """No picture outlives its test."""
+    yield
+    plt.close("all")
