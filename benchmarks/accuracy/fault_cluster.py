@@ -122,9 +122,12 @@ def _sweep(room: Path, place: Path, said: list[str]) -> None:
     """A sweep by the cluster, and how it ended."""
     from distributed import Client
 
+    client = Client(scheduler_file=str(room / "scheduler.json"))
     try:
-        with Client(scheduler_file=str(room / "scheduler.json")) as client:
-            _swept(place, client=client)
+        _swept(place, client=client)
         said.append("done")
     except Exception as error:  # its text is a result
         said.append(f"{type(error).__name__}: {error}")
+    finally:
+        with contextlib.suppress(Exception):  # a client may not close without its scheduler
+            client.close()
