@@ -126,6 +126,17 @@ def test_the_rate_on_the_branch_at_a_time():
     assert abs(dt.slow_manifold(WAVE, START)[2] - run.omega_dot[0, 2]) > 1e-3
 
 
+@pytest.mark.slow  # compiles for long
+def test_the_rate_on_the_branch_has_a_derivative_by_the_time():
+    def rates(time):
+        return dt.slow_manifold(WAVE, START, time=time)
+
+    h = 4e-3
+    around = np.array([rates(1.0 + k * h) for k in (-3, -2, -1, 1, 2, 3)])
+    differences = np.array([-1, 9, -45, 45, -9, 1]) / (60 * h) @ around
+    np.testing.assert_allclose(jax.jacfwd(rates)(1.0), differences, rtol=1e-7, atol=1e-10)
+
+
 def test_radiated_energy_and_work_over_several_windows():
     """E − d₁·d₂ + ∫(|d₂|² − ω·M)dτ is constant, whatever the time at which the run begins."""
     ts = jnp.linspace(7.0, 150.0, 30)

@@ -124,6 +124,7 @@ def test_derivatives_of_the_branch():
     assert float(slopes[0] + slopes[1] @ way) == pytest.approx(float(found), rel=1e-10)
 
 
+@pytest.mark.slow  # compiles for long
 def test_derivatives_by_the_body_of_a_sphere():
     """Where both runaways have the same rate, they are those by the shape, I₃ = 1 − δ."""
     start = jnp.array([0.1, 0.2, 0.1])

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import bisect
+from .._base.dependence import dependence
 from ..equations._common import energy_flows
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
@@ -45,6 +46,12 @@ class MarchState(NamedTuple):
     def failed(self) -> Bool[Array, ""]:
         """Whether no physical branch can be found from here."""
         return self.rejected >= MOST_REJECTED
+
+
+def depends_on_time(equation: Any, omega0: Float[Array, "3"]) -> bool:
+    """Whether the rates of a full equation may depend on τ."""
+    state, time = jax.eval_shape(lambda w: (equation.lift(w), w[0]), omega0)
+    return any(dependence(equation, time, state)[0])
 
 
 def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchState:

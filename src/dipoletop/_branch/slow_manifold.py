@@ -12,7 +12,7 @@ from .._base.checks import check_single, finite, or_nan, refuse
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import tolerance
 from ..equations._common import is_full, physical, rate_of_omega
-from .march import EFOLDS, PREVIOUS_ELEMENT, start_march
+from .march import EFOLDS, PREVIOUS_ELEMENT, depends_on_time, start_march
 from .window import solve_window
 
 
@@ -57,13 +57,15 @@ def slow_manifold(
         rate, error = _known_branch(equation, start, now, wanted)
         return (rate, error) if with_error else rate
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    x, unravel = ravel_pytree((arrays, start, now))
+    varies = now if depends_on_time(equation, start) else None
+    x, unravel = ravel_pytree((arrays, start, varies))
 
-    def rate_and_error(x: Array, wanted: Array) -> Array:
-        arrays, omega, now = unravel(x)
-        return jnp.append(*_by_window(eqx.combine(arrays, rest), omega, now, wanted))
+    def rate_and_error(x: Array, settings: Any) -> Array:
+        (arrays, omega, varies), (wanted, fixed) = unravel(x), settings
+        time = fixed if varies is None else varies
+        return jnp.append(*_by_window(eqx.combine(arrays, rest), omega, time, wanted))
 
-    result = forward_differentiable(rate_and_error)(x, wanted)
+    result = forward_differentiable(rate_and_error)(x, (wanted, now))
     return (result[:3], result[3]) if with_error else result[:3]
 
 

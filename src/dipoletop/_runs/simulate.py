@@ -39,7 +39,6 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
-from .._base.dependence import dependence
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
@@ -239,9 +238,7 @@ def _differentiable_motion(
     All other times are at fixed distances from the first one.
     """
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    start = jax.eval_shape(equation.lift, omega0)
-    (depends_on_time,) = map(any, dependence(equation, times[0], start)[:1])
-    first = times[0] if depends_on_time else None
+    first = times[0] if march.depends_on_time(equation, omega0) else None
     variables, unravel = ravel_pytree((arrays, omega0, first))
 
     def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
