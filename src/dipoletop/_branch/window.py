@@ -202,10 +202,7 @@ class _Problem(NamedTuple):
         rates = [self.equation.fast(level(self.times[-1, -1], slow)[:3]) for level in levels]
         early, late = (jnp.max(jnp.abs(b - a)) for a, b in itertools.pairwise(rates))
         correction = jnp.where(late < early, rates[2] - rates[0], 0.0)
-        # Levels that agree to the last digit may do so on a runaway. The rounding error shows it:
-        # its effect grows towards the left end then.
-        rounding = jnp.finfo(slow.dtype).eps * jnp.max(jnp.abs(rates[0]))
-        return rates[0], correction, jnp.maximum(jnp.minimum(early, late), rounding)
+        return rates[0], correction, jnp.minimum(early, late)
 
     def residual(self, states: Array, kept: Any = None) -> tuple[Array, tuple[Array, Array]]:
         """The defects of the two integral equations at every node.
