@@ -14,10 +14,10 @@ if OLDER_EMITTERS:
 
 def compile_lanes_as_users_do():
     """With the older emitters the last bits of a lane depend on its place."""
-    from dipoletop._engines.jax_engine import CPU_OPTIONS
+    from dipoletop._engines.jax_engine import LANE_OPTIONS
 
     if OLDER_EMITTERS:
-        CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
+        LANE_OPTIONS["xla_cpu_use_fusion_emitters"] = True
 
 
 if __name__ == "__main__":

@@ -12,10 +12,20 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from ._base.checks import concrete, finite, positive, refuse, where_valid
+from ._base.checks import (
+    concrete,
+    finite,
+    namespace,
+    on_device,
+    on_host,
+    positive,
+    refuse,
+    where_valid,
+)
 
+Inertia = Float[Array, "*batch 3 3"] | Float[np.ndarray, "*batch 3 3"]
 AXES = {"transverse": (1.0, 0.0, 0.0), "longitudinal": (0.0, 0.0, 1.0)}
 """Named directions of the dipole; the symmetry axis is the third."""
 
@@ -75,17 +85,17 @@ def axisymmetric(delta: Any, dipole: Any = "transverse") -> Body:
         >>> axisymmetric(-0.5).inertia.diagonal().tolist()
         [1.0, 1.0, 1.5]
     """
-    delta = finite("delta", delta)
+    delta = on_host(finite("delta", delta))
     delta = where_valid("delta", delta, (delta >= -1) & (delta < 1), "satisfy -1 <= delta < 1")
     if not isinstance(dipole, str):
-        vector = _nonzero_dipole(dipole)
-        direction = vector / jnp.linalg.norm(vector, axis=-1, keepdims=True)
+        vector = on_host(_nonzero_dipole(dipole))
+        direction = vector / namespace(vector).linalg.norm(vector, axis=-1, keepdims=True)
     elif dipole in AXES:
         direction = AXES[dipole]
     else:
         refuse("dipole", 'be "transverse", "longitudinal" or a vector', f"is {dipole!r}")
-    one = jnp.ones_like(delta)
-    return Body(_diagonal(one, one, 1 - delta), direction)
+    one = namespace(delta).ones_like(delta)
+    return Body(diagonal(one, one, 1 - delta), direction)
 
 
 def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
@@ -106,7 +116,7 @@ def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
     """
     mass, a, c = _positive_numbers(mass=mass, a=a, c=c)
     transverse = mass * (a**2 + c**2) / 5
-    return Body(_diagonal(transverse, transverse, 2 * mass * a**2 / 5), dipole)
+    return Body(diagonal(transverse, transverse, 2 * mass * a**2 / 5), dipole)
 
 
 def box(mass: Any, lengths: Any, dipole: Any) -> Body:
@@ -125,10 +135,11 @@ def box(mass: Any, lengths: Any, dipole: Any) -> Body:
         [13.0, 10.0, 5.0]
     """
     mass, lengths = _same_batch(
-        mass=(positive("mass", mass), 0), lengths=(positive("lengths", lengths, (3,)), 1)
+        mass=(on_host(positive("mass", mass)), 0),
+        lengths=(on_host(positive("lengths", lengths, (3,))), 1),
     )
     x, y, z = (mass * lengths[..., axis] ** 2 / 12 for axis in range(3))
-    return Body(_diagonal(y + z, z + x, x + y), dipole)
+    return Body(diagonal(y + z, z + x, x + y), dipole)
 
 
 def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
@@ -149,7 +160,7 @@ def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
     """
     mass, length, radius = _positive_numbers(mass=mass, length=length, radius=radius)
     transverse = mass * (length**2 + 3 * radius**2) / 12
-    return Body(_diagonal(transverse, transverse, mass * radius**2 / 2), dipole)
+    return Body(diagonal(transverse, transverse, mass * radius**2 / 2), dipole)
 
 
 def from_charges(masses: Any, positions: Any, charges: Any) -> Body:
@@ -178,7 +189,8 @@ def from_charges(masses: Any, positions: Any, charges: Any) -> Body:
     """
     masses = finite("masses", masses, (-1,))
     n = masses.shape[-1]
-    physical = (masses >= 0) & (jnp.sum(masses, axis=-1, keepdims=True) > 0)
+    known = on_host(masses)
+    physical = (known >= 0) & (known.sum(axis=-1, keepdims=True) > 0)
     masses, positions, charges = _same_batch(
         masses=(where_valid("masses", masses, physical, "be non-negative and not all zero"), 1),
         positions=(finite("positions", positions, (n, 3)), 2),
@@ -202,21 +214,19 @@ def _multipoles(
 
 def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
     """An inertia tensor that a body of positive masses can have, made exactly symmetric."""
-    inertia = finite("inertia", value, (3, 3))
-    skew = jnp.abs(inertia - jnp.swapaxes(inertia, -1, -2))
-    size = jnp.max(jnp.abs(inertia), axis=(-1, -2), keepdims=True)
-    symmetric = skew <= _tolerance() * size
+    inertia = on_host(finite("inertia", value, (3, 3)))
+    transposed = inertia.swapaxes(-1, -2)
+    size = abs(inertia).max(axis=(-1, -2), keepdims=True)
+    symmetric = abs(inertia - transposed) <= _tolerance() * size
     inertia = where_valid("inertia", inertia, symmetric, "be symmetric")
-    mean = (inertia + jnp.swapaxes(inertia, -1, -2)) / 2
+    mean = (inertia + transposed) / 2
     must = "be positive definite (masses on one line have a principal moment of zero)"
     inertia = _where_moments(mean, _positive_moments(inertia), must)
     must = "have principal moments with J1 + J2 >= J3"
-    return _where_moments(inertia, _triangle_inequality(inertia), must)
+    return on_device(_where_moments(inertia, _triangle_inequality(inertia), must))
 
 
-def _where_moments(
-    inertia: Float[Array, "*batch 3 3"], valid: Bool[Array, "*batch"], must: str
-) -> Float[Array, "*batch 3 3"]:
+def _where_moments(inertia: Inertia, valid: Any, must: str) -> Inertia:
     """`where_valid` with a message that shows the principal moments."""
     if concrete(inertia, valid) and not np.all(valid):
         moments = np.linalg.eigvalsh(np.asarray(inertia)[~np.asarray(valid)][0])
@@ -234,49 +244,62 @@ def _tolerance() -> float:
     return max(1e-12, _rounding())
 
 
-@functools.partial(jnp.vectorize, signature="(n,n)->()")
-def _positive_moments(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Whether every principal moment is positive beyond rounding."""
-    return _positive_definite(inertia - _rounding() * jnp.trace(inertia) * jnp.eye(3))
+def _positive_moments(inertia: Inertia) -> Any:
+    """Tell whether every principal moment is positive beyond rounding."""
+    return _positive_definite(inertia - _rounding() * _isotropic(_trace(inertia)))
 
 
-@functools.partial(jnp.vectorize, signature="(n,n)->()")
-def _triangle_inequality(inertia: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
-    trace = jnp.trace(inertia)
-    return _positive_definite((0.5 + _tolerance()) * trace * jnp.eye(3) - inertia)
+def _triangle_inequality(inertia: Inertia) -> Any:
+    """Tell whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
+    return _positive_definite((0.5 + _tolerance()) * _isotropic(_trace(inertia)) - inertia)
 
 
-def _positive_definite(m: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Whether all three pivots of Gaussian elimination are positive.
+def _trace(inertia: Inertia) -> Any:
+    """The sum of the diagonal, of every tensor."""
+    return inertia.trace(axis1=-2, axis2=-1)
 
-    Rounding changes the pivots as an error of m itself would, unlike the leading minors. The test
-    is therefore right for a matrix with two eigenvalues near zero, too.
+
+def _isotropic(moments: Any) -> Any:
+    """The tensors with three equal moments."""
+    return diagonal(moments, moments, moments)
+
+
+def _positive_definite(matrices: Any) -> Any:
+    """Tell whether all three pivots of Gaussian elimination are positive.
+
+    Rounding changes the pivots as an error of the matrix itself would, unlike the leading minors.
+    The test is therefore right for a matrix with two eigenvalues near zero, too.
     """
-    first = m[0, 0]
-    second = m[1, 1] - m[0, 1] * (m[0, 1] / first)
-    mixed = m[1, 2] - m[0, 1] * (m[0, 2] / first)
-    third = m[2, 2] - m[0, 2] * (m[0, 2] / first) - mixed * (mixed / second)
+    m = namespace(matrices).moveaxis(matrices, (-2, -1), (0, 1))
+    with np.errstate(all="ignore"):  # a pivot of 0 gives NaN, which is not positive
+        first = m[0, 0]
+        second = m[1, 1] - m[0, 1] * (m[0, 1] / first)
+        mixed = m[1, 2] - m[0, 1] * (m[0, 2] / first)
+        third = m[2, 2] - m[0, 2] * (m[0, 2] / first) - mixed * (mixed / second)
     return (first > 0) & (second > 0) & (third > 0)
 
 
 def _nonzero_dipole(dipole: Any) -> Float[Array, "*batch 3"]:
     """A dipole moment that is not zero."""
     vector = finite("dipole", dipole, (3,))
-    return where_valid("dipole", vector, jnp.any(vector != 0, axis=-1), "not be zero")
+    return where_valid("dipole", vector, (on_host(vector) != 0).any(axis=-1), "not be zero")
 
 
-def _positive_numbers(**values: Any) -> list[Float[Array, "*batch"]]:
-    """Positive numbers, repeated to their common batch."""
-    return _same_batch(**{name: (positive(name, value), 0) for name, value in values.items()})
+def _positive_numbers(**values: Any) -> list[Any]:
+    """Positive numbers, repeated to their common batch; in NumPy if they are known."""
+    return _same_batch(
+        **{name: (on_host(positive(name, value)), 0) for name, value in values.items()}
+    )
 
 
-def _diagonal(*moments: Float[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:
+def diagonal(*moments: Any) -> Inertia:
     """The inertia tensor whose principal axes are the body axes."""
-    return jnp.vectorize(jnp.diag, signature="(n)->(n,n)")(jnp.stack(moments, axis=-1))
+    xp, zero = namespace(*moments), 0 * moments[0]
+    rows = [[moment if i == j else zero for j in range(3)] for i, moment in enumerate(moments)]
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _same_batch(**fields: tuple[Float[Array, "..."], int]) -> list[Float[Array, "..."]]:
+def _same_batch(**fields: tuple[Any, int]) -> list[Any]:
     """The arrays, each given with its natural rank, repeated to their common batch."""
     sizes = {name: array.shape[0] for name, (array, rank) in fields.items() if array.ndim > rank}
     if not sizes:
@@ -286,6 +309,6 @@ def _same_batch(**fields: tuple[Float[Array, "..."], int]) -> list[Float[Array, 
         if sizes[name] != size:
             refuse(name, f"have the batch size {size} of `{first}`", f"has {sizes[name]}")
     return [
-        array if name in sizes else jnp.broadcast_to(array, (size, *array.shape))
+        array if name in sizes else namespace(array).broadcast_to(array, (size, *array.shape))
         for name, (array, _) in fields.items()
     ]

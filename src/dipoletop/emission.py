@@ -7,7 +7,6 @@ time that is long beside T and short beside the braking time.
 """
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +18,7 @@ from ._averaging.dipole_series import Series, series
 from ._averaging.landen import Descent
 from ._averaging.orbit import Orbit, Spin, motion_of
 from ._base.checks import concrete, finite, instance, refuse, where_valid
+from ._base.compiling import compiled_soon
 from ._base.linalg import cross, dot
 from ._base.tolerances import budget
 from ._base.types import Real
@@ -137,7 +137,7 @@ def lines(body: Rotor, omega: Any, *, n: int = HARMONICS) -> Lines:
     return _lines(body.inertia, body.dipole, omega, k, budget("n", n))
 
 
-@partial(jax.jit, static_argnames="n")
+@compiled_soon
 def _lines(
     inertia: Float[Array, "3 3"], dipole: Vector3, omega: Vector3, k: float | Real, n: int
 ) -> Lines:

@@ -3,13 +3,13 @@
 import functools
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, or_nan
+from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
 from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
@@ -46,7 +46,7 @@ class Forecast(NamedTuple):
     error: Real
 
 
-@eqx.filter_jit
+@compiled_soon
 def forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
     """How the free rotation of a body ends; differentiable by its variables.
 
@@ -201,7 +201,7 @@ def _least_gap(variables: Variables) -> float:
     return float(np.min(np.diff(moments)) / moments[2])
 
 
-@eqx.filter_jit
+@compiled_soon
 def coverage(variables: Variables, strength: Real) -> tuple[Bool[Array, "2"], Float[Array, "2"]]:
     """Whether a body turns fast, and how well the unfolded system describes it.
 
@@ -230,7 +230,7 @@ def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[
     return turns, jnp.where(covered, error, jnp.inf)
 
 
-@eqx.filter_jit
+@compiled_soon
 def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
     """The half time of a needle with a phase of its own, whose L∞/L₀ is known."""
     rotation, units = scaled_rotation(variables, strength)
@@ -239,7 +239,7 @@ def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
     return half_time_of(top, ratio**2 / (2 * top.moment) / energy) * units.time
 
 
-@eqx.filter_jit
+@compiled_soon
 def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: bool) -> Forecast:
     """How a nearly axisymmetric body ends, by its unfolded system.
 

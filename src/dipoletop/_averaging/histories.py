@@ -1,12 +1,12 @@
 """The motion of a body at given times, by the law that tells its end."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
 from .._base.checks import concrete, or_nan
+from .._base.compiling import compiled_soon
 from .._base.types import Real, Regime
 from .ends import shape, turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
@@ -47,7 +47,7 @@ def _history(
     return tuple(jnp.where(captured, jnp.nan, x) for x in history_at(variables, constants))
 
 
-@eqx.filter_jit
+@compiled_soon
 def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) -> Values:
     """E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants
@@ -94,7 +94,7 @@ def in_units(units: Units, log: Real, h: Real, squared: Real) -> tuple[Real, ...
     return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
 
 
-@eqx.filter_jit
+@compiled_soon
 def capture_follows(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Bool[Array, "T"]:
@@ -105,7 +105,7 @@ def capture_follows(
     return jnp.log(times / units.time) > entry.log_time
 
 
-@eqx.filter_jit
+@compiled_soon
 def orbit_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Values:

@@ -85,9 +85,13 @@ def real(
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
         refuse(name, kind, f"is {value!r}")
+    is_traced_or_on_device = isinstance(value, jax.Array) or not concrete(value)
+    make = jnp if xp is jnp and is_traced_or_on_device else np  # NumPy compiles nothing
     try:
-        array = _on_device(value) if xp is jnp else xp.asarray(value)
+        array = make.asarray(value)
     except (TypeError, ValueError, OverflowError):
+        refuse(name, kind, f"is {value!r}")
+    if array.dtype == object:
         refuse(name, kind, f"is {value!r}")
     if array.dtype == bool or not (
         jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
@@ -99,18 +103,31 @@ def real(
     ):
         also = ", or one batch axis in front" if batch else ""
         refuse(name, f"have shape {wanted}{also}", f"has shape {array.shape}")
-    return array.astype(jnp.result_type(float), copy=False)
+    array = array.astype(jnp.result_type(float), copy=False)
+    return array if xp is np else on_device(array)
 
 
-def _on_device(value: Any) -> Any:
-    """A copy of a value as an array of JAX.
+def on_device(value: Any) -> Any:
+    """Make an array of JAX, of known numbers by a copy.
 
     `jnp.asarray` would compile a program for each new shape of a NumPy array.
     """
-    if not isinstance(value, np.ndarray):
+    if not concrete(value):
         return jnp.asarray(value)
+    if isinstance(value, jax.Array):
+        return value
     with jax.ensure_compile_time_eval():
-        return jax.device_put(value.copy())  # JAX may keep the memory that it is given
+        return jax.device_put(np.array(value))  # a copy, since JAX may keep the memory
+
+
+def on_host(array: Any) -> Any:
+    """Give known numbers as an array of NumPy, where operations compile nothing."""
+    return np.asarray(array) if concrete(array) else array
+
+
+def namespace(*arrays: Any) -> Any:
+    """NumPy if all arrays are NumPy's, else `jax.numpy`."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
 def or_nan(value: Any, valid: Any) -> Any:
@@ -123,10 +140,10 @@ def or_nan(value: Any, valid: Any) -> Any:
 
 def where_valid(
     name: str,
-    value: Float[Array, "*s"],
+    value: Float[Array, "*s"] | Float[np.ndarray, "*s"],
     valid: Bool[Array, "..."] | Bool[np.ndarray, "..."] | np.bool_,
     must: str,
-) -> Float[Array, "*s"]:
+) -> Any:
     """`value`, if all of it is `valid`; else a refusal, or NaN where it is traced.
 
     `valid` broadcasts from the left.
@@ -150,7 +167,8 @@ def finite(
 ) -> Float[Array, "..."]:
     """A real array without NaN or inf."""
     array = real(name, value, shape, batch=batch)
-    return where_valid(name, array, jnp.isfinite(array), "be finite")
+    known = on_host(array)
+    return where_valid(name, array, namespace(known).isfinite(known), "be finite")
 
 
 def positive(
@@ -158,7 +176,7 @@ def positive(
 ) -> Float[Array, "..."]:
     """A real array of finite numbers above 0."""
     array = finite(name, value, shape, batch=batch)
-    return where_valid(name, array, array > 0, "be positive")
+    return where_valid(name, array, on_host(array) > 0, "be positive")
 
 
 def subnormal(array: Any) -> np.ndarray:
@@ -254,15 +272,28 @@ def is_whole_state(omega0: Any) -> bool:
     return real("omega0", omega0, (-1,), batch=False).shape != (3,)
 
 
+def known_start(omega0: Any) -> Float[np.ndarray, "3"]:
+    """A start ω₀ whose numbers are known, in NumPy."""
+    start = real("omega0", omega0, (3,), batch=False, xp=np)
+    where_valid("omega0", start, np.isfinite(start), "be finite")
+    _refuse_subnormal(start)
+    return start
+
+
+def _refuse_subnormal(omega0: Any) -> None:
+    if np.any(lost := subnormal(omega0)):
+        least = np.finfo(omega0.dtype).tiny
+        must = f"have components that are 0 or at least {least:.1e} in size"
+        refuse("omega0", must, f"has {_some(np.asarray(omega0)[lost])}")
+
+
 def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
     """The initial state: lifted from ω₀, or a whole state as it is."""
     like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
     shape = jax.eval_shape(equation.lift, like).shape
     initial = finite("omega0", omega0, (-1,), batch=False)
-    if concrete(initial) and np.any(lost := subnormal(initial)):
-        least = np.finfo(initial.dtype).tiny
-        must = f"have components that are 0 or at least {least:.1e} in size"
-        refuse("omega0", must, f"has {_some(np.asarray(initial)[lost])}")
+    if concrete(initial):
+        _refuse_subnormal(initial)
     if initial.shape == (3,):
         return equation.lift(initial)
     if initial.shape != shape:

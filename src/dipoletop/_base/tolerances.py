@@ -2,12 +2,11 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .checks import concrete, real, refuse
+from .checks import concrete, on_device, on_host, real, refuse
 from .linalg import length
 
 MAX_STEPS = 50_000
@@ -71,10 +70,13 @@ def absolute(
     """
     if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol, exact_when_slow):
         return _default_atol_in_numpy(rtol, omega0, np.asarray(exact_when_slow))
+    if atol is None and concrete(rtol, omega0, exact_when_slow):
+        known = np.asarray(omega0), np.asarray(exact_when_slow)
+        return on_device(_default_atol_in_numpy(rtol, *known))
     if atol is None:
         return _default_atol(jnp.asarray(rtol), omega0, jnp.asarray(exact_when_slow))
-    shape = omega0.shape[1:]
-    return jnp.broadcast_to(check_atol(atol, shape), shape)
+    given, shape = check_atol(atol, omega0.shape[1:]), omega0.shape[1:]
+    return given if given.shape == shape else jnp.broadcast_to(given, shape)
 
 
 def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
@@ -82,12 +84,12 @@ def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
     array = real("atol", atol)
     if array.shape not in ((), shape):
         refuse("atol", f"be a number or have shape {shape}", f"has shape {array.shape}")
-    if concrete(array) and not bool(jnp.all((array >= 0) & (array < jnp.inf))):
+    known = on_host(array)
+    if concrete(array) and not np.all((known >= 0) & (known < np.inf)):
         refuse("atol", "be finite and not negative, or None", f"is {atol}")
     return array
 
 
-@jax.jit
 def _default_atol(
     rtol: Float[Array, ""], omega0: Float[Array, "3 *n"], exact_when_slow: Bool[Array, "..."]
 ) -> Float[Array, "*n"]:

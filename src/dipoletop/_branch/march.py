@@ -10,12 +10,12 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import bisect
+from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
 from ..equations._common import energy_flows
 from .turning import advance_turning, attitudes, start_turning
@@ -126,7 +126,7 @@ class Motion(NamedTuple):
     """Unit quaternions, relative to the first time."""
 
 
-@eqx.filter_jit
+@compiled_soon
 def follow(
     equation: Any,
     omega0: Float[Array, "3"],

@@ -9,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._base.checks import check_single, finite, or_nan, refuse
+from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import tolerance
 from ..equations._common import is_full, physical, rate_of_omega
@@ -80,7 +81,7 @@ def _known_branch(
     return or_nan(rate, error <= wanted * jnp.max(jnp.abs(rate))), error
 
 
-@eqx.filter_jit
+@compiled_soon
 def _by_window(
     equation: Any, omega: Float[Array, "3"], time: Float[Array, ""], wanted: Float[Array, ""]
 ) -> tuple[Array, Array]:

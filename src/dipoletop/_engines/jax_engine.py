@@ -9,7 +9,6 @@ the end states.
 import functools
 import threading
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import diffrax
@@ -18,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._base.compiling import CPU_OPTIONS
 from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
@@ -30,9 +30,7 @@ WIDE = 32  # lanes from which a block is wide
 ON_PROCESSOR, ON_ACCELERATOR = 128, 65536
 """Lanes of a block: a call of one operation takes as long as ten lanes of a processor, and as some
 ten thousand of an accelerator (not measured)."""
-CPU_OPTIONS: dict[str, Any] = {"xla_cpu_prefer_vector_width": 512}  # pays where there are such
-if version("jaxlib").startswith("0.10."):  # the older emitters compile in half the time
-    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
+LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # pays where there are such
 
 
 @final
@@ -95,7 +93,7 @@ def _jitted(what: Literal["integrate", "classify"], platform: str) -> Any:
 def _make_wrapper(what: str, platform: str) -> Any:
     jit: Any = eqx.filter_jit
     function = _integrate if what == "integrate" else _classify
-    return jit(function, compiler_options=CPU_OPTIONS) if platform == "cpu" else jit(function)
+    return jit(function, compiler_options=LANE_OPTIONS) if platform == "cpu" else jit(function)
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:

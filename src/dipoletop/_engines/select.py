@@ -22,17 +22,32 @@ if TYPE_CHECKING:
 
 
 def select_engines(
-    name: str, equation: Equation, devices: Sequence[Device], until: Until, finish: Finish[Any]
+    name: str,
+    equation: Equation,
+    devices: Sequence[Device],
+    until: Until,
+    finish: Finish[Any],
+    *,
+    warn: bool = True,
 ) -> dict[Device, Engine]:
-    """The engine of each device for runs of the physical motions of an equation."""
+    """Choose the engine of each device for the physical motions of an equation."""
     equation = physical(equation)
-    return {device: select_engine(name, equation, device, until, finish) for device in set(devices)}
+    return {
+        device: select_engine(name, equation, device, until, finish, warn=warn)
+        for device in set(devices)
+    }
 
 
 def select_engine(
-    name: str, equation: Equation, device: Device, until: Until, finish: Finish[Any] | None = None
+    name: str,
+    equation: Equation,
+    device: Device,
+    until: Until,
+    finish: Finish[Any] | None = None,
+    *,
+    warn: bool = True,
 ) -> Engine:
-    """The engine for such runs.
+    """Choose the engine for such runs.
 
     Args:
         name: "jax"; "native"; or "auto", the native one where it can run, with a warning if
@@ -41,6 +56,7 @@ def select_engine(
         device: where it shall run.
         until: when a run is finished.
         finish: what `Engine.classify` will be called with, if it will be.
+        warn: whether to warn where "auto" chooses the slower engine.
 
     A full equation has an engine of its own, which follows its physical branch.
     """
@@ -60,7 +76,7 @@ def select_engine(
             return native
         except Unsupported as error:
             reason = f"it cannot take {type(equation).__name__} ({error})"
-            if name == "auto":
+            if name == "auto" and warn:
                 warnings.warn(f"The JAX engine runs, not the native one: {reason}.", stacklevel=2)
     if name == "native":
         refuse("engine", "be 'auto' or 'jax' here", f"is 'native', but {reason}")

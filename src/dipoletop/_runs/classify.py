@@ -1,4 +1,4 @@
-"""The outcome of one run, through diffrax or along the physical branch of a full equation."""
+"""The outcome of one run: by an engine if the start is known, else (in a trace) by diffrax."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -18,24 +18,33 @@ from .._base.checks import (
     concrete,
     initial_state,
     is_whole_state,
+    known_start,
     real,
 )
+from .._base.compiling import compiled_soon
+from .._base.parallel import worker_devices
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
-from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances, tolerance
+from .._base.tolerances import (
+    MAX_STEPS,
+    Tolerances,
+    absolute,
+    budget,
+    step_tolerances,
+    tolerance,
+)
 from .._base.types import DecidingEquation, Equation, Real, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
+from .._engines.select import select_engines
 from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
+from .blocks import Way, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
+from .classify_many import Runs
 from .conditioning import run_with_error_estimate, without_error_estimates
+from .doubt import finish_of
 from .slow_labels import exact_when_slow
-from .slow_runs import (
-    SlowFlow,
-    check_slow_flow,
-    is_predictable,
-    with_predictions,
-)
+from .slow_runs import SlowFlow, check_slow_flow
 
 
 def classify(
@@ -50,10 +59,10 @@ def classify(
 ) -> Classification:
     """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
 
-    Integrates with diffrax (order 8) until the equation's own `verdict` is certain. A full
-    equation is followed along its physical branch, whose windows count as steps. May be jitted
-    and vmapped; for many starts `classify_many` is far faster. Not differentiable: its
-    derivatives are NaN. `residual_rotation` has those of ω∞.
+    Integrates (order 8) until the equation's own `verdict` is certain. A full equation is
+    followed along its physical branch, whose windows count as steps. May be jitted and vmapped;
+    for many starts `classify_many` is far faster, and gives the same numbers. Not differentiable:
+    its derivatives are NaN. `residual_rotation` has those of ω∞.
 
     | `value` | the run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -103,41 +112,43 @@ def classify(
         >>> dt.Outcome(int(slow.outcome)).name, dt.Regime(int(slow.regime)).name
         ('RESIDUAL', 'SLOW_FLOW')
     """
+    settings = {"rtol": rtol, "atol": atol, "max_steps": max_steps, "value": value}
+    whole_state = is_whole_state(omega0)
+    known = concrete(equation, omega0, rtol, atol)
+    why_not = "" if known else "the start is traced"
+    check_slow_flow(slow_flow, equation, why_not or ("the start is a whole state" * whole_state))
+    if known and not whole_state:
+        return _classify_by_engine(equation, omega0, slow_flow, **settings)
     arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
     constant = eqx.combine(jax.lax.stop_gradient(arrays), rest)
-    settings = {"rtol": rtol, "atol": atol, "max_steps": max_steps, "value": value}
-    why_not = "" if concrete(equation, omega0, rtol, atol) else "the start is traced"
-    why_not = why_not or ("the start is a whole state" if is_whole_state(omega0) else "")
-    check_slow_flow(slow_flow, equation, why_not)
-    if slow_flow is False or why_not:
-        run = classify_with_tangents(*constant, **settings)
-    else:
-        run = _classify_or_predict(constant, slow_flow, settings)
+    run = classify_with_tangents(*constant, **settings)
     zero = _zero_without_derivative(jax.tree.leaves(arrays))
     return jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, run)
 
 
-def _classify_or_predict(
-    begin: tuple[Any, Any], slow_flow: SlowFlow, settings: dict[str, Any]
+def _classify_by_engine(
+    equation: Any,
+    omega0: Any,
+    slow_flow: SlowFlow,
+    *,
+    rtol: NumberLike,
+    atol: NumberLike | None,
+    max_steps: int | np.integer,
+    value: Value,
 ) -> Classification:
-    """The classification of one start that may be predicted, whether it has to be or not."""
-    equation, omega0 = begin
+    """The classification of one known start, as a block of one lane."""
     check_verdict(equation)
     check_single(equation)
-    if not is_predictable(equation):
-        return classify_with_tangents(equation, omega0, **settings)
-    start = real("omega0", omega0, (3,), batch=False)
-    lanes, starts = jax.tree.map(lambda x: np.asarray(x)[..., None], (equation, start))
-
-    def run(followed: Bool[np.ndarray, "1"]) -> Classification:
-        one = classify_with_tangents(equation, omega0, **settings, followed=bool(followed[0]))
-        return jax.tree.map(lambda x: np.asarray(x)[..., None], one)
-
-    rtol, steps = tolerance("rtol", settings["rtol"]), budget("max_steps", settings["max_steps"])
-    limits = Limits(rtol, np.zeros(1), np.full(1, np.inf), jnp.asarray(steps))
-    label_only = settings["value"] is False
-    runs = with_predictions(run, (lanes, starts), limits, label_only, slow_flow is True)
-    return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), runs)
+    start = known_start(omega0)[None]
+    relative = tolerance("rtol", rtol, xp=np)
+    absolutes = absolute(atol, relative, start.T, exact_when_slow(equation, value))
+    steps = np.asarray(budget("max_steps", max_steps))
+    runs = Runs(equation, True, start, np.asarray(absolutes), relative, steps)
+    one, device = runs.tile(0, 1), worker_devices()[0]
+    rule = stopping_rule(equation, value), finish_of(value)
+    engine = select_engines("auto", one[0], [device], *rule, warn=False)[device]
+    run = classify_block(*one, Way(value, engine, device, slow_flow))
+    return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), run)
 
 
 @jax.custom_jvp
@@ -159,11 +170,10 @@ def classify_with_tangents(
     atol: NumberLike | None,
     max_steps: int | np.integer,
     value: Value = True,
-    followed: bool = True,
 ) -> Classification:
-    """The same as `classify`, with the derivatives of the state that ended the run.
+    """Classify one start by diffrax, with the derivatives of the state that ended the run.
 
-    Nothing is predicted. A run that is not to be `followed` takes no step.
+    Nothing is predicted.
     """
     check_verdict(equation)
     check_single(equation)
@@ -178,7 +188,7 @@ def classify_with_tangents(
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:
         until = "time"  # off the branch no region decides, and the top runs away
-    begin = _Start(start, from_omega, jnp.asarray(followed))
+    begin = _Start(start, from_omega)
     return _classify(equation, begin, tolerances, steps, until, value)
 
 
@@ -188,11 +198,9 @@ class _Start(NamedTuple):
     values: Array
     """ω₀, or a whole state."""
     is_omega: bool
-    followed: Bool[Array, ""]
-    """Whether the run is made, rather than only its first state looked at."""
 
 
-@eqx.filter_jit
+@compiled_soon
 def _classify(
     equation: DecidingEquation,
     begin: _Start,
@@ -201,11 +209,11 @@ def _classify(
     until: Until,
     value: Value,
 ) -> Classification:
-    start, from_omega, followed = begin
+    start, from_omega = begin
 
     def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
         y0 = equation.lift(start) if from_omega else start
-        t1 = jnp.where(wanted & followed, jnp.inf, 0.0)
+        t1 = jnp.where(wanted, jnp.inf, 0.0)
         limits = Limits(*tolerances, t1, jnp.asarray(max_steps))
         if from_omega and is_full(equation):
             ends = end_on_branch(equation, y0, limits, until)

@@ -94,7 +94,7 @@ def classify_many(
     if not single:
         _check_batch(equations, size)
     check_slow_flow(slow_flow, equations)
-    runs = _Runs(equations, single, starts, np.asarray(atol), relative, steps)
+    runs = Runs(equations, single, starts, np.asarray(atol), relative, steps)
     until, devices = stopping_rule(equations, value), worker_devices()
     every_run = runs.tile(0, size)
     engines = select_engines(engine, every_run[0], devices, until, finish_of(value))
@@ -118,7 +118,7 @@ def classify_many(
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1)[..., :size], *tiles)
 
 
-class _Runs(NamedTuple):
+class Runs(NamedTuple):
     """The runs that `classify_many` is asked for."""
 
     equations: Equation

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from .._averaging.forecast import Forecast, Variables, decided_outcome, scaled_r
 from .._averaging.free_rotation import mean_square_speed
 from .._averaging.histories import Values, in_units
 from .._averaging.slow_flow import from_logit
+from .._base.compiling import compiled_soon
 from .._base.tolerances import MAX_STEPS
 from .._base.types import Outcome, Real, Regime, Vector
 from ..bodies import Body
@@ -239,7 +239,7 @@ def _residual(course: _Course, run: Classification, half_time: float) -> Forecas
     )
 
 
-@eqx.filter_jit
+@compiled_soon
 def _of_states(
     start: Variables, omegas: Float[Array, "T 3"], strength: Real
 ) -> Float[Array, "4 T"]:

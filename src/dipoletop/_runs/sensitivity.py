@@ -1,7 +1,7 @@
 """How the residual rotation, and the time to reach it, move with the body and with the start."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import diffrax
@@ -25,6 +25,7 @@ from .._base.checks import (
     real,
     where_valid,
 )
+from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
 from .._base.forward_mode import forward_differentiable
 from .._base.linalg import dot, length, scale
@@ -105,31 +106,31 @@ def residual_rotation(
     tolerances = step_tolerances(rtol, atol, start)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
     leaves, structure = jax.tree.flatten((arrays, start))
-    runs = _Runs(rest, structure, max_steps)
-    return _with_gradient(runs.omega_inf, runs.omega_inf_and_slopes)(leaves, tolerances)
+    return _with_gradient(_Runs(rest, structure, budget("max_steps", max_steps)))(
+        leaves, tolerances
+    )
 
 
-@dataclass(frozen=True)
-class _Runs:
+class _Runs(eqx.Module):
     """Runs of one equation, by the numbers of its arrays and of ω₀."""
 
     rest: Any
     """The equation without its arrays."""
-    structure: Any
+    structure: Any = eqx.field(static=True)
     """How the numbers make the arrays of the equation and ω₀."""
-    max_steps: int | np.integer
+    max_steps: int
 
     def omega_inf(self, leaves: list[Array], tolerances: Tolerances) -> Float[Array, ""]:
-        """ω∞, with an estimate of its error."""
+        """Give ω∞, with an estimate of its error."""
         arrays, start = jax.tree.unflatten(self.structure, leaves)
         equation = eqx.combine(arrays, self.rest)
         return self._classified(equation, start, tolerances, True).omega_inf
 
+    @compiled_soon
     def omega_inf_and_slopes(
-        self, x: Float[Array, "n"], constants: tuple["_Leaves", Tolerances]
+        self, x: Float[Array, "n"], leaves_of: "_Leaves", tolerances: Tolerances
     ) -> Float[Array, "1+n"]:
-        """ω∞, and its derivatives by the varying numbers x."""
-        leaves_of, tolerances = constants
+        """Give ω∞, and its derivatives by the varying numbers x."""
         arrays, start = jax.tree.unflatten(self.structure, leaves_of(x))
         _, push = jax.linearize(leaves_of, x)
         parameters, starts = jax.tree.unflatten(self.structure, jax.vmap(push)(jnp.eye(x.size)))
@@ -162,44 +163,64 @@ def _infinities(x: Float[Array, "n"]) -> Float[Array, "n"]:
     return infinity(x.dtype) * (unequal + jnp.sum(x - jax.lax.stop_gradient(x)))
 
 
-def _with_gradient(value: Callable[..., Array], value_and_slopes: Callable[..., Array]) -> Any:
-    """The function `value(leaves, constants)` with derivatives from another function.
+def _with_gradient(runs: _Runs) -> Callable[..., Float[Array, ""]]:
+    """The function `runs.omega_inf`, with derivatives from `runs.omega_inf_and_slopes`.
 
-    That is value_and_slopes(x, (leaves_of, constants)), where the vector x holds all leaves that
-    vary, and the last leaf in any case; leaves_of(x) are all leaves. The value comes first.
+    Of the leaves those that vary are put into the vector x of the latter, and the last, ω₀, is in
+    any case.
     """
-
-    @jax.custom_jvp
-    def wrapped(leaves: list[Array], constants: Any) -> Array:
-        return value(leaves, constants)
+    wrapped = jax.custom_jvp(runs.omega_inf)
 
     def rule(primals: Any, tangents: Any) -> Any:
-        (leaves, constants), (changes, _) = primals, tangents
+        (leaves, tolerances), (changes, _) = primals, tangents
         fixed = [isinstance(change, SymbolicZero) for change in changes]
+        varies = [not still for still in fixed[:-1]] + [True]
         along = [
             jnp.zeros_like(leaf) if still else change
             for leaf, change, still in zip(leaves, changes, fixed, strict=True)
         ]
-        varies = [not still for still in fixed[:-1]] + [True]
         varying, others = eqx.partition(leaves, varies)
-        x, unravel = ravel_pytree(varying)
-        change, _ = ravel_pytree(eqx.filter(along, varies))
-        leaves_of = _Leaves(unravel, others)
-        omega_inf, *slopes = forward_differentiable(value_and_slopes)(x, (leaves_of, constants))
-        return omega_inf, jnp.stack(slopes) @ change
+        leaves_of = _Leaves(tuple(None if x is None else x.shape for x in varying), others)
+
+        def values(x: Float[Array, "n"], constants: Any) -> Float[Array, "1+n"]:
+            return runs.omega_inf_and_slopes(x, *constants)
+
+        found = forward_differentiable(values)(_raveled(varying), (leaves_of, tolerances))
+        return _value_and_change(found, _raveled(eqx.filter(along, varies)))
 
     wrapped.defjvp(rule, symbolic_zeros=True)
     return wrapped
 
 
+@eqx.filter_jit
+def _raveled(leaves: list[Array | None]) -> Float[Array, "n"]:
+    """All numbers of the leaves in one vector."""
+    return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves if leaf is not None])
+
+
+@eqx.filter_jit
+def _value_and_change(found: Float[Array, "1+n"], change: Float[Array, "n"]) -> Any:
+    """ω∞, and its derivative along a change, from ω∞ and its derivatives."""
+    return found[0], found[1:] @ change
+
+
 class _Leaves(eqx.Module):
     """From the vector of those that vary to all leaves."""
 
-    unravel: Callable[..., Any] = eqx.field(static=True)
+    shapes: tuple[tuple[int, ...] | None, ...] = eqx.field(static=True)
+    """The shapes of those that vary; None for the others."""
     others: list[Any]
 
     def __call__(self, x: Float[Array, "n"]) -> list[Array]:
-        return eqx.combine(self.unravel(x), self.others)
+        leaves, first = [], 0
+        for shape, other in zip(self.shapes, self.others, strict=True):
+            if shape is not None:
+                size = math.prod(shape)
+                leaves.append(x[first : first + size].reshape(shape))
+                first += size
+            else:
+                leaves.append(other)
+        return leaves
 
 
 def decay_time(
@@ -262,7 +283,7 @@ def decay_time(
     return forward_differentiable(time)(variables, tolerances)
 
 
-@eqx.filter_jit
+@compiled_soon
 def _time_of_energy(
     equation: Any,
     start: Array,

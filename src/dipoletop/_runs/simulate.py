@@ -36,9 +36,11 @@ from .._base.checks import (
     finite,
     initial_state,
     is_whole_state,
+    on_host,
     refuse,
     where_valid,
 )
+from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
@@ -187,7 +189,8 @@ def _times(ts: ArrayLike) -> Float[Array, "T"]:
     times = finite("ts", ts, (-1,), batch=False)
     if times.shape[0] < 2:
         refuse("ts", "hold at least two times, the start first", f"has shape {times.shape}")
-    return where_valid("ts", times, jnp.all(jnp.diff(times) > 0), "increase")
+    known = on_host(times)
+    return where_valid("ts", times, (known[1:] > known[:-1]).all(), "increase")
 
 
 def _follow(
@@ -326,7 +329,7 @@ def _up_to_event(
     return jnp.where(behind & is_event, solution.ts[end], times), ys
 
 
-@eqx.filter_jit
+@compiled_soon
 def _solve(
     equation: Any,
     y0: State,

@@ -23,9 +23,17 @@ from .._base.checks import (
     refuse,
     where_valid,
 )
+from .._base.compiling import compiled_soon
 from .._base.types import Equation, Vector
 from ..equations._common import follows_attitude, rate_of_omega
 from ..equations.levels import level_of
+
+
+@compiled_soon
+def _rotated(q: Float[Array, "*all 4"], v: Float[Array, "..."]) -> Float[Array, "*all 3"]:
+    """q∘v∘q*, of one vector or of as many as there are quaternions."""
+    v = jnp.broadcast_to(v, (*q.shape[:-1], 3))
+    return jnp.moveaxis(rotate(jnp.moveaxis(q, -1, 0), jnp.moveaxis(v, -1, 0)), 0, -1)
 
 
 class BranchSolution(eqx.Module):
@@ -100,18 +108,21 @@ class Trajectory(eqx.Module):
 
     @property
     @over_batch(_batch_axes)
+    @compiled_soon
     def omega_dot(self) -> Float[Array, "*batch T 3"]:
         """Rate of the angular velocity in body axes, in units of 1/τ₀²."""
         return jax.vmap(functools.partial(rate_of_omega, self.equation))(self.ts, self.ys)
 
     @property
     @over_batch(_batch_axes)
+    @compiled_soon
     def energy(self) -> Float[Array, "*batch T"]:
         """E = ½ Ω·IΩ."""
         return jax.vmap(lambda omega: radiation.kinetic_energy(self._body, omega))(self.omega)
 
     @property
     @over_batch(_batch_axes)
+    @compiled_soon
     def power(self) -> Float[Array, "*batch T"]:
         """Radiated power |d₂|²."""
         power = functools.partial(radiation.radiated_power, self._body)
@@ -131,6 +142,10 @@ class Trajectory(eqx.Module):
         """
         if self.emitted is None:
             refuse("balance", "be True in `simulate` for a balance defect", "was not")
+        return self._balance_defect()
+
+    @compiled_soon
+    def _balance_defect(self) -> Float[Array, "T"]:
         schott = functools.partial(radiation.schott_energy, self._body)
         total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
         total = total if self.work is None else total - self.work
@@ -152,6 +167,7 @@ class Trajectory(eqx.Module):
         return self._attitude
 
     @over_batch(_batch_axes)
+    @compiled_soon
     def _attitude_of_states(self) -> Float[Array, "*batch T 4"]:
         equation: Any = self.equation
         return jax.vmap(equation.attitude)(self.ys)
@@ -194,8 +210,7 @@ class Trajectory(eqx.Module):
         shape = np.shape(vectors)
         if shape not in ((3,), wanted):
             refuse("vectors", f"have shape (3,) or {wanted}", f"has shape {shape}")
-        v = jnp.broadcast_to(real("vectors", vectors, shape, batch=False), wanted)
-        return jnp.moveaxis(rotate(jnp.moveaxis(q, -1, 0), jnp.moveaxis(v, -1, 0)), 0, -1)
+        return _rotated(q, real("vectors", vectors, shape, batch=False))
 
     @property
     def stats(self) -> dict[str, Any]:

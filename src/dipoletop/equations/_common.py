@@ -9,11 +9,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._base.checks import concrete, instance, real, refuse, where_valid
+from .._base.checks import instance, on_host, real, refuse, where_valid
 from .._base.linalg import dot, largest, length, scale
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
 from ..bodies import Body
@@ -23,7 +22,7 @@ from ..radiation import radiated_power
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
     """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
     array = real("delta", delta)
-    known = np.asarray(array) if concrete(array) else array  # NumPy compares large arrays faster
+    known = on_host(array)
     return where_valid("delta", array, (known >= -1) & (known < 1), "lie in [-1, 1)")
 
 

@@ -4,7 +4,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from .._base.checks import finite, refuse, where_valid
+from .._base.checks import finite, on_host, refuse, where_valid
+from .._base.compiling import compiled_soon
 from .._base.types import Real, Vector
 
 
@@ -28,21 +29,24 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
         Array([0.2, 0. , 0.1], dtype=float64)
     """
     across = finite("w_perp", w_perp)
-    across = where_valid("w_perp", across, across >= 0, "not be negative")
+    across = where_valid("w_perp", across, on_host(across) >= 0, "not be negative")
     given = across, finite("w3", w3), finite("phi", phi)
     if len({x.shape for x in given} - {()}) > 1:
         shapes = ", ".join(str(x.shape) for x in given)
         refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")
-    return from_cylindrical(*jnp.broadcast_arrays(*given))
+    return compiled_soon(from_cylindrical)(*given)
 
 
 def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
-    """ω of cylindrical variables of one shape.
+    """ω of cylindrical variables of one size.
 
     At multiples of π/2 one component is exactly 0, because those planes decide outcomes.
     """
+    w_perp, w3, phi = jnp.broadcast_arrays(w_perp, w3, phi)
     quarter = jnp.round(phi / (jnp.pi / 2))
-    rest = phi - quarter * (jnp.pi / 2)
+    turned = quarter * (jnp.pi / 2)
+    # A compiler may round the product and the difference only once, which leaves a rest.
+    rest = jnp.where(phi == turned, 0.0, phi - turned)
     cos, sin = jnp.cos(rest), jnp.sin(rest)
     quadrant = jnp.mod(quarter, 4)
     w1 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [cos, -sin, -cos], sin)

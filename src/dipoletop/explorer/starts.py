@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._base.compiling import COMPILED_SOON
 from .._base.types import Outcome, Regime, Stop
 from .._maps.grids import Grid
 from .._maps.problems import Problem
@@ -27,8 +28,6 @@ TURN = 0.15
 """Radians by which the body turns from a picture to the next, at most."""
 TOLD_APART = 0.35
 """Radians of precession from a point of a curve to the next, at most."""
-COMPILED_SOON = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""Options of a program that runs for milliseconds, and would be compiled for many seconds."""
 SETTLED = 3.0
 """The motion is shown so many times as long as it takes until its outcome is certain."""
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import concrete, finite, or_nan, refuse, where_valid
+from .._base.checks import concrete, finite, on_host, or_nan, refuse, where_valid
 from .._base.linalg import dot, length, matvec, trace
 
 
@@ -21,7 +21,7 @@ def middle(inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
 def about(axis: Any, inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
     """n·In, with n the direction of `axis`."""
     axis = finite("axis", axis, (3,), batch=False)
-    axis = where_valid("axis", axis, jnp.any(axis != 0), "not be zero")
+    axis = where_valid("axis", axis, (on_host(axis) != 0).any(), "not be zero")
     n = axis / length(axis)
     return dot(n, matvec(inertia, n))
 

@@ -9,13 +9,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.batches import over_batch
-from .._base.checks import concrete, finite, refuse, where_valid
+from .._base.checks import concrete, finite, on_device, on_host, refuse, where_valid
 from .._base.guards import safe_sqrt
 from .._base.linalg import dot, trace
 from ..bodies import Body
 from . import moments, shapes
 from .texts import text
-from .units import LIGHT, RADIATION, STATCOULOMB_CM, numbers, positive_si, speed_in_rad
+from .units import (
+    LIGHT,
+    RADIATION,
+    STATCOULOMB_CM,
+    finite_numbers,
+    numbers,
+    positive_si,
+    speed_in_rad,
+)
 
 
 def _batch_axes(particle: Any) -> int:
@@ -68,7 +76,8 @@ class Particle(eqx.Module):
     radius: Float[Array, "*batch"] | None = None
 
     def __init__(self, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> None:
-        self.mass = positive_si("mass", mass)
+        mass = positive_si("mass", mass)
+        self.mass = on_device(mass)
         # The conditions on a body have no scale, so they hold for SI values, too.
         body = Body(
             finite("inertia", inertia, (3, 3), batch=False),
@@ -79,9 +88,10 @@ class Particle(eqx.Module):
         if radius is not None:
             given = positive_si("radius", radius)
             # tr I = 2 Σ mρ² ≤ 2mR²
-            least = jnp.sqrt(trace(self.inertia) / (2 * self.mass))
+            least = trace(on_host(self.inertia)) / (2 * mass)
+            large = given**2 >= (1 - 2e-12) * least
             must = "be at least √(tr I/(2m)), the mean distance of the mass from the centre"
-            self.radius = where_valid("radius", given, given >= (1 - 1e-12) * least, must)
+            self.radius = on_device(where_valid("radius", given, large, must))
 
     def __repr__(self) -> str:
         """The numbers of one particle, ranges of many; shapes of what is traced."""
@@ -266,9 +276,7 @@ class Particle(eqx.Module):
         """
         if isinstance(angular_velocity, str):
             return self.tau0(axis) * speed_in_rad("angular_velocity", angular_velocity)
-        given = numbers("angular_velocity", angular_velocity)
-        given = where_valid("angular_velocity", given, jnp.isfinite(given), "be finite")
-        return self.tau0(axis) * given
+        return self.tau0(axis) * finite_numbers("angular_velocity", angular_velocity)
 
     @over_batch(_batch_axes)
     def angular_velocity(self, omega: Any, axis: Any = None) -> Float[Array, "..."]:
@@ -295,9 +303,7 @@ class Particle(eqx.Module):
         Returns:
             τ, of the same shape.
         """
-        given = numbers("seconds", seconds)
-        given = where_valid("seconds", given, jnp.isfinite(given), "be finite")
-        return given / self.tau0(axis)
+        return finite_numbers("seconds", seconds) / self.tau0(axis)
 
     @over_batch(_batch_axes)
     def seconds(self, tau: Any, axis: Any = None) -> Float[Array, "..."]:
@@ -331,7 +337,7 @@ class Particle(eqx.Module):
         Source: equation (2.4).
         """
         speed = speed_in_rad("speed", speed)
-        speed = where_valid("speed", speed, jnp.asarray(speed > 0), "be positive")
+        speed = where_valid("speed", speed, on_host(speed) > 0, "be positive")
         moment = (
             moments.across(self.dipole, self.inertia)
             if axis is None

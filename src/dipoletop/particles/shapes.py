@@ -3,12 +3,8 @@
 import math
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from .. import bodies
-from .._base.checks import refuse
-from .._base.linalg import length as distance
+from .._base.checks import namespace, refuse
 from .units import positive_si
 
 _ANY_DIPOLE = (1.0, 0.0, 0.0)
@@ -18,9 +14,9 @@ _ANY_DIPOLE = (1.0, 0.0, 0.0)
 class Solid(NamedTuple):
     """A homogeneous body without its dipole."""
 
-    mass: Float[Array, ""]
-    inertia: Float[Array, "3 3"]
-    radius: Float[Array, ""]
+    mass: Any
+    inertia: Any
+    radius: Any
     """The largest distance of a point from the centre."""
 
 
@@ -29,22 +25,26 @@ def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
     a, c = positive_si("a", a), positive_si("c", c)
     mass = _mass(4 * math.pi / 3 * a**2 * c, mass, density)
     inertia = bodies.spheroid(mass, a, c, dipole=_ANY_DIPOLE).inertia
-    return Solid(mass, inertia, jnp.maximum(a, c))
+    return Solid(mass, inertia, namespace(a, c).maximum(a, c))
 
 
 def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
     """The ellipsoid with its semi-axes along the body axes."""
     semi_axes = positive_si("semi_axes", semi_axes, (3,))
-    mass = _mass(4 * math.pi / 3 * jnp.prod(semi_axes), mass, density)
+    mass = _mass(4 * math.pi / 3 * semi_axes.prod(), mass, density)
     a, b, c = mass * semi_axes**2 / 5
-    return Solid(mass, jnp.diag(jnp.stack([b + c, c + a, a + b])), jnp.max(semi_axes))
+    return Solid(mass, bodies.diagonal(b + c, c + a, a + b), semi_axes.max())
 
 
 def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
     """The cuboid with its edges along the body axes."""
     lengths = positive_si("lengths", lengths, (3,))
-    mass = _mass(jnp.prod(lengths), mass, density)
-    return Solid(mass, bodies.box(mass, lengths, _ANY_DIPOLE).inertia, distance(lengths) / 2)
+    mass = _mass(lengths.prod(), mass, density)
+    return Solid(
+        mass,
+        bodies.box(mass, lengths, _ANY_DIPOLE).inertia,
+        namespace(lengths).linalg.norm(lengths) / 2,
+    )
 
 
 def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
@@ -52,10 +52,10 @@ def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
     length, radius = positive_si("length", length), positive_si("radius", radius)
     mass = _mass(math.pi * radius**2 * length, mass, density)
     inertia = bodies.rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia
-    return Solid(mass, inertia, jnp.hypot(length / 2, radius))
+    return Solid(mass, inertia, namespace(length, radius).hypot(length / 2, radius))
 
 
-def _mass(volume: Float[Array, ""], mass: Any, density: Any) -> Float[Array, ""]:
+def _mass(volume: Any, mass: Any, density: Any) -> Any:
     """The mass that is given, or that follows from the density, kg."""
     if (mass is None) == (density is None):
         was = "neither is" if mass is None else "both are"

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.batches import over_batch
-from .._base.checks import finite, instance, positive, refuse, where_valid
+from .._base.checks import finite, instance, on_host, positive, refuse, where_valid
+from .._base.compiling import compiled_soon
 from .._base.linalg import dot, length, matvec, scale, solve, trace
 from ..bodies import Body
 from .particle import Particle
@@ -51,7 +52,7 @@ def start(
         refuse("momentum", "be given or else `axis`", was)
     name = "axis" if momentum is None else "momentum"
     direction = finite(name, axis if momentum is None else momentum, (3,))
-    nonzero = jnp.any(direction != 0, axis=-1)
+    nonzero = (on_host(direction) != 0).any(axis=-1)
     direction = where_valid(name, direction, nonzero, "not be zero")
     speed = _spin(body, spin)
     if speed.ndim == 1 and direction.ndim == 2 and speed.shape != direction.shape[:1]:
@@ -69,10 +70,11 @@ def _spin(body: Body | Particle, spin: Any) -> Float[Array, "*batch"]:
             refuse("spin", "be a number, since a Body has no unit of time", f"is {spin!r}")
         return positive("spin", spin)
     speed = speed_in_rad("spin", spin)
-    return where_valid("spin", speed, jnp.asarray(speed > 0), "be positive")
+    return where_valid("spin", speed, on_host(speed) > 0, "be positive")
 
 
 @over_batch(lambda body: body.dipole.ndim - 1)
+@compiled_soon
 def _start(
     body: Body | Particle,
     spin: Float[Array, "*batch"],

@@ -5,9 +5,10 @@ import re
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, real, refuse, where_valid
+from .._base.checks import finite, on_host, real, refuse, where_valid
 
 # Of CODATA 2022. `scipy.constants` has them too, but takes 60 ms to import.
 LIGHT = 299_792_458.0
@@ -68,12 +69,12 @@ def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
             refuse(name, f"be a number with a unit among {', '.join(_UNITS)}", f"is {value!r}")
         value = float(given[1]) * _UNITS[given[2]]
     speed = finite(name, value)
-    return where_valid(name, speed, jnp.asarray(speed >= 0), "not be negative")
+    return where_valid(name, speed, on_host(speed) >= 0, "not be negative")
 
 
-def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-    """A positive number in SI units, or an array of them."""
-    array = finite(name, value, shape, batch=False)
+def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Any:
+    """A positive number in SI units, or an array of them; in NumPy if it is known."""
+    array = on_host(finite(name, value, shape, batch=False))
     if array.dtype != jnp.float64:
         hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
         refuse(name, "be float64", f"is {array.dtype}, which ends near 1e-38 ({hint})")
@@ -82,8 +83,16 @@ def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Float[Arr
 
 def numbers(name: str, value: Any) -> Float[Array, "..."]:
     """Real numbers of any shape."""
+    return real(name, value, _shape(value), batch=False)
+
+
+def finite_numbers(name: str, value: Any) -> Float[Array, "..."]:
+    """Finite numbers of any shape."""
+    return finite(name, value, _shape(value), batch=False)
+
+
+def _shape(value: Any) -> tuple[int, ...]:
     try:
-        shape = jnp.shape(jnp.asarray(value))
-    except (TypeError, ValueError, OverflowError):
-        shape = ()  # `real` refuses such a value
-    return real(name, value, shape, batch=False)
+        return np.shape(value)
+    except (TypeError, ValueError):
+        return ()  # a check will refuse such a value
