@@ -123,3 +123,25 @@ def test_steps_are_those_of_the_rules(engine, rtol):
         steps, end = reference_steps(rate, starts[:, i], 40.0, rtol)
         assert int(ends.steps[i]) == steps
         np.testing.assert_allclose(ends.y[:, i], end, rtol=0, atol=1e-11)
+
+
+BODY = dt.Body([[1.7, 0.0, 0.0], [0.0, 1.3, 0.2], [0.0, 0.2, 1.0]], [0.6, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("equation", [dt.Reduced(BODY), dt.SemiReduced(BODY)])
+def test_verdicts_are_the_same_with_what_is_prepared_for_them(equation):
+    """The axes of the body, and the averages of the torque on its free rotation."""
+    y = 0.2 * jax.random.normal(jax.random.key(1), (3,))
+    plain, prepared = equation.verdict(y), equation.verdict(y, equation.prepare())
+    jax.tree.map(np.testing.assert_array_equal, plain, prepared)
+    names = {name: str(jax.make_jaxpr(f)(y)) for name, f in _verdicts(equation).items()}
+    assert "atan2" in names["plain"]
+    assert "atan2" not in names["prepared"]
+
+
+def _verdicts(equation):
+    seen = equation.prepare()
+    return {
+        "plain": lambda y: equation.verdict(y).outcome,
+        "prepared": lambda y: equation.verdict(y, seen).outcome,
+    }

@@ -138,14 +138,13 @@ def test_what_would_wait_for_ever_is_refused():
 
 
 def test_variations_are_those_of_jax_and_name_what_varies():
-    """They are computed in NumPy, as blocks without variations are."""
     at = dt.Grid(delta=[-0.2, 0.3], w3=[0.0, 0.1, 0.2], phi=1.2)
     builder = BlockBuilder(reduced, at, ("w3", "delta"))
     points = at.points(np.arange(6))
     made, by_jax = builder(points), builder._vectorised(points)
     assert jax.tree.structure(made) == jax.tree.structure(by_jax)
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(made))
-    jax.tree.map(np.testing.assert_array_equal, made, by_jax)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-15, 1e-16), made, by_jax)
     assert made[0].varying == ((False,), (True,))  # δ, the only array of the equation
 
 
@@ -164,3 +163,23 @@ def test_a_problem_returns_what_classify_takes():
 
 def W(w3):
     return jnp.stack([jnp.full_like(w3, 0.2), jnp.zeros_like(w3), w3])
+
+
+def test_a_wrong_number_in_the_problem_itself_is_refused():
+    """It is known, although the problem is traced; a wrong number of a point fails there alone."""
+    with pytest.raises(ValueError, match="`delta`"):
+        dt.sweep(lambda w3: (dt.TransverseReduced(2.0), W(w3)), dt.Grid(w3=[0.1]))
+    basin = dt.sweep(
+        lambda delta: (dt.TransverseReduced(delta), dt.cylindrical(0.2, 0.1, 0.1)),
+        dt.Grid(delta=[2.0, -0.2]),
+    )
+    assert basin.outcome[0] == dt.Outcome.FAILED != basin.outcome[1]
+
+
+def test_a_problem_may_compute_with_numbers_of_its_own():
+    size = jnp.asarray(0.2)
+    basin = dt.sweep(
+        lambda w3: (dt.TransverseReduced(-0.2), dt.cylindrical(float(jnp.sin(size)), w3, 0.1)),
+        dt.Grid(w3=[0.1]),
+    )
+    assert basin.outcome[0] in (dt.Outcome.RESIDUAL, dt.Outcome.STOP)

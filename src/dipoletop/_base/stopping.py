@@ -19,11 +19,16 @@ tolerance; "slope": also the derivatives of ω∞; "time": at its end time t1 on
 VALUE_MARGIN = 0.1  # of the tolerance: the allowed error of ω∞ by its local formula
 
 
-def decided(equation: Any, y: State, tolerances: Tolerances, until: Until) -> Bool[Array, "*lanes"]:
-    """Whether the verdict on a state finishes the run."""
+def decided(
+    equation: Any, y: State, tolerances: Tolerances, until: Until, prepared: Any = None
+) -> Bool[Array, "*lanes"]:
+    """Whether the verdict on a state finishes the run.
+
+    `prepared` is that of `prepared_verdicts`, or None.
+    """
     if until == "time":
         return jnp.zeros(y.shape[1:], bool)
-    verdict = Verdict(*equation.verdict(y))
+    verdict = verdict_on(equation, y, prepared)
     certain = verdict.outcome != Outcome.UNDECIDED
     if until == "outcome":
         return certain
@@ -31,6 +36,18 @@ def decided(equation: Any, y: State, tolerances: Tolerances, until: Until) -> Bo
     if until == "value":
         return certain
     return certain & (slopes_settled(verdict, tolerances.rtol) | (verdict.outcome == Outcome.STOP))
+
+
+def prepared_verdicts(equation: Any) -> Any:
+    """What an equation prepares for its verdicts (`OptionalMembers`), or None."""
+    prepare = getattr(equation, "prepare", None)
+    return None if prepare is None else prepare()
+
+
+def verdict_on(equation: Any, y: State, prepared: Any = None) -> Verdict:
+    """The verdict on a state, by what the equation has prepared for it, if anything."""
+    given = (y,) if prepared is None else (y, prepared)
+    return Verdict(*equation.verdict(*given))
 
 
 def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Array, "*lanes"]:

@@ -202,6 +202,9 @@ class OptionalMembers(Protocol):
     branch: DecidingEquation
     """The equation of the physical branch of a full equation, if known in closed form
     (`_common.physical`)."""
+    prepare: Callable[[], Any]
+    """What the verdicts on all states need of the parameters alone: a pytree of arrays, lanes
+    behind. An engine computes it once for a run; then `verdict(y, prepared)` takes it."""
     torque: Callable[..., Vector]
     """A torque M from outside by (τ, y), in body axes, whose work the balance of energy contains
     (`_common.energy_flows`)."""

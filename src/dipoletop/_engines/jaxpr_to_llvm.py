@@ -17,8 +17,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 from llvmlite import ir
 
-from .._base import numpy_programs
-from .._base.digests import complete_digest
+from . import constant_folding
 from .interface import Unsupported
 from .machine_code import MachineCode, machine_code
 from .vector_code import BITWISE, COMPARE, FLOAT, VectorBuilder
@@ -216,20 +215,20 @@ _REDUCE |= {"reduce_and": "and", "reduce_or": "or"}
 def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
     """The results of one equation of a jaxpr."""
     name = eqn.primitive.name
-    if name in numpy_programs.CALLS:
-        return _write(eqn.params[numpy_programs.CALLS[name]], values, w)
+    if name in constant_folding.CALLS:
+        return _write(eqn.params[constant_folding.CALLS[name]], values, w)
     if name == "scan":
         return _scan(eqn, values, w)
     if name in _UNCHANGED:
         return values
     if all(v.dtype != object for v in values):  # known already
-        return numpy_programs.apply(eqn, values)
+        return constant_folding.apply(eqn, values)
     if name in _MOVES:
         return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
     kinds = [v.aval.dtype for v in eqn.invars]
     values = [_as_vectors(v, kind, w) for v, kind in zip(values, kinds, strict=True)]
-    if name in numpy_programs.MOVES:
-        return [numpy_programs.MOVES[name](eqn.params, *values)]
+    if name in constant_folding.MOVES:
+        return [constant_folding.MOVES[name](eqn.params, *values)]
     if name == "unstack":
         return list(np.moveaxis(values[0], eqn.params["axis"], 0))
     if name == "dot_general":
@@ -316,13 +315,7 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
     shapes = jax.eval_shape(lambda *x: x, rows, shared)
     jaxpr = jax.make_jaxpr(lambda pair: jax.tree.leaves(function(*pair)))(shapes)
     rows, shared = (jax.tree.leaves(part) for part in shapes)
-    write = functools.partial(_in_llvm, jaxpr, rows, shared, width)
-    # A digest takes a tenth of the time of writing; without one the code itself tells it apart.
-    source = complete_digest(jaxpr)
-    if source is None:
-        text = write()
-        return machine_code(text.encode(), lambda: text)
-    return machine_code(b"%d %d %b" % (width, len(rows), source), write)
+    return machine_code(_in_llvm(jaxpr, rows, shared, width))
 
 
 def _in_llvm(jaxpr: ClosedJaxpr, rows: list[Any], shared: list[Any], width: int) -> str:

@@ -1,22 +1,15 @@
 """Machine code of LLVM code, compiled for this processor once and then kept on disk."""
 
 import functools
-import platform
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import llvmlite
-import numpy as np
 from llvmlite import binding
 
 from .._base import private_cache
 from .._base.digests import digest
 from .._base.monitoring import report_native_compilation
-
-WRITERS = ("jaxpr_to_llvm.py", "machine_code.py", "vector_code.py", "../_base/numpy_programs.py")
-"""The modules that decide what LLVM code is written, and how it is compiled."""
 
 
 class MachineCode(NamedTuple):
@@ -27,17 +20,12 @@ class MachineCode(NamedTuple):
     """What keeps the code alive."""
 
 
-def machine_code(source: bytes, write: Callable[[], str]) -> MachineCode:
-    """The function `treat` of a module, as machine code for this processor.
-
-    Args:
-        source: all that the LLVM code is written from, besides this package, or a digest of it.
-        write: gives the LLVM code; it is not called if the machine code is on disk.
-    """
-    key = digest(source, *_circumstances())
+def machine_code(text: str) -> MachineCode:
+    """The function `treat` of a module of LLVM code, as machine code for this processor."""
+    key = digest(text.encode(), *_circumstances())
     code = private_cache.load(key)
     if code is None:
-        code = _compile(write())
+        code = _compile(text)
         private_cache.save(key, code)
     # Code from the disk and new code take the same way.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _target_machine())
@@ -77,12 +65,7 @@ def _processor_features() -> str:
 
 @functools.cache
 def _circumstances() -> tuple[bytes, ...]:
-    """All that machine code depends on besides its source.
-
-    These are the modules that write it, the versions of what they use, and the processor.
-    """
-    folder = Path(__file__).parent
-    versions = jax.__version__, np.__version__, llvmlite.__version__, binding.llvm_version_info
+    """All that machine code depends on besides its text: versions, processor, this module."""
+    versions = llvmlite.__version__, binding.llvm_version_info
     processor = binding.get_process_triple(), binding.get_host_cpu_name(), _processor_features()
-    texts = *map(str, versions), *processor, platform.python_version()
-    return *(text.encode() for text in texts), *((folder / x).read_bytes() for x in WRITERS)
+    return *(str(x).encode() for x in (*versions, *processor)), Path(__file__).read_bytes()

@@ -22,11 +22,10 @@ from jaxtyping import Array, Float
 
 from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
-from .._base.stopping import Until
+from .._base.stopping import Until, prepared_verdicts
 from .._base.tolerances import Tolerances
 from .._base.types import Equation
 from . import step
-from .hoisting import Hoisted
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
 from .machine_code import MachineCode
@@ -109,21 +108,12 @@ class _Functions(NamedTuple):
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
-        begun = step.prepared(begun, self.divided(begun, shared))
         return table._replace(lanes=eqx.filter(begun, eqx.is_array))
-
-    def hoisted(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> list[Array] | None:
-        """What lanes hold besides when they are at work."""
-        whole = replace(lanes, equation=self.equation(lanes))
-        return step.prepared(whole, self.divided(whole, shared)).hoisted
 
     def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
         whole = replace(lanes, equation=self.equation(lanes))
-        advanced = step.advance_by(self.divided(whole, shared), whole, *shared)
+        advanced = step.advance(whole, *shared, self.solver, self.until)
         return eqx.filter(advanced, eqx.is_array)
-
-    def divided(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> Hoisted:
-        return step.divided(lanes, *shared, self.solver, self.until)
 
     def result(self, lanes: step.LaneState, omegas: Any, shared: tuple[Array, Array]) -> Any:
         ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
@@ -172,12 +162,11 @@ class _Program:
         def blank() -> Any:
             y, number, count = jnp.zeros((n, 1)), jnp.zeros(1), jnp.zeros(1, "int32")
             fields = jax.tree.map(one_lane, arrays)
+            prepared = prepared_verdicts(eqx.combine(fields, static))
             lanes = step.LaneState(
-                y, y, number, number, number, count, count, fields, number, number
+                y, y, number, number, number, count, count, fields, number, number, prepared
             )
             shared = jnp.zeros(()), jnp.zeros((), int)
-            hoisted = jax.tree.map(one_lane, functions.hoisted(lanes, shared))
-            lanes = replace(lanes, hoisted=hoisted)
             omegas = None if finish is None else jnp.zeros((3, 1))
             result = functions.result(lanes, omegas, shared)
             return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result

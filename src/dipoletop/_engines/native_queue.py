@@ -76,8 +76,7 @@ class Loop(NamedTuple):
 @functools.cache
 def loop() -> Loop:
     """The loop; compiled once, which two threads must not do at the same time."""
-    text = _loop_in_llvm()
-    code = machine_code(text.encode(), lambda: text)
+    code = machine_code(_loop_in_llvm())
     return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
 
 

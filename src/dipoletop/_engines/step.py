@@ -7,7 +7,6 @@ any explicit diffrax solver.
 """
 
 import functools
-from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -17,17 +16,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._base.stopping import BROKEN, EXHAUSTED, FINISHED, RUNNING, Until, decided, sound
+from .._base.stopping import (
+    BROKEN,
+    EXHAUSTED,
+    FINISHED,
+    RUNNING,
+    Until,
+    decided,
+    prepared_verdicts,
+    sound,
+)
 from .._base.tolerances import Tolerances
 from .._base.types import Equation, Real, State
 from ..equations._common import error_scale_of
-from .hoisting import Hoisted
 from .interface import Limits
 from .step_sizes import error_ratio, first_step, root
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
 LARGE, WIDE = 500, 10  # operations and components of a rate beyond which the stages become a loop
-WORTH = 500  # operations from which on it pays to keep their results in memory
 
 
 class LaneState(eqx.Module):
@@ -47,8 +53,8 @@ class LaneState(eqx.Module):
     equation: Any
     atol: Float[Array, "B"]
     t1: Float[Array, "B"]
-    hoisted: list[Array] | None = None
-    """What the steps need of functions of `equation`, `atol` and `t1` alone, see `prepared`."""
+    prepared: Any
+    """What the equation has prepared for its verdicts, or None."""
 
 
 def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> LaneState:
@@ -57,61 +63,14 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     f = equation(jnp.zeros_like(limits.t1), y0, None)
     h = first_step(equation, error_scale_of(equation), y0, f, tolerances, order)
     able = sound(0 * h, y0, f) & jnp.isfinite(h)
-    done = decided(equation, y0, tolerances, until) | (limits.t1 <= 0)
+    prepared = prepared_verdicts(equation)
+    done = decided(equation, y0, tolerances, until, prepared) | (limits.t1 <= 0)
     status = jnp.where(limits.max_steps > 0, RUNNING, EXHAUSTED)
     status = jnp.where(able, jnp.where(done, FINISHED, status), BROKEN).astype("int32")
     zero = jnp.zeros_like(h)
     none = zero.astype("int32")
     atol, t1 = jnp.asarray(limits.atol), jnp.asarray(limits.t1)
-    return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1)
-
-
-def divided(
-    state: LaneState, rtol: Real, max_steps: Array, solver: diffrax.AbstractERK, until: Until
-) -> Hoisted:
-    """`advance` for such states, traced once and divided into what is constant during a run."""
-    leaves, structure = jax.tree.flatten((replace(state, hoisted=None), rtol, max_steps))
-    kinds = tuple((x.shape, jnp.dtype(x.dtype)) for x in leaves)
-    return _divided(structure, kinds, solver, until)
-
-
-@functools.lru_cache(maxsize=16)
-def _divided(structure: Any, kinds: Any, solver: diffrax.AbstractERK, until: Until) -> Hoisted:
-    shapes = (jax.ShapeDtypeStruct(*kind) for kind in kinds)
-    state, *numbers = jax.tree.unflatten(structure, shapes)
-    arrays, static = eqx.partition(state.equation, lambda x: isinstance(x, jax.ShapeDtypeStruct))
-
-    def function(fixed: Any, varying: Any) -> dict[str, Any]:
-        (arrays, atol, t1), (changing, rtol, max_steps) = fixed, varying
-        equation = eqx.combine(arrays, static)
-        given = replace(state, **changing, equation=equation, atol=atol, t1=t1)
-        return _changing(advance(given, rtol, max_steps, solver, until))
-
-    fixed = arrays, state.atol, state.t1
-    return Hoisted(function, fixed, (_changing(state), *numbers))
-
-
-def prepared(state: LaneState, step: Hoisted) -> LaneState:
-    """The state with `hoisted` results, if these save a step many operations."""
-    jax.eval_shape(step.once, _fixed(state))  # which counts
-    return replace(state, hoisted=step.once(_fixed(state)) if step.saved >= WORTH else None)
-
-
-def advance_by(step: Hoisted, state: LaneState, rtol: Real, max_steps: Array) -> LaneState:
-    """The same as `advance`, by its `divided` program, for a state that is `prepared` or not."""
-    changed = step.rest(_fixed(state), (_changing(state), rtol, max_steps), state.hoisted)
-    return replace(state, **changed)
-
-
-def _fixed(state: LaneState) -> tuple[Any, Array, Array]:
-    """What is constant during a run."""
-    return eqx.filter(state.equation, eqx.is_array), state.atol, state.t1
-
-
-def _changing(state: LaneState) -> dict[str, Any]:
-    """What a step changes."""
-    names = "y", "f", "t", "compensation", "h", "steps", "status"
-    return {name: getattr(state, name) for name in names}
+    return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1, prepared)
 
 
 def advance(
@@ -143,12 +102,13 @@ def advance(
     # Evaluated at the proposed state unconditionally: that shortens the chain of dependent
     # operations in machine code.
     broken = jnp.where(accept, ~sound(later, new, rate), stuck)
-    done = accept & (last | decided(state.equation, new, tolerances, until))
+    done = accept & (last | decided(state.equation, new, tolerances, until, state.prepared))
     status = jnp.where(steps < max_steps.astype(steps.dtype), RUNNING, EXHAUSTED)
     status = jnp.where(broken, BROKEN, jnp.where(done, FINISHED, status))
     status = jnp.where(running, status, state.status).astype(state.status.dtype)
     h = jnp.where(running, h * factor, state.h)
-    return LaneState(y, f, t, compensation, h, steps, status, state.equation, state.atol, state.t1)
+    kept = state.equation, state.atol, state.t1, state.prepared
+    return LaneState(y, f, t, compensation, h, steps, status, *kept)
 
 
 def runge_kutta_step(

@@ -1,6 +1,6 @@
 """A sweep's problem: from points to their equations and starts, vectorised."""
 
-import contextlib
+import functools
 import inspect
 import threading
 from collections.abc import Callable, Sequence
@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.checks import check_equation, instance, real, refuse
+from .._base.compiling import COMPILED_SOON
 from .._base.dependence import dependence
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
-from .._base.numpy_programs import NumpyProgram, asks_known_numbers
 from .._base.parallel import as_worker
 from .._base.types import DecidingEquation, Equation, State, Vector, Verdict
 from ..equations._common import error_scale_of, physical
@@ -42,8 +42,6 @@ class BlockBuilder:
     over: Grid | Points | Sample
     derivatives: tuple[str, ...] = ()
     _tracing: Any = field(default_factory=threading.Lock)
-    _programs: dict[Any, Any] = field(default_factory=dict)
-    """What `_program` has found, by the shapes of points."""
 
     def __post_init__(self) -> None:
         check_problem(self.problem)
@@ -53,40 +51,23 @@ class BlockBuilder:
             check_arguments("over", self.over.header.values)
 
     def __call__(self, points: PointValues) -> Block:
-        """The block of these points, which `over` gives."""
+        """The block of these points, which `over` gives; in NumPy on processors."""
         with as_worker():
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
-            program, structure, may_refuse = self._program(points)
-            if program is None:
-                return self._vectorised(points)
-            leaves = program(*jax.tree.leaves(points))
-            if may_refuse and any(
-                np.isnan(leaf).any() for leaf in leaves if leaf.dtype.kind == "f"
-            ):
-                return self._vectorised(points)
-            return jax.tree.unflatten(structure, leaves)
+            if jax.default_backend() != "cpu":
+                return self._compiled(points)
+            return jax.tree.map(np.asarray, self._compiled(points))
 
-    def _program(self, points: PointValues) -> tuple[Any, Any, bool]:
-        """The program of such points, to be run in NumPy; None where JAX must run it.
+    def template(self) -> Any:
+        """The shapes and types of a block of one point."""
+        with as_worker():
+            return eqx.filter_eval_shape(self._vectorised, self.over.points(np.zeros(1, int)))
 
-        Then the structure of its results, and whether it compares numbers of its own. Wrong ones
-        are refused while they are known, and become NaN in a trace.
-        """
-        shapes = jax.tree.map(lambda x: (x.shape, x.dtype), points)
-        key = jax.tree.structure(points), tuple(jax.tree.leaves(shapes, is_leaf=_is_shape))
-        if key not in self._programs:
-            program, structure, may_refuse = None, None, False
-            if jax.default_backend() == "cpu":
-                # Whatever is wrong shows itself when JAX runs it.
-                with contextlib.suppress(Exception):
-                    make = jax.make_jaxpr(self._vectorised, return_shape=True)
-                    traced, result = make(points)
-                    structure = jax.tree.structure(result)
-                    may_refuse = asks_known_numbers(traced)
-                    program = NumpyProgram(traced)
-            self._programs[key] = program, structure, may_refuse
-        return self._programs[key]
+    @functools.cached_property
+    def _compiled(self) -> Callable[[PointValues], Block]:
+        options = COMPILED_SOON if jax.default_backend() == "cpu" else {}
+        return jax.jit(self._vectorised, compiler_options=options)
 
     def _vectorised(self, points: PointValues) -> Block:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
@@ -94,7 +75,8 @@ class BlockBuilder:
             return jax.vmap(of_point, out_axes=-1)(points)
 
     def _equation_and_start(self, point: PointValues) -> tuple[Equation, Vector]:
-        pair = self.problem(**point) if isinstance(point, dict) else self.problem(point)
+        with jax.ensure_compile_time_eval():  # numbers of the problem's own are known, and checked
+            pair = self.problem(**point) if isinstance(point, dict) else self.problem(point)
         if not (isinstance(pair, tuple | list) and len(pair) == 2):
             refuse("problem", "return (equation, omega0)", f"returns {type(pair).__name__}")
         equation, omega0 = pair
@@ -121,9 +103,8 @@ class BlockBuilder:
 
     def program_digests(self) -> dict[str, bytes]:
         """Digests of every function that is computed for a point, by its role."""
-        first = np.zeros(1, int)
-        points = self.over.points(first)
-        made, omegas = self(points)
+        points = self.over.points(np.zeros(1, int))
+        made, omegas = self.template()
         equation = physical(made)
         with as_worker():
             state = jax.eval_shape(equation.lift, omegas)
@@ -143,7 +124,7 @@ class BlockBuilder:
 
 def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: Any) -> bytes:
     """Digest of a method of the equation, as a function of its arrays and of the argument."""
-    arrays, rest = eqx.partition(equation, eqx.is_array)
+    arrays, rest = eqx.partition(equation, _is_shape)
 
     def leaves(arrays: Any, argument: Any) -> list[Any]:
         return jax.tree.leaves(method(eqx.combine(arrays, rest), argument))
@@ -162,8 +143,8 @@ def _verdict(equation: DecidingEquation, y: State) -> Verdict:
     return verdict._replace(certified=verdict.certified_for(equation))
 
 
-def _is_shape(value: Any) -> bool:
-    return isinstance(value, tuple)
+def _is_shape(leaf: Any) -> bool:
+    return isinstance(leaf, jax.ShapeDtypeStruct)
 
 
 def check_problem(problem: Any) -> None:

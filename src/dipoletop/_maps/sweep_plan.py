@@ -93,7 +93,7 @@ class Plan:
 
     Attributes:
         blocks: builds the equations and starts of a tile.
-        equation: the equation of the first point.
+        equation: the equation, with the shapes and types of its arrays for one point.
         rules: tolerances and budgets.
         devices: the devices, each as often as there are threads for it.
         engines: the engine of each device.
@@ -260,7 +260,7 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
         rtols.append(tolerance("confirm", confirm))
     max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
     # check
-    equation, _ = blocks(over.points(np.zeros(1, int)))
+    equation, _ = blocks.template()
     check_verdict(equation)
     check_slow_flow(slow_flow, equation)
     until, finish = stopping_rule(equation, value), finish_of(value)

@@ -26,9 +26,10 @@ FullState = Float[Array, "6 *lanes"]
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
     """Ω̇ and Ω̈ of free rotation: Ω̇ = −I⁻¹N, Ω̈ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (below (3.3))."""
+    reciprocal = inverse(body.inertia)  # once, since operations are counted as they are written
 
     def rate(w: Vector) -> Vector:
-        return -matvec(inverse(body.inertia), gyroscopic_torque(body, w))
+        return -matvec(reciprocal, gyroscopic_torque(body, w))
 
     first = rate(omega)
     return first, jax.jvp(rate, (omega,), (first,))[1]
@@ -123,9 +124,14 @@ class Reduced(eqx.Module):
         """The state is ω itself."""
         return y
 
-    def verdict(self, y: Vector) -> Verdict:
+    def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
         """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
-        return any_body.verdict(self.body, y, Level.of_order(self.order))._replace(equation=Reduced)
+        seen = self.prepare() if seen is None else seen
+        return any_body.verdict(seen, y, Level.of_order(self.order))._replace(equation=Reduced)
+
+    def prepare(self) -> any_body.SeenBody:
+        """What verdicts need of the body alone."""
+        return any_body.seen(self.body)
 
     @property
     def level(self) -> str:
@@ -163,9 +169,14 @@ class SemiReduced(eqx.Module):
         """The state is ω itself."""
         return y
 
-    def verdict(self, y: Vector) -> Verdict:
+    def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
         """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
-        return any_body.verdict(self.body, y, Level.SEMI)._replace(equation=SemiReduced)
+        seen = self.prepare() if seen is None else seen
+        return any_body.verdict(seen, y, Level.SEMI)._replace(equation=SemiReduced)
+
+    def prepare(self) -> any_body.SeenBody:
+        """What verdicts need of the body alone."""
+        return any_body.seen(self.body)
 
 
 class Full(eqx.Module):
@@ -197,7 +208,9 @@ class Full(eqx.Module):
 
     def verdict(self, y: FullState) -> Verdict:
         """For a state on the physical branch, by the tests of the other levels; uncertified."""
-        return any_body.verdict(self.body, self.omega(y), Level.FULL)._replace(equation=Full)
+        return any_body.verdict(any_body.seen(self.body), self.omega(y), Level.FULL)._replace(
+            equation=Full
+        )
 
     def fast(self, omega_dot: Vector) -> Vector:
         """The part of Ω̇ that belongs to the state and runs away: a = PΩ̇."""

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.guards import safe_divisor
 from .._base.linalg import cross, largest, matvec
+from .._base.stopping import prepared_verdicts, verdict_on
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
 from ._common import error_scale_of, has_body_field, omega_scale_of
@@ -69,9 +70,13 @@ class Tangent(eqx.Module):
         """The angular velocity of a state."""
         return self.equation.omega(self._split(y)[0])
 
-    def verdict(self, y: State) -> Verdict:
+    def prepare(self) -> Any:
+        """What the equation prepares for its verdicts, if it does."""
+        return prepared_verdicts(self.equation)
+
+    def verdict(self, y: State, prepared: Any = None) -> Verdict:
         """That of the equation, whose motions these are."""
-        verdict = Verdict(*self.equation.verdict(self._split(y)[0]))
+        verdict = verdict_on(self.equation, self._split(y)[0], prepared)
         own = verdict.belongs_to(self.equation)
         return verdict._replace(equation=Tangent if own else None)
 

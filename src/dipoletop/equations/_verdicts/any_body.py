@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from ..._base.guards import safe_divisor, safe_sqrt
 from ..._base.linalg import dot, inverse, scale
@@ -35,14 +36,15 @@ from ..levels import Level
 from . import residual_line as line
 from . import transverse
 from .dipole_frame import (
+    BodyFrame,
     DipoleFrame,
-    seen_from_dipole,
+    body_frame,
     spins_across,
     stays_in_plane,
     symmetry_axis,
     transverse_top,
 )
-from .slow_flow import behind_barrier, ends_on_axis
+from .slow_flow import behind_barrier, ends_on_axis, flow_at_nodes
 
 SMALL = 0.2  # |d|²|Ω|/J up to which the reduced levels keep the balance law well enough
 
@@ -80,11 +82,29 @@ class Attraction(NamedTuple):
     """Estimated error of its derivatives, relative."""
 
 
-def verdict(body: Body, y: Vector, level: Level) -> Verdict:
+class SeenBody(NamedTuple):
+    """All that a verdict needs of a body, the same for all its states."""
+
+    frame: BodyFrame
+    weakness: Real
+    """|d|²√tr(I⁻²): times |Ω| a measure of the amplitude, |d|²|Ω|/J or more."""
+    flow: Array
+    """The slow flow of h at some nodes."""
+
+
+def seen(body: Body) -> SeenBody:
+    """A body as the verdicts on its states need it."""
+    rows = inverse(body.inertia)
+    frame = body_frame(body)
+    weakness = frame.strength * jnp.sqrt(sum(dot(rows[i], rows[i]) for i in range(3)))
+    return SeenBody(frame, weakness, flow_at_nodes(frame))
+
+
+def verdict(body: SeenBody, y: Vector, level: Level) -> Verdict:
     """The verdict on a state of the equation of any body.
 
     Args:
-        body: the body.
+        body: the body, `seen` once for all states.
         y: Ω, shape (3,) or (3, B).
         level: that of the equation; a state of the full one is on its physical branch.
 
@@ -92,11 +112,12 @@ def verdict(body: Body, y: Vector, level: Level) -> Verdict:
         RESIDUAL where a Lyapunov function shows that the residual line attracts y; STOP where no
         part of the line can attract y, or the slow flow has a barrier before it.
     """
-    frame = seen_from_dipole(body, y)
-    excess = _amplitude(body, frame) / SMALL
+    frame = body.frame.of(y)
+    excess = body.weakness * frame.speed / SMALL
     axis_along, axis_across = symmetry_axis(frame)
     attraction = _attraction(frame, level, excess)
-    general = _of_general_body(frame, level, excess, axis_along, attraction)
+    trapped = behind_barrier(frame, body.flow)
+    general = _of_general_body(frame, level, excess, (axis_along, trapped), attraction)
     return jax.tree.map(
         lambda of_top, of_body: jnp.where(axis_across, of_top, of_body),
         _of_transverse_top(frame, level, attraction),
@@ -104,16 +125,18 @@ def verdict(body: Body, y: Vector, level: Level) -> Verdict:
     )
 
 
-def _amplitude(body: Body, frame: DipoleFrame) -> Real:
-    """|d|²|Ω|/J with 1/J = √tr(I⁻²), which is at least 1 over the smallest moment."""
-    rows = inverse(body.inertia)
-    return frame.strength * frame.speed * jnp.sqrt(sum(dot(rows[i], rows[i]) for i in range(3)))
-
-
 def _of_general_body(
-    frame: DipoleFrame, level: Level, excess: Real, axis_along: Flag, attraction: Attraction
+    frame: DipoleFrame,
+    level: Level,
+    excess: Real,
+    flags: tuple[Flag, Flag],
+    attraction: Attraction,
 ) -> Verdict:
-    """The verdict except for an axisymmetric body with its dipole across the axis."""
+    """The verdict except for an axisymmetric body with its dipole across the axis.
+
+    The flags: whether the symmetry axis lies along the dipole, and whether h is `behind_barrier`.
+    """
+    axis_along, behind = flags
     small = excess <= 1
     across = spins_across(frame, axis_along)
     w_constant = axis_along
@@ -121,7 +144,7 @@ def _of_general_body(
         w_constant = w_constant & small
     settles = w_constant & (frame.w != 0)
     out_of_reach = small & _line_out_of_reach(frame, level)
-    trapped = small & behind_barrier(frame)
+    trapped = small & behind
     no_residual = across | (~settles & (out_of_reach | trapped))
     stop = jnp.where(frame.principal, no_residual, small)
     residual = frame.principal & ~stop & (settles | attraction.shown)

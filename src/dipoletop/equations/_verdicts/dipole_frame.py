@@ -26,8 +26,37 @@ ULPS = 4096  # moments or directions that differ by so many roundings count as t
 STILL = 8  # so many roundings of |Ω| count as no rotation about an axis
 
 
+class BodyFrame(NamedTuple):
+    """A body seen from its dipole."""
+
+    strength: Real
+    """|d|²."""
+    n: Vector
+    """The direction of the dipole, d/|d|."""
+    a: Vector
+    b: Vector
+    jd: Real
+    """n·In."""
+    ja: Real
+    """a·Ia."""
+    jb: Real
+    """b·Ib."""
+    jab: Real
+    """a·Ib. It is 0, but its derivatives are not where J_a = J_b, which leaves a and b free."""
+    principal: Flag
+    """Whether n is a principal axis, to rounding."""
+
+    def of(self, omega: Vector) -> "DipoleFrame":
+        """The state of that angular velocity."""
+        parts = dot(self.n, omega), dot(self.a, omega), dot(self.b, omega)
+        moments = self.jd, self.ja, self.jb, self.jab
+        return DipoleFrame(
+            self.strength, safe_sqrt(dot(omega, omega)), *parts, *moments, self.principal
+        )
+
+
 class DipoleFrame(NamedTuple):
-    """A state seen from the dipole."""
+    """A state seen from the dipole; moments as in `BodyFrame`."""
 
     strength: Real
     """|d|²."""
@@ -40,18 +69,18 @@ class DipoleFrame(NamedTuple):
     xb: Real
     """b·Ω."""
     jd: Real
-    """n·In."""
     ja: Real
-    """a·Ia."""
     jb: Real
-    """b·Ib."""
     jab: Real
-    """a·Ib. It is 0, but its derivatives are not where J_a = J_b, which leaves a and b free."""
     principal: Flag
-    """Whether n is a principal axis, to rounding."""
 
 
 def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
+    """A state in the frame (n, a, b) of its body."""
+    return body_frame(body).of(omega)
+
+
+def body_frame(body: Body) -> BodyFrame:
     """The frame (n, a, b), right-handed, by one Jacobi rotation about n."""
     inertia, d = body.inertia, body.dipole
     strength = dot(d, d)
@@ -74,12 +103,11 @@ def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
     jd, gain = dot(n, lever), mixed * jnp.tan(angle)
     off = lever - scale(jd, n)
     negligible = rounding(jd) * trace(inertia)
-    return DipoleFrame(
+    return BodyFrame(
         strength,
-        safe_sqrt(dot(omega, omega)),
-        dot(n, omega),
-        dot(a, omega),
-        dot(b, omega),
+        n,
+        a,
+        b,
         jd,
         dot(e, ie) + gain,
         dot(f, jf) - gain,

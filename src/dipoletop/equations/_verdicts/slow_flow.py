@@ -25,8 +25,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._base.guards import safe_divisor
-from ..._base.types import Flag
-from .dipole_frame import DipoleFrame
+from ..._base.types import Flag, Real
+from .dipole_frame import BodyFrame, DipoleFrame
 
 Nodes = Float[Array, "#nodes *#lanes"]
 
@@ -35,25 +35,41 @@ AVERAGING_ERROR = 4.0  # of h, in units of (p₂ − p₃)|d|²|Ω|/J; in these 
 AGM_STEPS = 6
 
 
-def behind_barrier(frame: DipoleFrame) -> Flag:
+def flow_at_nodes(body: BodyFrame) -> Nodes:
+    """The rate f at the nodes between p₃ and p₂ of `behind_barrier`, dipole on J₁."""
+    p2, p3, _ = _reciprocal_moments(body)
+    return slow_flow(p2[None], p3[None], _nodes(p2))
+
+
+def _reciprocal_moments(body: BodyFrame | DipoleFrame) -> tuple[Real, Real, Flag]:
+    """p₂ and p₃ in units of p₁, and whether they are distinct; if not, any other values."""
+    a, b = body.ja / body.jd, body.jb / body.jd
+    p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
+    resolved = float(jnp.finfo(p2.dtype).eps) ** 0.5
+    distinct = (1 - p2 > resolved) & (p2 - p3 > resolved)
+    return jnp.where(distinct, p2, 0.8), jnp.where(distinct, p3, 0.6), distinct
+
+
+def _nodes(like: Real) -> Nodes:
+    """The places of the nodes, as parts of the way from p₃ to p₂."""
+    nodes = (jnp.arange(1, NODES + 1) / (NODES + 1)).astype(like.dtype)
+    return jnp.broadcast_to(nodes.reshape((NODES,) + (1,) * like.ndim), (NODES, *like.shape))
+
+
+def behind_barrier(frame: DipoleFrame, flow: Nodes) -> Flag:
     """Whether h, with the dipole on the smallest moment, is below a zone in which it falls.
 
     f < 0 is asked for at one of the nodes between the state and the separatrix. The distance of
     that node and the depth of f allow for the error of averaging, which is of the order of
-    |d|²|Ω|/J and falls with |Ω|.
+    |d|²|Ω|/J and falls with |Ω|. `flow` is f at the nodes.
     """
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
-    p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
     momentum = frame.w**2 + (a * frame.xa) ** 2 + (b * frame.xb) ** 2
     h = (frame.w**2 + a * frame.xa**2 + b * frame.xb**2) / safe_divisor(momentum)
-    resolved = float(jnp.finfo(h.dtype).eps) ** 0.5
-    distinct = (1 - p2 > resolved) & (p2 - p3 > resolved)  # else any other values will do
-    p2, p3 = jnp.where(distinct, p2, 0.8), jnp.where(distinct, p3, 0.6)
-    nodes = (jnp.arange(1, NODES + 1) / (NODES + 1)).astype(h.dtype)
-    nodes = jnp.broadcast_to(nodes.reshape((NODES,) + (1,) * h.ndim), (NODES, *h.shape))
+    p2, p3, distinct = _reciprocal_moments(frame)
     margin = AVERAGING_ERROR * frame.strength * frame.speed / frame.jd
-    falling = slow_flow(p2[None], p3[None], nodes) < -margin[None] / AVERAGING_ERROR
-    ahead = nodes >= ((h - p3) / (p2 - p3) + margin)[None]
+    falling = flow < -margin[None] / AVERAGING_ERROR
+    ahead = _nodes(h) >= ((h - p3) / (p2 - p3) + margin)[None]
     return distinct & jnp.any(falling & ahead, axis=0)
 
 

@@ -1,0 +1,106 @@
+"""Operations of a traced program on numbers that are known while machine code is written.
+
+NumPy does them where it gives the same bits: JAX would compile a program for each. Operations that
+IEEE 754 defines to the last bit, and those that only move numbers, need no JAX; it does the others.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
+CALLS |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr"}
+"""Primitives that call a program, and the parameter that holds it."""
+
+
+def _slice(params: dict[str, Any], x: np.ndarray) -> np.ndarray:
+    strides = params["strides"] or [1] * x.ndim
+    return x[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
+
+
+def _broadcast(params: dict[str, Any], x: np.ndarray) -> np.ndarray:
+    shape, kept = params["shape"], params["broadcast_dimensions"]
+    new = [axis for axis in range(len(shape)) if axis not in kept]
+    return np.broadcast_to(np.expand_dims(x, new), shape)
+
+
+MOVES: dict[str, Callable[..., np.ndarray]] = {
+    "slice": _slice,
+    "squeeze": lambda params, x: np.squeeze(x, params["dimensions"]),
+    "reshape": lambda params, x: x.reshape(params["new_sizes"]),
+    "transpose": lambda params, x: x.transpose(params["permutation"]),
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
+    "stack": lambda params, *rows: np.stack(rows, params.get("axis", params.get("dimension", 0))),
+}
+"""The common primitives that only move data, of whatever type."""
+
+
+def _select(params: dict[str, Any], which: np.ndarray, *cases: np.ndarray) -> np.ndarray:
+    result = cases[0]
+    for i, case in enumerate(cases[1:], 1):
+        result = np.where(which == i, case, result)
+    return result
+
+
+EXACT: dict[str, Callable[..., Any]] = MOVES | {
+    "select_n": _select,
+    "neg": lambda params, x: -x,
+    "abs": lambda params, x: np.abs(x),
+    "not": lambda params, x: ~x,
+    "and": lambda params, a, b: a & b,
+    "or": lambda params, a, b: a | b,
+    "xor": lambda params, a, b: a ^ b,
+    "is_finite": lambda params, x: np.isfinite(x),
+    "rem": lambda params, a, b: np.fmod(a, b),
+}
+"""Primitives that take numbers as they are."""
+
+ARITHMETIC: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    **{"eq": np.equal, "ne": np.not_equal},
+    **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal},
+}
+"""Primitives of numbers, for which XLA takes subnormal ones for 0."""
+
+
+def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The results of one equation of a jaxpr for known operands: in NumPy, or by JAX."""
+    name, params = eqn.primitive.name, eqn.params
+    kinds = {value.dtype.kind for value in values}
+    # XLA divides by one number for all by a product with its reciprocal.
+    by_one = name == "div" and values[0].shape != values[1].shape
+    with np.errstate(all="ignore"):
+        if name in EXACT and (name != "rem" or kinds == {"f"}):
+            return [np.asarray(EXACT[name](params, *values))]
+        if name in ARITHMETIC and kinds == {"f"} and not by_one:
+            return [np.asarray(_flushed(ARITHMETIC[name](*map(_flushed, values))))]
+        if name in ARITHMETIC and "f" not in kinds and name != "div":
+            return [np.asarray(ARITHMETIC[name](*values))]
+        if name == "round" and int(params["rounding_method"]) == 1:  # to even
+            return [np.asarray(np.rint(_flushed(values[0])))]
+        if name == "argmax" and kinds == {"b"}:
+            (axis,) = params["axes"]
+            return [np.asarray(np.argmax(values[0], axis), params["index_dtype"])]
+        # JAX saturates where a number is out of the range of integers.
+        if name == "convert_element_type" and not ("f" in kinds and _to_integer(params)):
+            return [values[0].astype(params["new_dtype"])]
+    results = eqn.primitive.bind(*values, **params)
+    return [np.asarray(x) for x in (results if eqn.primitive.multiple_results else [results])]
+
+
+def _to_integer(params: dict[str, Any]) -> bool:
+    return np.dtype(params["new_dtype"]).kind not in "fb"
+
+
+def _flushed(values: Any) -> Any:
+    """The numbers, subnormal ones replaced by 0 of the same sign."""
+    numbers = np.asarray(values)
+    if numbers.dtype.kind != "f":
+        return numbers
+    small = np.abs(numbers) < np.finfo(numbers.dtype).tiny
+    return np.where(small, np.copysign(0, numbers), numbers) if small.any() else numbers
