@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ._base.checks import instance, positive, refuse
-from ._base.deprecated import renamed_argument
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
 from ._maps.basin import Basin
@@ -34,7 +33,6 @@ PARTS = (65536, 8192, 1024)  # points in one sweep, at most; only the last has l
 PIXELS = 1 << 20  # filled in at once, at most, which bounds the memory
 
 
-@renamed_argument(old="grid", new="over")
 def refine(
     problem: Problem,
     over: Grid,
