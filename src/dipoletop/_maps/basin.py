@@ -310,8 +310,7 @@ class Basin:
 
         Raises:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
-            StoreDamaged: it is not what was written. Stores of older versions have no checksums:
-                of these only missing and unreadable data are detected.
+            StoreDamaged: it is not what was written.
         """
         return Basin(*contents.load(path, flag("unfinished", unfinished)))
 

@@ -45,8 +45,7 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
         with measure_compile_time() as seconds:
             basin = sweep(problem_of_top(level), grid, store=store, **settings)
     except StoreMismatch as error:
-        reason = error.reason.replace("`slow_flow=False`", "--slow-flow off")
-        raise Refusal(f"{reason}; choose another --output, or remove it.") from None
+        raise Refusal(f"{error.reason}; choose another --output, or remove it.") from None
     return Run(basin, store, stored, seconds())
 
 
