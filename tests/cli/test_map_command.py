@@ -232,4 +232,4 @@ def test_slow_runs_are_predicted_and_counted(tmp_path):
     followed = invoke(*command[:-1], tmp_path / "off", "--slow-flow", "off")
     assert row(followed.output, "undecided")[0] == "100.00%"
     assert "predicted by" not in followed.output
-    assert "slow_flow is None there and auto here" in refusal(*command[:-1], tmp_path / "off")
+    assert "slow_flow is False there and auto here" in refusal(*command[:-1], tmp_path / "off")
