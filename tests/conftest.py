@@ -1,11 +1,10 @@
-"""How every test runs: float64, strict promotion, and property tests that repeat exactly.
+"""How every test runs: float64, strict promotion, no windows.
 
 Nothing here imports dipoletop at once: the jaxtyping plugin (see pyproject.toml) must see it first.
 """
 
 import os
 
-import hypothesis
 import jax
 import matplotlib
 import matplotlib.pyplot as plt
@@ -23,10 +22,6 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 matplotlib.use("Agg")
-
-# A first call compiles, so a deadline would only measure the compiler.
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
-hypothesis.settings.load_profile("repeatable")
 
 
 @pytest.fixture(autouse=True, scope="session")

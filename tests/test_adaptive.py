@@ -178,11 +178,3 @@ def test_basins_of_the_top():
 def test_bad_input_is_refused_in_one_sentence(grid, settings, words):
     with pytest.raises(ValueError, match=words):
         refine(picture, grid, **settings)
-
-
-def test_the_old_name_of_the_grid_works():
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `refine\(over=...\)`"),
-        pytest.raises(ValueError, match="`coarse` must be"),
-    ):
-        refine(picture, grid=GRID, coarse=0)

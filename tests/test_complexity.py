@@ -205,14 +205,7 @@ def test_bad_input_is_refused_in_one_sentence(call, words):
         call()
 
 
-def test_old_names_work_and_results_show_their_numbers():
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `uncertainty_exponent\(over=...\)`"),
-        pytest.raises(ValueError, match="two different positive"),
-    ):
-        uncertainty_exponent(stripes, region=BOX, epsilons=[0.1, 0.1])
-    with pytest.warns(DeprecationWarning, match="use `dipoletop.complexity.UncertaintyExponent`"):
-        assert complexity.Uncertainty is complexity.UncertaintyExponent
+def test_results_show_their_numbers():
     steps, shares = np.array([0.01, 0.1]), np.array([0.02, 0.2])
     assert repr(complexity.UncertaintyExponent(0.98, 0.02, 1.02, steps, shares, shares / 10)) == (
         "UncertaintyExponent(exponent=0.98 ± 0.02, dimension=1.02, epsilons=[0.01, 0.1], "

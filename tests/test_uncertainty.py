@@ -228,14 +228,6 @@ def test_sobol_refuses(change, match):
         sobol(plane, given.pop("bounds"), **given)
 
 
-def test_the_old_name_of_the_bounds_works():
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `sobol\(bounds=...\)`"),
-        pytest.raises(ValueError, match="`bounds` must be a dict of pairs"),
-    ):
-        sobol(plane, ranges={})
-
-
 def test_summaries_show_estimates_with_their_errors():
     assert repr(Estimate(0.25, 0.01)) == "0.25 ± 0.01"
     shares, other = {"STOP": Share(1.0, 0.9, 1.0, 40)}, Share(0.0, 0.0, 0.1, 0)

@@ -13,11 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ._base.checks import instance, positive, refuse
-from ._base.deprecated import renamed_argument
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
 from ._maps.basin import Basin
-from ._maps.columns import columns_of_runs
+from ._maps.columns import COLUMNS
 from ._maps.grids import Grid, Points
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
@@ -34,7 +33,6 @@ PARTS = (65536, 8192, 1024)  # points in one sweep, at most; only the last has l
 PIXELS = 1 << 20  # filled in at once, at most, which bounds the memory
 
 
-@renamed_argument(old="grid", new="over")
 def refine(
     problem: Problem,
     over: Grid,
@@ -191,8 +189,7 @@ class _Picture:
         self.shape = tuple(len(values) for values in self.values)
         self.attrs: dict[str, Any] = {}
         size = int(np.prod(self.shape))
-        specs = columns_of_runs(settings.get("slow_flow", "auto"))
-        self.columns = {name: np.zeros(size, spec.dtype) for name, spec in specs.items()}
+        self.columns = {name: np.zeros(size, spec.dtype) for name, spec in COLUMNS.items()}
         self.fate = np.zeros(size, np.int8)
         self.computed = np.zeros(size, bool)
 
@@ -242,7 +239,7 @@ class _Picture:
 
     def _fill(self, points: Int[np.ndarray, "m h w"], corners: Corners, weights: Any) -> None:
         free = ~self.computed[points]
-        same = {"outcome", "stop", "regime"} & set(self.columns)
+        same = "outcome", "stop", "regime"
         values = {name: self.columns[name][corners[:, :1, :1]] for name in same}
         residual = values["outcome"] == Outcome.RESIDUAL
         values["omega_inf_error"] = np.where(residual, np.inf, 0.0)  # there is no estimate
@@ -250,7 +247,7 @@ class _Picture:
         values["certified"] = np.all(certified, axis=(1, 2), keepdims=True)
         for name, value in values.items():
             self.columns[name][points[free]] = np.broadcast_to(value, points.shape)[free]
-        for name in {"omega_inf", "time", "probability"} & set(self.columns):
+        for name in ("omega_inf", "time", "probability"):
             interpolated = _bilinear(self.columns[name][corners], weights)
             self.columns[name][points[free]] = interpolated[free]
 

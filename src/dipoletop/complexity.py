@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
 from ._base.checks import finite, instance, refuse
-from ._base.deprecated import renamed_argument, renamed_attributes
 from ._base.statistics import mean_and_error
 from ._base.summaries import summary
 from ._base.tolerances import budget, check_settings, whole
@@ -26,8 +25,6 @@ OFFSETS = np.array((-1, 0, 1))  # of a point and its two companions, in units of
 
 Numbers = Float[np.ndarray, "k"]
 """One number for each ε, or for each side of the boxes."""
-
-__getattr__ = renamed_attributes(__name__, {"Uncertainty": "UncertaintyExponent"})
 
 
 class BasinEntropy(NamedTuple):
@@ -172,7 +169,6 @@ def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
     return BoundaryDimension(slope, error, sides, counts)
 
 
-@renamed_argument(old="region", new="over")
 def uncertainty_exponent(
     problem: Problem,
     over: Grid,

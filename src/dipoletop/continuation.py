@@ -9,7 +9,7 @@ residual line against δ, and `thresholds` the values of δ at which an outcome 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from . import planar
 from ._base.checks import finite, instance, names_of, positive, refuse, where_valid
-from ._base.deprecated import deprecated, renamed_argument
 from ._base.statistics import wilson
 from ._base.types import Equation, Outcome, Stop
 from ._maps.basin import Basin
@@ -29,10 +28,6 @@ from .equations._common import shape_parameter
 from .equations.levels import Level
 from .equations.transverse import equation_at
 from .stability import spectrum, threshold
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Levels = str | Sequence[str]
 Values = ArrayLike | Sequence[ArrayLike]
@@ -102,13 +97,6 @@ class Continuation:
         """
         counts = np.stack([_counts(basin, outcome, stop) for basin in self.basins])
         return Fractions(counts / self.n, *wilson(counts, self.n))
-
-    @deprecated(new="plots.continuation")
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Deprecated: `plots.continuation` draws the shares."""
-        from . import plots
-
-        return plots.continuation(self, ax=ax)
 
 
 def _counts(basin: Basin, outcome: Outcome, stop: Stop | None) -> Int[np.ndarray, "values"]:
@@ -286,7 +274,6 @@ class Threshold(NamedTuple):
         )
 
 
-@renamed_argument(old="found", new="continuation")
 def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Threshold]:
     """Values of δ at which an outcome appears or disappears, by the theory and by the sample.
 
@@ -358,14 +345,6 @@ def _nearest_change(
         return float("nan"), float("nan")
     k = min(changes, key=lambda k: abs(x[k] + x[k + 1] - 2 * delta))
     return float(x[k]), float(x[k + 1])
-
-
-@deprecated(new="plots.diagram")
-def diagram(found: Continuation, w: ArrayLike = DEFAULT_W) -> "Figure":
-    """Deprecated: `plots.diagram` draws shares and growth rates."""
-    from . import plots
-
-    return plots.diagram(found, w)
 
 
 def _chosen(levels: Levels) -> tuple[Level, ...]:

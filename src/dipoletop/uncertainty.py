@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
-from ._base.deprecated import renamed_argument
 from ._base.statistics import Share, mean_and_error, share_of
 from ._base.summaries import summary, with_error
 from ._base.tolerances import check_settings, whole
@@ -217,7 +216,6 @@ def _mean_and_std(values: Float[np.ndarray, "n"]) -> tuple[Estimate, Estimate]:
     return estimate, Estimate(float(std), float(variance_error / (2 * std)) if std > 0 else 0.0)
 
 
-@renamed_argument(old="ranges", new="bounds")
 def sobol(
     problem: Problem,
     bounds: Mapping[str, tuple[Any, Any]],

@@ -60,13 +60,8 @@ def test_bad_input_is_one_sentence():
             call()
 
 
-def test_a_summary_of_a_curve_has_its_ranges_and_the_old_name_of_the_crossing_works():
+def test_a_summary_of_a_curve_has_its_ranges():
     points = np.array([[0.0, 1.0], [0.5, 2.0]])
     curve = boundary.Curve(points, points, None, boundary.CurveEnd.LOST)
     assert repr(curve) == "Curve(points=[0, 1, 0.5, 2], end=LOST)"
     assert curve.end == "lost"
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `trace\(crossing=...\)`"),
-        pytest.raises(ValueError, match="`bounds` must name two"),
-    ):
-        boundary.trace(start=across(), bounds={"phi": (0.0, 1.0)})

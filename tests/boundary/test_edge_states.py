@@ -28,15 +28,6 @@ def test_bad_input_is_one_sentence():
         boundary.edge_state(equation, start, start)
 
 
-def test_the_old_name_of_the_tolerance_works():
-    start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `edge_state\(shape_tol=...\)`"),
-        pytest.raises(ValueError, match="`shape_tol` must lie between"),
-    ):
-        boundary.edge_state(equation, start, start, tol=-1.0)
-
-
 def test_a_summary_of_an_edge_has_its_numbers():
     ts, omega = np.array([0.0, 10.0]), np.ones((2, 3))
     edge = boundary.Edge(ts, omega, np.array([[1.0, 2.0], [0.5, 2.5]]), np.full(2, 1e-9), True)

@@ -51,15 +51,6 @@ def test_bad_input_is_one_sentence():
             call()
 
 
-def test_the_old_name_of_the_components_works():
-    start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `minimal_kick\(components=...\)`"),
-        pytest.raises(ValueError, match="`components` must hold"),
-    ):
-        boundary.minimal_kick(equation, start, along=[4])
-
-
 def test_a_summary_of_a_kick_has_its_numbers():
     kick = boundary.Kick(np.array([0.0, 0.0, 0.05]), 0.05, np.array([1, 5]), 1e-9)
     assert repr(kick) == ("Kick(kick=[0, 0, 0.05], size=0.05, fates=[1, 5], defect=1e-09)")

@@ -78,14 +78,6 @@ def test_design_refuses(change, match):
         design(decay, given.pop("bounds"), **given)
 
 
-def test_the_old_name_of_the_searches_works():
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `design\(searches=...\)`"),
-        pytest.raises(ValueError, match="`bounds` must be a dict"),
-    ):
-        design(decay, {}, starts=1)
-
-
 def test_a_summary_has_the_numbers():
     assert repr(Design({"x": 2.0}, 0.7, 0.5, 1e-9, 130, True, "", DesignEnd.MAXIMUM)) == (
         "Design(parameters={x: 2}, value=0.7, omega_inf=0.5, defect=1e-09, runs=130, end=MAXIMUM)"

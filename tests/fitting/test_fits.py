@@ -145,14 +145,6 @@ def test_fit_refuses(change, match):
         fit(top, **given)
 
 
-def test_the_old_name_of_the_budget_works():
-    with (
-        pytest.warns(DeprecationWarning, match=r"use `fit\(max_trajectories=...\)`"),
-        pytest.raises(ValueError, match="`max_trajectories` must be"),
-    ):
-        fit(top, TIMES, CLEAN, GUESS, max_steps=0)
-
-
 def test_a_summary_has_the_parameters_with_their_errors():
     best = Fit({"a": 2.0}, np.array([[0.01]]), 9.5, 10, 7, True, "", FitEnd.MINIMUM)
     assert repr(best) == "Fit(parameters={a: 2 ± 0.1}, chi2=9.5, dof=10, steps=7, end=MINIMUM)"

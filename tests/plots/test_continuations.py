@@ -1,4 +1,4 @@
-"""Pictures of continuations: curves, bands, hatching, thresholds; the old ways warn."""
+"""Pictures of continuations: curves, bands, hatching, thresholds."""
 
 import dataclasses
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 
 from dipoletop import plots
 from dipoletop._base.types import Outcome
-from dipoletop.continuation import Continuation, continuation, diagram, follow_spectrum
+from dipoletop.continuation import Continuation, continuation, follow_spectrum
 from dipoletop.equations.levels import Level
 
 # Functions bear the names of these modules, so the modules are taken by what they define.
@@ -34,9 +34,7 @@ def test_a_diagram_shows_fractions_and_growth(shapes, monkeypatch):
     monkeypatch.setattr(ANALYSIS, "follow_spectrum", at_deltas)
     monkeypatch.setattr(PICTURES, "follow_spectrum", at_deltas)
     order_1 = Continuation("delta", (Level.ORDER_1,), shapes.basins[:1])
-    with pytest.warns(DeprecationWarning, match="`diagram` is deprecated .* `plots.diagram`"):
-        figure = diagram(order_1)
-    above, below = figure.axes
+    above, below = plots.diagram(order_1).axes
     lines: Any = above.lines, below.lines
     assert above.get_shared_x_axes().joined(above, below)
     share = shapes.fractions(Outcome.RESIDUAL).share[0]
@@ -61,8 +59,7 @@ def test_a_curve_ends_where_too_little_is_decided(shapes, monkeypatch):
     outcome[-1, 0, : N // 2] = Outcome.UNDECIDED
     half = with_outcomes(shapes, outcome)
     _, ax = plt.subplots()
-    with pytest.warns(DeprecationWarning, match="`Continuation.plot` .* `plots.continuation`"):
-        assert half.plot(ax) is ax
+    assert plots.continuation(half, ax=ax) is ax
     assert np.flatnonzero(np.isnan(ax.lines[0].get_ydata())).tolist() == [len(DELTAS) - 1]
     corners = ax.collections[1].get_paths()[0].vertices
     hatched = sorted({y for x, y in np.asarray(corners) if x == DELTAS[-1]})

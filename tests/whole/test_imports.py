@@ -10,10 +10,8 @@ ORDER = """_base | bodies | radiation particles | equations | exact planar _bran
     | emission stability torques | _engines | _runs | _maps | boundary | adaptive atlases complexity
     continuation prediction uncertainty validation | fitting | plots | paper | explorer | cli"""
 RANK = {page: rank for rank, pages in enumerate(ORDER.split("|")) for page in pages.split()}
-# Exceptions by page, and why. The lists shall become shorter: an entry without need fails.
-UPWARDS = {("continuation", "plots"): "its deprecated functions that draw"}
+# Exceptions by page, and why. The list shall become shorter: an entry without need fails.
 INSIDE_FUNCTIONS = {  # and any in cli: a command imports what it needs, so `--help` is quick
-    ("continuation", "plots"): "matplotlib",
     ("_engines", "_engines"): "llvmlite",
     ("explorer", "explorer"): "panel",
 }
@@ -44,7 +42,7 @@ PAGES = [(m.split(".")[0], to.split(".")[0], inside) for m, to, inside in OURS]
 
 
 def test_imports_run_one_way():
-    assert {(a, b) for a, b, _ in PAGES if a != b and RANK[b] >= RANK[a]} == set(UPWARDS)
+    assert {(a, b) for a, b, _ in PAGES if a != b and RANK[b] >= RANK[a]} == set()
     drawing = {m.split(".")[0] for m, to, h in ALL if not h and to.startswith("matplotlib")}
     assert {page for page in drawing if RANK[page] < RANK["plots"]} == set()
     edges = {m: {to for n, to, h in OURS if n == m and not h} - {m} for m, *_ in OURS}

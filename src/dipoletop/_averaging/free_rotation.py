@@ -36,7 +36,8 @@ separatrix.
 """
 
 import math
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -148,12 +149,12 @@ def period(
     return 4 * quarter / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
 
 
-def quarter_period(m1: Real) -> Real:
-    """K(m) of m = 1 − m1, by the arithmetic-geometric mean."""
-    mean, geometric = jnp.ones_like(m1), jnp.sqrt(m1)
+def quarter_period(m1: Any, xp: ModuleType = jnp) -> Any:
+    """K(m) of m = 1 − m1, by the arithmetic-geometric mean, in JAX or, with `xp=np`, in NumPy."""
+    mean, geometric = xp.ones_like(m1), xp.sqrt(m1)
     for _ in range(AGM_STEPS):
-        mean, geometric = (mean + geometric) / 2, jnp.sqrt(mean * geometric)
-    return jnp.pi / (2 * mean)
+        mean, geometric = (mean + geometric) / 2, xp.sqrt(mean * geometric)
+    return xp.pi / (2 * mean)
 
 
 def elliptic_means(m: Real, m1: Real) -> tuple[Real, Real]:

@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .free_rotation import quarter_period
+
 
 class Shapes(NamedTuple):
     """Nodes and weights of the mean over isotropic directions, for B bodies, on one side."""
@@ -39,7 +41,7 @@ def isotropic_shapes(moments: Float[np.ndarray, "B 3"], count: int) -> Shapes:
     rest = (1 - v) ** 3 * (1 + 3 * v + 6 * v**2)
     square = _square(moments)
     left = 1 - square * x
-    density = np.sqrt(square / left) * _quarter_period(rest / left) / np.pi
+    density = np.sqrt(square / left) * quarter_period(rest / left, np) / np.pi
     weights = density * (rule * 30 * (v * (1 - v)) ** 2)
     whole = share_of_side(moments)[:, None]
     return Shapes(x, weights * (whole / np.sum(weights, axis=1, keepdims=True)))
@@ -75,11 +77,3 @@ def _square(moments: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 1"]:
     """k² = (p_b − p_c)/(p_a − p_c), from differences of moments."""
     a, b, c = moments.T[:, :, None]
     return a * (c - b) / (b * (c - a))
-
-
-def _quarter_period(complement: Float[np.ndarray, "B K"]) -> Float[np.ndarray, "B K"]:
-    """K(m) of the complement 1 − m, by the arithmetic-geometric mean."""
-    a, b = np.ones_like(complement), np.sqrt(complement)
-    for _ in range(8):
-        a, b = (a + b) / 2, np.sqrt(a * b)
-    return np.pi / (2 * a)

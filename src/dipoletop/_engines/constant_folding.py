@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
-CALLS |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr"}
+CALLS = {"jit": "jaxpr", "closed_call": "call_jaxpr"}
+CALLS |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 """Primitives that call a program, and the parameter that holds it."""
 
 
@@ -32,7 +32,7 @@ MOVES: dict[str, Callable[..., np.ndarray]] = {
     "transpose": lambda params, x: x.transpose(params["permutation"]),
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
-    "stack": lambda params, *rows: np.stack(rows, params.get("axis", params.get("dimension", 0))),
+    "stack": lambda params, *rows: np.stack(rows, params["axis"]),
 }
 """The common primitives that only move data, of whatever type."""
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._base.checks import described, flag, instance, refuse
 from .._base.statistics import Share, share_of
-from .._base.types import Outcome, Regime, implied_probability
+from .._base.types import Outcome
 from .columns import (
     CONVENTIONS,
     DERIVATIVE_PREFIX,
@@ -126,21 +126,16 @@ class Basin:
 
     @property
     def regime(self) -> Int[np.ndarray, "*shape"]:
-        """Members of `Regime`; RESOLVED everywhere in a basin without this column."""
-        if "regime" in self.columns:
-            return self.column("regime")
-        return np.full_like(self.outcome, Regime.RESOLVED)
+        """Members of `Regime`."""
+        return self.column("regime")
 
     @property
     def probability(self) -> Float[np.ndarray, "*shape"]:
         """The probability that the rotation is residual: 1 for RESIDUAL, 0 for STOP.
 
-        Between 0 and 1 chance decides, and the outcome is UNDECIDED; NaN where nothing is known. In
-        a basin without this column it is what the outcome implies.
+        Between 0 and 1 chance decides, and the outcome is UNDECIDED; NaN where nothing is known.
         """
-        if "probability" in self.columns:
-            return self.column("probability")
-        return implied_probability(self.outcome)
+        return self.column("probability")
 
     @property
     def changed(self) -> Bool[np.ndarray, "*shape"]:
@@ -310,8 +305,7 @@ class Basin:
 
         Raises:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
-            StoreDamaged: it is not what was written. Stores of older versions have no checksums:
-                of these only missing and unreadable data are detected.
+            StoreDamaged: it is not what was written.
         """
         return Basin(*contents.load(path, flag("unfinished", unfinished)))
 

@@ -36,14 +36,10 @@ COLUMNS: dict[str, ColumnSpec] = {
         "bool", "1", "whether the region that ended the run is proven to decide for its level"
     ),
     "stop": ColumnSpec("int8", "1", "in which way a top stops", _members(Stop)),
-}
-"""Columns of every basin."""
-
-SLOW_COLUMNS: dict[str, ColumnSpec] = {
     "regime": ColumnSpec("int8", "1", "law that decided", _members(Regime)),
     "probability": ColumnSpec("float64", "1", "probability that the rotation is residual"),
 }
-"""Columns of basins whose slow runs may be predicted; see `columns_of_runs`."""
+"""Columns of every basin."""
 
 OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
     "changed": ColumnSpec("bool", "1", "whether the outcome differs at the second tolerance"),
@@ -95,15 +91,9 @@ class BasinParts(NamedTuple):
     attrs: dict[str, Any]
 
 
-def columns_of_runs(slow_flow: bool | str) -> dict[str, ColumnSpec]:
-    """The columns of runs that are predicted where they are slow, or are not."""
-    return COLUMNS if slow_flow is False else COLUMNS | SLOW_COLUMNS
-
-
 def is_result(column: str) -> bool:
     """Whether a column tells what became of the starts, rather than what they were."""
-    known = COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS
-    return column in known or column.startswith(DERIVATIVE_PREFIX)
+    return column in COLUMNS | OPTIONAL_COLUMNS or column.startswith(DERIVATIVE_PREFIX)
 
 
 def check_arguments(origin: str, names: Iterable[str]) -> None:
@@ -120,7 +110,7 @@ def column_spec(column: str) -> ColumnSpec:
         unit, meaning = f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
         return ColumnSpec("float64", unit, meaning)
     if is_result(column):
-        return (COLUMNS | SLOW_COLUMNS | OPTIONAL_COLUMNS)[column]
+        return (COLUMNS | OPTIONAL_COLUMNS)[column]
     return ColumnSpec("float64", *AXES.get(column, ("", "")))
 
 

@@ -62,9 +62,7 @@ def sweep(
             "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
         slow_flow: whether runs that would take more than `max_steps` are predicted by the average
             over free rotation: "auto", True (all that the first state does not decide) or False;
-            see `classify`. `basin.regime` tells which law decided. With False the columns `regime`
-            and `probability` are left out, as by versions without them: their stores are resumed
-            with it.
+            see `classify`. `basin.regime` tells which law decided.
         client: a `distributed.Client` (`pip install 'dipoletop[dask]'`): the workers of its cluster
             compute the tiles, and write them to the store, which they must see at the same path.
             The tile of a worker that dies is computed by another one. `devices` is then ignored.

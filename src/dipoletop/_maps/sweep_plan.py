@@ -24,7 +24,7 @@ from .._runs.memory import TILE, largest_tile
 from .._runs.slow_labels import exact_when_slow
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
-from .columns import DERIVATIVE_PREFIX, START, VERSION, check_arguments, columns_of_runs
+from .columns import COLUMNS, DERIVATIVE_PREFIX, START, VERSION, check_arguments
 from .grids import Grid, Points, PointValues, Sample
 from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
 from .reduction import Reduction, counted_outcomes
@@ -144,7 +144,7 @@ class Plan:
             "max_steps": max_steps,
             "value": value,
             "engine": self.engines[self.devices[0]].name,
-            **({} if slow_flow is False else {"slow_flow": slow_flow}),
+            "slow_flow": slow_flow,
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
             **self.blocks.over.header.settings,
@@ -237,8 +237,7 @@ class Plan:
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
         way = Way(value, self.engines[device], device, slow_flow, self.threads, loosely)
         ends = classify_block(equation, omegas, limits, way)
-        kept = columns_of_runs(slow_flow).items()
-        columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in kept}
+        columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns
@@ -273,7 +272,7 @@ def column_names(settings: Settings, derivatives: Iterable[str]) -> list[str]:
     """Names of the columns of results, in order."""
     confirmed = [] if settings.confirm is None else ["changed"]
     names = [DERIVATIVE_PREFIX + name for name in derivatives]
-    return [*columns_of_runs(settings.slow_flow), *names, *confirmed]
+    return [*COLUMNS, *names, *confirmed]
 
 
 def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:

@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import corners_of_box, finite, instance, refuse
-from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
@@ -73,7 +72,6 @@ class _BoundaryPoint:
     shift: Vector
 
 
-@renamed_argument(old="start", new="crossing")
 def trace(
     crossing: Crossings,
     bounds: Mapping[str, Any],

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import check_single, check_verdict, finite, refuse
-from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
@@ -90,7 +89,6 @@ class Edge(NamedTuple):
         return summary(self)
 
 
-@renamed_argument(old="tol", new="shape_tol")
 def edge_state(
     equation: Equation,
     a: Any,

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._base.checks import finite, refuse
-from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
@@ -61,7 +60,6 @@ class Kick(NamedTuple):
         return summary(self)
 
 
-@renamed_argument(old="along", new="components")
 def minimal_kick(
     equation: Equation,
     omega0: Any,

@@ -45,8 +45,7 @@ def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> 
         with measure_compile_time() as seconds:
             basin = sweep(problem_of_top(level), grid, store=store, **settings)
     except StoreMismatch as error:
-        reason = error.reason.replace("`slow_flow=False`", "--slow-flow off")
-        raise Refusal(f"{reason}; choose another --output, or remove it.") from None
+        raise Refusal(f"{error.reason}; choose another --output, or remove it.") from None
     return Run(basin, store, stored, seconds())
 
 
@@ -65,8 +64,8 @@ def repair(path: str, progress: bool) -> tuple[Run, int]:
     if level is None or set(axes) not in maps:
         must = "be the store of a `dipoletop map`"
         refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
-    settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
-    settings["slow_flow"] = attrs.get("slow_flow", False)
+    names = "rtol", "max_steps", "engine", "slow_flow"
+    settings = {name: attrs[name] for name in names} | {"confirm": attrs.get("confirm")}
     settings |= {"repair": True, "progress": level.value if progress else False}
     grid = Grid(**{name: tiles.values(name) for name in axes})
     run = run_level(level, grid, tiles.folder, **settings)

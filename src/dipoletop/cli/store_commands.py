@@ -32,8 +32,6 @@ def verify_command(path: str) -> None:
         raise SystemExit(1) from None
     for tile, reason in report.damaged.items():
         click.echo(f"tile {tile}: {reason}")
-    if not report.checksums:
-        click.echo("It has no checksums, so only what is missing or unreadable was looked for.")
     left = f", {len(report.unfinished)} not computed yet" if report.unfinished else ""
     click.echo(f"{len(report.damaged)} of {report.tiles} tiles damaged{left}.")
     raise SystemExit(1 if report.damaged else 0)

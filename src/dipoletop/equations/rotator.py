@@ -14,18 +14,7 @@ from .._base.checks import where_valid
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from .levels import Level
-from .rotator_curves import closed_manifold, critical_manifold, separatrix
-
-# The curves moved to `rotator_curves`; for one release they can be imported from here, too.
-__all__ = [
-    "Domain",
-    "RotatorBranch",
-    "RotatorFull",
-    "RotatorReduced",
-    "closed_manifold",
-    "critical_manifold",
-    "separatrix",
-]
+from .rotator_curves import critical_manifold, separatrix
 
 BranchState = Float[Array, "1 *lanes"]
 FullState = Float[Array, "2 *lanes"]

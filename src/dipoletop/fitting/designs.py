@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.checks import corners_of_box, refuse
-from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget, check_settings, whole
 from .._maps.grids import Points
@@ -72,7 +71,6 @@ def speed(omega_inf: Float[Array, ""], parameters: dict[str, Float[Array, ""]]) 
     return jnp.abs(omega_inf)
 
 
-@renamed_argument(old="starts", new="searches")
 def design(
     problem: Problem,
     bounds: Mapping[str, tuple[Any, Any]],

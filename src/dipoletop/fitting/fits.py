@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.checks import finite, numbers_by_name, refuse, where_valid
-from .._base.deprecated import renamed_argument
 from .._base.summaries import summary
 from .._base.tolerances import budget, tolerance
 from .._maps.problems import Problem
@@ -91,7 +90,6 @@ def velocity(trajectory: Trajectory) -> Float[Array, "T 3"]:
     return trajectory.omega
 
 
-@renamed_argument(old="max_steps", new="max_trajectories")
 def fit(
     problem: Problem,
     ts: Any,

@@ -25,7 +25,8 @@ from .._maps.basin import Basin
 from .._maps.grids import Sample
 from .._runs.trajectory import Trajectory
 from ..equations.levels import Level
-from ..equations.rotator import RotatorFull, closed_manifold, critical_manifold, separatrix
+from ..equations.rotator import RotatorFull
+from ..equations.rotator_curves import closed_manifold, critical_manifold, separatrix
 from ..equations.transverse import TransverseReduced, equation_at
 from ..plots.style import COMPONENTS, MM, ORANGE, STYLE, WIDE, YELLOW, hatch, level_line, percent
 from ..plots.style import save as save

@@ -11,13 +11,8 @@ from .._base.types import Outcome
 from .._runs.classify import classify
 from ..bodies import axisymmetric
 from ..equations.rigid import Full
-from ..equations.rotator import (
-    RotatorFull,
-    RotatorReduced,
-    closed_manifold,
-    critical_manifold,
-    separatrix,
-)
+from ..equations.rotator import RotatorFull, RotatorReduced
+from ..equations.rotator_curves import closed_manifold, critical_manifold, separatrix
 from .ledger_entry import LANES, Entry, gap, states
 
 LOGARITHM = 3 / 4

@@ -5,11 +5,12 @@ import os
 import numpy as np
 import pytest
 import zarr
-from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
 from dipoletop._maps.store.arrays import StoredArray, write_at_once
 from dipoletop._maps.tiling import Tiling
 
+PACKING = [ZstdCodec(level=0), Crc32cCodec()]
 RNG = np.random.default_rng(0)
 ARRAYS = {
     "int8": RNG.integers(-1, 3, 300).astype("int8"),
@@ -34,15 +35,14 @@ def values(request):
     return ARRAYS[request.param]
 
 
-@pytest.mark.parametrize("codecs", [("zstd", "crc32c"), ()])
-def test_the_bytes_are_those_of_zarr(tmp_path, values, codecs):
+@pytest.mark.parametrize("packed", [True, False])
+def test_the_bytes_are_those_of_zarr(tmp_path, values, packed):
     chunk = 128, *values.shape[1:]
-    array = StoredArray(tmp_path / "own", values.shape, chunk, values.dtype, codecs)
+    array = StoredArray(tmp_path / "own", values.shape, chunk, values.dtype, packed)
     (tmp_path / "own").mkdir()
     array.create()
     array.write_all(values)
-    compressors = [ZstdCodec(level=0), Crc32cCodec()] if codecs else None
-    by_zarr(tmp_path / "zarr", values, compressors=compressors)
+    by_zarr(tmp_path / "zarr", values, compressors=PACKING if packed else None)
     own, other = files(tmp_path / "own"), files(tmp_path / "zarr")
     chunks = {name for name in other if name.startswith("c/")}
     assert len(chunks) == 3
@@ -54,7 +54,7 @@ def test_the_bytes_are_those_of_zarr(tmp_path, values, codecs):
 
 
 def test_what_zarr_has_written_is_read(tmp_path, values):
-    by_zarr(tmp_path / "a", values)  # without checksums, as in stores of version 1
+    by_zarr(tmp_path / "a", values, compressors=PACKING)
     array = StoredArray.open(tmp_path / "a")
     found = np.concatenate([array.read(chunk) for chunk in range(array.tiling.count)])
     assert found.dtype == values.dtype
@@ -78,8 +78,17 @@ def test_chunks_of_several_axes_are_where_zarr_looks_for_them(tmp_path, shape, m
     np.testing.assert_array_equal(zarr.open_array(tmp_path, mode="r")[...], values)
 
 
-def test_arrays_of_another_kind_are_refused(tmp_path):
-    by_zarr(tmp_path / "a", ARRAYS["int32"], compressors=zarr.codecs.GzipCodec())
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"compressors": zarr.codecs.GzipCodec()},
+        {"compressors": ZstdCodec(level=0)},
+        {"compressors": PACKING, "serializer": BytesCodec(endian="big")},
+        {"compressors": PACKING, "chunk_key_encoding": {"name": "v2", "separator": "/"}},
+    ],
+)
+def test_arrays_of_another_kind_are_refused(tmp_path, settings):
+    by_zarr(tmp_path / "a", ARRAYS["int32"], **settings)
     with pytest.raises(ValueError, match="chunks of another kind"):
         StoredArray.open(tmp_path / "a")
 

@@ -19,10 +19,10 @@ from ..tiling import Tiling
 
 METADATA = "zarr.json"
 LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
-CODECS: dict[str, dict[str, Any]] = {
-    "zstd": {"name": "zstd", "configuration": {"level": 0, "checksum": False}},
-    "crc32c": {"name": "crc32c"},
-}
+PACKING = [
+    {"name": "zstd", "configuration": {"level": 0, "checksum": False}},
+    {"name": "crc32c"},
+]
 CHECKSUM = 4  # bytes of a crc32c
 ATTEMPTS = 5  # to write a file
 
@@ -39,7 +39,7 @@ class StoredArray:
         shape: its shape.
         chunk: the shape of a chunk.
         dtype: the type of its numbers.
-        codecs: what chunks go through: compression, and a checksum, which version 1 lacked.
+        packed: whether chunks are compressed and have a checksum.
         fill: what stands for the numbers of chunks that are not written.
         dims: names of the axes, if they have any.
         attributes: what is said of the numbers.
@@ -50,7 +50,7 @@ class StoredArray:
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
     dtype: np.dtype
-    codecs: tuple[str, ...] = ("zstd", "crc32c")
+    packed: bool = True
     fill: Any = 0
     dims: tuple[str, ...] = ()
     attributes: Mapping[str, Any] = field(default_factory=dict)
@@ -65,18 +65,15 @@ class StoredArray:
                 none.
         """
         metadata = json.loads((folder / METADATA).read_bytes())
-        (first, *others), keys = metadata["codecs"], metadata["chunk_key_encoding"]
-        codecs = tuple(codec["name"] for codec in others)
-        endian = first.get("configuration", {}).get("endian", "little")
-        separator = keys.get("configuration", {}).get("separator", "/")
-        known = codecs in ((), ("zstd",), ("zstd", "crc32c")) and endian == "little"
-        if not known or (keys["name"], separator) != ("default", "/"):
-            raise ValueError(f"{folder} has chunks of another kind")
+        shape, packed = tuple(metadata["shape"]), len(metadata["codecs"]) > 1
         chunk = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
         dtype = np.dtype(metadata["data_type"])
-        fill = np.dtype(dtype).type(metadata["fill_value"])
-        shape = tuple(metadata["shape"])
-        return cls(folder, shape, chunk, dtype, codecs, fill, staging=staging)
+        fill = dtype.type(metadata["fill_value"])
+        array = cls(folder, shape, chunk, dtype, packed, fill, staging=staging)
+        kind = "codecs", "chunk_key_encoding"
+        if any(metadata[name] != array.metadata[name] for name in kind):
+            raise ValueError(f"{folder} has chunks of another kind")
+        return array
 
     def create(self) -> None:
         """Write the metadata; there are no chunks yet."""
@@ -94,7 +91,7 @@ class StoredArray:
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(self.chunk)}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
             "fill_value": "NaN" if fill != fill else fill,
-            "codecs": [first, *(CODECS[name] for name in self.codecs)],
+            "codecs": [first, *(PACKING if self.packed else [])],
             "attributes": dict(self.attributes),
             **({"dimension_names": list(self.dims)} if self.dims else {}),
             "zarr_format": 3,
@@ -116,9 +113,8 @@ class StoredArray:
         full = np.full(math.prod(self.chunk), self.fill, self.dtype.newbyteorder("<"))
         full[: values.size] = values.ravel()
         content = full.tobytes()
-        if "zstd" in self.codecs:
+        if self.packed:
             content = _zstd().encode(content)
-        if "crc32c" in self.codecs:
             content += _crc32c(content).to_bytes(CHECKSUM, "little")
         write_at_once(self.file(chunk), content, self.staging)
 
@@ -135,11 +131,10 @@ class StoredArray:
             ValueError: it is damaged. Other errors where it is missing, or cannot be decompressed.
         """
         content = self.file(chunk).read_bytes()
-        if "crc32c" in self.codecs:
+        if self.packed:
             content, checksum = content[:-CHECKSUM], content[-CHECKSUM:]
             if _crc32c(content).to_bytes(CHECKSUM, "little") != checksum:
                 raise ValueError("its checksum is wrong")
-        if "zstd" in self.codecs:
             content = _zstd().decode(content)
         little = np.frombuffer(content, self.dtype.newbyteorder("<"))
         if little.size != math.prod(self.chunk):

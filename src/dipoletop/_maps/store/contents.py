@@ -26,8 +26,6 @@ class Verification(NamedTuple):
     """Numbers of the tiles that are not computed yet."""
     damaged: dict[int, str]
     """What is wrong with each damaged tile, by its number."""
-    checksums: bool
-    """Whether the store has any; without them only missing or unreadable data are detected."""
 
 
 def save(parts: BasinParts, path: Any) -> None:
@@ -98,7 +96,7 @@ def verify(path: Any) -> Verification:
         tiles.values(name)
     left = tiles.unfinished()
     damaged = tiles.damaged(tiles.tiling.others(left))
-    return Verification(tiles.tiling.count, left, damaged, tiles.checked)
+    return Verification(tiles.tiling.count, left, damaged)
 
 
 def starts_done(path: Any, repair: bool = False) -> int:

@@ -1,14 +1,13 @@
-"""How a store is laid out on disk, in every version of its format, and how an empty one is made.
+"""How a store is laid out on disk, and how an empty one is made.
 
 A store is a Zarr group that xarray opens: columns in the shape of the grid, one chunk for each
 tile, and coordinates. A group inside it, which xarray passes over, keeps the sweep's header and one
 record for each finished tile.
 """
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,24 +28,11 @@ from .headers import Header, header_digest
 FORMAT = "dipoletop basin, version 3"
 LARGEST_CHUNK = 1 << 20  # numbers of coordinates; codecs take no more than 2 GiB at once
 
-
-class Layout(NamedTuple):
-    """Where a version of the format keeps what is no column."""
-
-    group: str
-    """The group whose attributes are the header."""
-    records: str
-    """The array of records."""
-    coordinates: str
-    """What the names of coordinates begin with on disk."""
-
-
-OLD_LAYOUT = Layout("", "done", "axis_")
-LAYOUT = Layout("dipoletop-tiles", "dipoletop-tiles/done", "")
-CLAIMS = f"{LAYOUT.group}/claims"
-STAGING = f"{LAYOUT.group}/partial"
-UNCHECKED = "dipoletop basin, version 1"  # no checksums, only a flag for each tile
-LAYOUTS = {UNCHECKED: OLD_LAYOUT, "dipoletop basin, version 2": OLD_LAYOUT, FORMAT: LAYOUT}
+GROUP = "dipoletop-tiles"
+"""The group whose attributes are the header."""
+RECORDS = f"{GROUP}/done"
+CLAIMS = f"{GROUP}/claims"
+STAGING = f"{GROUP}/partial"
 
 
 def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
@@ -58,12 +44,12 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         arrays[name] = _coordinates(folder / name, array, dims)
     shown = {name: array.metadata for name, array in arrays.items()}
     shape = tiling_of(header).count, SIZE * (3 + len(names))
-    arrays[LAYOUT.records] = StoredArray(
-        folder / LAYOUT.records,
+    arrays[RECORDS] = StoredArray(
+        folder / RECORDS,
         shape,
         (1, shape[1]),
         np.dtype("uint8"),
-        codecs=(),  # a record is its own checksum
+        packed=False,  # a record is its own checksum
     )
     for array in arrays.values():
         array.create()
@@ -83,7 +69,7 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
     layout = {name: metadata_digest(folder, name) for name in ("", *arrays)}
     full = {"format": FORMAT, "layout": layout, **header}
     own = {**full, "digest": header_digest(full)}
-    write_json(folder / LAYOUT.group / METADATA, _group(own))
+    write_json(folder / GROUP / METADATA, _group(own))
 
 
 def _column(folder: Path, header: Header) -> StoredArray:
@@ -123,10 +109,7 @@ def _group(attributes: dict[str, Any]) -> dict[str, Any]:
 
 def tiling_of(header: Header) -> Tiling:
     """How the columns of a store are cut into tiles."""
-    shape = tuple(header["shape"])
-    if "tile" in header:  # columns were flat
-        return Tiling((math.prod(shape),), (int(header["tile"]),))
-    return Tiling(shape, tuple(header["chunk"]))
+    return Tiling(tuple(header["shape"]), tuple(header["chunk"]))
 
 
 def tiling_of_starts(header: Header) -> Tiling:

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..columns import SLOW_COLUMNS
 from .arrays import METADATA
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, atomic_folder, exists, hidden_folder
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
-from .layout import FORMAT, LAYOUT, create_arrays, tiling_of
+from .layout import GROUP, create_arrays, tiling_of
 from .tiles import TileRecord, Tiles, open_tiles
 
 THIS_SWEEP = "be new or hold this very sweep"
@@ -42,10 +41,6 @@ def begin_or_resume(
             create_arrays(fresh, header, values)
     try:
         tiles = open_tiles("store", folder)
-        if (version := tiles.header["format"]) != FORMAT:
-            must = f"be new or a {FORMAT}, to go on with it"
-            reason = f"{folder} is a {version} (`Basin.load` reads it if it is finished)"
-            raise StoreMismatch("store", folder, must, reason)
         different = differences(
             tiles.header, header, lambda x: first_difference(x, tiles.values(x), values[x])
         )
@@ -56,27 +51,14 @@ def begin_or_resume(
             raise
         return _with_new_metadata(folder, header, values)
     if different:
-        different = _or_without_regimes(tiles.header, header, different)
         reason = f"{folder} holds another sweep: {different}"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
     return tiles
 
 
-def _or_without_regimes(old: Header, new: Header, different: str) -> str:
-    """The differences, in other words if all that the old sweep lacks are regimes."""
-    added = [name for name in new["columns"] if name in SLOW_COLUMNS and name not in old["columns"]]
-    if not added or "slow_flow" in old["attrs"]:
-        return different
-    attrs = {name: value for name, value in new["attrs"].items() if name != "slow_flow"}
-    columns = [name for name in new["columns"] if name not in added]
-    if differences(old, {**new, "attrs": attrs, "columns": columns}, str):
-        return different
-    return f"it has no columns {' and '.join(added)} (`slow_flow=False` resumes it)"
-
-
 def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
     """The store with its metadata written again, if its records belong to this sweep."""
-    every = (TileRecord(folder / LAYOUT.records, tile) for tile in range(tiling_of(header).count))
+    every = (TileRecord(folder, tile) for tile in range(tiling_of(header).count))
     records = [record for record in every if record.is_sound]
     if not records or any(record.sweep != sweep_digest(header) for record in records):
         reason = f"the metadata of {folder} are damaged, and its tiles are of another one, or none"
@@ -85,7 +67,7 @@ def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.nda
         fresh = Path(hidden)
         create_arrays(fresh, header, values)
         # The header last: until then the store is known to be damaged.
-        header_file = fresh / LAYOUT.group / METADATA
+        header_file = fresh / GROUP / METADATA
         for file in sorted(fresh.rglob("*"), key=lambda file: file == header_file):
             if file.is_file():
                 target = folder / file.relative_to(fresh)

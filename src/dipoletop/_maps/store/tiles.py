@@ -22,23 +22,12 @@ from .claims import Claims
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
-from .layout import (
-    CLAIMS,
-    FORMAT,
-    LAYOUT,
-    LAYOUTS,
-    OLD_LAYOUT,
-    STAGING,
-    UNCHECKED,
-    Layout,
-    metadata_digest,
-    tiling_of,
-)
+from .layout import CLAIMS, FORMAT, GROUP, RECORDS, STAGING, metadata_digest, tiling_of
 
 
 @contextlib.contextmanager
 def _reading(folder: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
-    """Turns whatever codecs and the library zarr raise at damaged bytes into `StoreDamaged`.
+    """Turns whatever codecs raise at damaged bytes into `StoreDamaged`.
 
     The types of their errors are not documented. No code of the user runs in here.
     """
@@ -58,8 +47,8 @@ def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exceptio
 class TileRecord:
     """What is kept of a finished tile: digests of its sweep, of its inputs and of its columns."""
 
-    def __init__(self, records: Path, tile: int) -> None:
-        file = records / "c" / str(tile) / "0"
+    def __init__(self, store: Path, tile: int) -> None:
+        file = store / RECORDS / "c" / str(tile) / "0"
         content = file.read_bytes() if file.is_file() else b""
         offsets = range(0, max(len(content), 3 * SIZE), SIZE)
         seal, self.sweep, self.inputs, *self.columns = (
@@ -110,45 +99,40 @@ class StoredColumn:
 
 
 class Tiles:
-    """An open store of any version, as `open_tiles` gives it.
+    """An open store, as `open_tiles` gives it.
 
     Attributes:
         folder: its folder.
         header: what it says about the sweep; see `headers`.
-        layout: where things are.
-        checked: whether it has checksums, as all versions but the first do.
         tiling: how its columns are cut into tiles.
         names: those of its columns.
         swept_names: those of the swept values.
     """
 
-    def __init__(self, folder: Path, header: Header, layout: Layout, checked: bool) -> None:
-        self.folder, self.header, self.checked = folder, header, checked
-        self.layout, self._records = layout, folder / layout.records
+    def __init__(self, folder: Path, header: Header) -> None:
+        self.folder, self.header = folder, header
         with _reading(folder, (), "its header"):
             self.tiling, self.names = tiling_of(header), list(header["columns"])
-            for name, expected in header.get("layout", {}).items():
+            for name, expected in header["layout"].items():
                 if metadata_digest(folder, name) != expected:
                     what = f"the metadata of {name}" if name else "its attributes"
                     raise StoreDamaged(folder, (), f"{what} are not as written")
-            self.swept_names = list(header["values" if checked else "axes"])
-            swept = (f"{layout.coordinates}{name}" for name in self.swept_names)
-            names = (*self.names, layout.records, *swept)
-            staging = folder / STAGING if layout is LAYOUT else None
+            self.swept_names = list(header["values"])
+            names, staging = (*self.names, RECORDS, *self.swept_names), folder / STAGING
             self._arrays = {name: StoredArray.open(folder / name, staging) for name in names}
-        self._sweep = sweep_digest(header) if checked else b""
+        self._sweep = sweep_digest(header)
 
     def values(self, name: str) -> np.ndarray:
         """What was swept: an axis, or a column of points."""
         what = f"the values of {name}"
         with _reading(self.folder, (), what):
-            array = self._arrays[self.layout.coordinates + name]
+            array = self._arrays[name]
             chunks = range(array.tiling.count)
             if not all(array.file(chunk).is_file() for chunk in chunks):
                 raise StoreDamaged(self.folder, (), f"{what} are missing")
             parts = [array.read(chunk) for chunk in chunks]
             values = np.concatenate(parts).reshape(array.shape)
-        if self.checked and array_digest(values).hex() != self.header["values"][name]:
+        if array_digest(values).hex() != self.header["values"][name]:
             raise StoreDamaged(self.folder, (), f"{what} are not what was written")
         return values
 
@@ -158,7 +142,7 @@ class Tiles:
         for name, part in kept.items():
             self._arrays[name].write(tile, part)
         record = TileRecord.encode(tile, self._sweep, inputs, list(kept.values()))
-        self._arrays[self.layout.records].write(tile, np.frombuffer(record, np.uint8))
+        self._arrays[RECORDS].write(tile, np.frombuffer(record, np.uint8))
 
     def claims(self) -> Claims:
         """The claims of this process on tiles."""
@@ -178,7 +162,7 @@ class Tiles:
 
     def written_at(self, tile: int) -> float:
         """When a finished tile was written, in seconds since the epoch."""
-        return self._arrays[self.layout.records].file(tile).stat().st_mtime
+        return self._arrays[RECORDS].file(tile).stat().st_mtime
 
     def discard_partial_files(self) -> None:
         """Remove what killed processes left behind; no process may be writing."""
@@ -187,24 +171,19 @@ class Tiles:
 
     def forget(self, tile: int) -> None:
         """Make a tile one that is not computed yet."""
-        self._arrays[self.layout.records].file(tile).unlink(missing_ok=True)
+        self._arrays[RECORDS].file(tile).unlink(missing_ok=True)
 
     def is_finished(self, tile: int) -> bool:
         """Whether a tile has been computed."""
-        return TileRecord(self._records, tile).exists
+        return TileRecord(self.folder, tile).exists
 
     def unfinished(self) -> list[int]:
         """The tiles that have to be computed."""
-        every = range(self.tiling.count)
-        if self.checked:
-            return [tile for tile in every if not self.is_finished(tile)]
-        with _reading(self.folder, (), "the flags"):
-            flags = self._arrays[self.layout.records]
-            return [t for t in every if not (flags.file(t).is_file() and flags.read(t).any())]
+        return [tile for tile in range(self.tiling.count) if not self.is_finished(tile)]
 
     def record(self, tile: int) -> TileRecord:
         """The record of a finished tile."""
-        record = TileRecord(self._records, tile)
+        record = TileRecord(self.folder, tile)
         if not record.exists:
             raise StoreDamaged(self.folder, (tile,), "its record is missing")
         if not record.is_sound or record.sweep != self._sweep:
@@ -216,10 +195,10 @@ class Tiles:
         array = self._arrays[name]
         if not array.file(tile).is_file():
             raise StoreDamaged(self.folder, (tile,), f"its {name} is missing")
-        written = self.record(tile).columns[self.names.index(name)] if self.checked else None
+        written = self.record(tile).columns[self.names.index(name)]
         with _reading(self.folder, (tile,), f"its {name}"):
             part = array.read(tile).reshape(self.tiling.length(tile), *self._components(name))
-        if self.checked and array_digest(part) != written:
+        if array_digest(part) != written:
             raise StoreDamaged(self.folder, (tile,), f"its {name} is not what was written")
         return part.astype(column_spec(name).dtype, copy=False)
 
@@ -291,24 +270,18 @@ def open_tiles(argument: str, folder: Path) -> Tiles:
     must = "be a folder with a basin"
     if not exists(argument, folder):
         raise StoreMismatch(argument, folder, must, f"{folder} does not exist")
-    layout = LAYOUT if (folder / LAYOUT.records).is_dir() else OLD_LAYOUT
-    was_store = (folder / layout.records).is_dir()
     try:
-        metadata = json.loads((folder / layout.group / METADATA).read_bytes())
-        header = dict(metadata["attributes"])
+        header = dict(json.loads((folder / GROUP / METADATA).read_bytes())["attributes"])
     except MemoryError:
         raise
     except Exception as error:  # of any type, as in `_reading`
-        if was_store:
+        if (folder / RECORDS).is_dir():
             raise _unreadable(folder, (), "its header", error) from None
         reason = f"{folder} cannot be read as one ({error})"
         raise StoreMismatch(argument, folder, must, reason) from None
-    version, written = header.get("format"), header.pop("digest", None)
-    is_known = version in LAYOUTS
-    checked = written is not None or version != UNCHECKED
-    if checked and (is_known or was_store) and written != header_digest(header):
+    if header.pop("digest", None) != header_digest(header):
         raise StoreDamaged(folder, (), "its header is not what was written")
-    if not is_known:
-        reason = f"the format of {folder} is {version!r}"
+    if header["format"] != FORMAT:
+        reason = f"{folder} is a {header['format']}"
         raise StoreMismatch(argument, folder, f"be a {FORMAT}", reason)
-    return Tiles(folder, header, layout, checked)
+    return Tiles(folder, header)
