@@ -1,6 +1,7 @@
 """Compilation of programs that the host calls a few times, and which run for milliseconds."""
 
 import functools
+import threading
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -11,6 +12,7 @@ import numpy as np
 from jax.core import Tracer
 
 from .checks import concrete
+from .digests import digest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -48,3 +50,40 @@ def _is_host_call(*arguments: Any) -> bool:
     if jax.default_backend() != "cpu" or not concrete(arguments):
         return False
     return not isinstance(jax.device_put(np.float32(0)), Tracer)
+
+
+KEPT = 64  # programs of users' functions
+_programs: dict[bytes, jax.stages.Compiled] = {}
+_lock = threading.Lock()
+
+
+class CompiledPrograms:
+    """Compiled programs of one function of arrays, for processors, by the shapes of its arguments.
+
+    A function is traced for each instance, so that what it refers to may have changed; but equal
+    programs are compiled once in a process. One with a callback to Python is not shared.
+    """
+
+    def __init__(self) -> None:
+        self._own: dict[Any, jax.stages.Compiled] = {}
+
+    def __call__(self, function: Callable[[Any], list[Any]], arguments: Any) -> list[Any]:
+        """The function of these arguments, a list of arrays."""
+        leaves, structure = jax.tree.flatten(arguments)
+        key = structure, tuple((x.shape, x.dtype) for x in leaves)
+        with _lock:
+            if key not in self._own:
+                self._own[key] = _compiled(jax.jit(function).lower(arguments))
+        return self._own[key](arguments)
+
+
+def _compiled(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+    text = lowered.as_text()
+    if "callback" in text:
+        return lowered.compile(COMPILED_SOON)
+    key = digest(text.encode())
+    program = _programs.pop(key, None) or lowered.compile(COMPILED_SOON)
+    _programs[key] = program  # behind all that were used earlier
+    while len(_programs) > KEPT:
+        del _programs[next(iter(_programs))]
+    return program

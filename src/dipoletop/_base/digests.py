@@ -41,11 +41,17 @@ def _parts(array: Any) -> tuple[bytes, bytes]:
 def program_digest(function: Callable[..., Any], *arguments: Any) -> bytes:
     """Digest of what a function of arrays computes (the arguments may be shapes and types).
 
-    It is that of the text into which JAX translates the traced program, without names and places:
-    operations, shapes, types and constants, but not what a callback to Python computes. Other
-    versions of JAX may translate otherwise.
+    See `lowered_digest`.
     """
-    lowered = jax.jit(lambda *given: function(*given)).lower(*arguments)
+    return lowered_digest(jax.jit(lambda *given: function(*given)).lower(*arguments))
+
+
+def lowered_digest(lowered: jax.stages.Lowered) -> bytes:
+    """Digest of the text into which JAX translates a traced program, without names and places.
+
+    It covers operations, shapes, types and constants, but not what a callback to Python computes.
+    Other versions of JAX may translate otherwise.
+    """
     numbers: dict[str, int] = {}
 
     def number(name: re.Match[str]) -> str:

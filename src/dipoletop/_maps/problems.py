@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.checks import check_equation, instance, real, refuse
-from .._base.compiling import COMPILED_SOON
+from .._base.compiling import CompiledPrograms
 from .._base.dependence import dependence
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
@@ -42,6 +42,7 @@ class BlockBuilder:
     over: Grid | Points | Sample
     derivatives: tuple[str, ...] = ()
     _tracing: Any = field(default_factory=threading.Lock)
+    _programs: CompiledPrograms = field(default_factory=CompiledPrograms)
 
     def __post_init__(self) -> None:
         check_problem(self.problem)
@@ -56,8 +57,9 @@ class BlockBuilder:
             if self.derivatives:
                 _check_derivatives(points, self.derivatives)
             if jax.default_backend() != "cpu":
-                return self._compiled(points)
-            return jax.tree.map(np.asarray, self._compiled(points))
+                return self._jitted(points)
+            leaves = self._programs(self._leaves, points)
+            return jax.tree.unflatten(self._structure, map(np.asarray, leaves))
 
     def template(self) -> Any:
         """The shapes and types of a block of one point."""
@@ -65,9 +67,15 @@ class BlockBuilder:
             return eqx.filter_eval_shape(self._vectorised, self.over.points(np.zeros(1, int)))
 
     @functools.cached_property
-    def _compiled(self) -> Callable[[PointValues], Block]:
-        options = COMPILED_SOON if jax.default_backend() == "cpu" else {}
-        return jax.jit(self._vectorised, compiler_options=options)
+    def _structure(self) -> Any:
+        return jax.tree.structure(self.template())
+
+    @functools.cached_property
+    def _jitted(self) -> Callable[[PointValues], Block]:
+        return jax.jit(self._vectorised)
+
+    def _leaves(self, points: PointValues) -> list[Array]:
+        return jax.tree.leaves(self._vectorised(points))
 
     def _vectorised(self, points: PointValues) -> Block:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
