@@ -28,8 +28,8 @@ from ._maps.store.errors import StoreDamaged as StoreDamaged
 from ._maps.store.errors import StoreMismatch as StoreMismatch
 from ._maps.store.errors import StoreNotWritable as StoreNotWritable
 from ._maps.sweep import sweep as sweep
-from ._maps.tallies import Tally as Tally
 from ._maps.tally import tally as tally
+from ._maps.tally_results import Tally as Tally
 from ._runs.classification import Classification as Classification
 from ._runs.classify import classify as classify
 from ._runs.classify_many import classify_many as classify_many

@@ -16,7 +16,7 @@ from jaxtyping import Array, Complex, Float
 
 from ._averaging.dipole_series import Series, series
 from ._averaging.landen import Descent
-from ._averaging.orbit import Orbit, Spin, motion_of
+from ._averaging.orbit import MomentumOrbit, Spin, motion_of
 from ._base.checks import concrete, finite, instance, refuse, where_valid
 from ._base.compiling import compiled_soon
 from ._base.linalg import cross, dot
@@ -168,7 +168,7 @@ def _lines(
 
 
 def _of_unit_dipole(
-    orbit: Orbit, steps: Descent, spin: Spin, n: int
+    orbit: MomentumOrbit, steps: Descent, spin: Spin, n: int
 ) -> tuple[Real, Real, Real, Series]:
     """Φ̇, the signed 2π/T, ⟨|d̈|²⟩ and the series of a dipole of length 1."""
     precession, libration = orbit.rates(steps)

@@ -35,7 +35,7 @@ from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
 from ._base.summaries import with_error
 from ._base.types import Outcome, Real, Regime
-from ._runs.resolved_forecast import HANDOVER, Averages, resolved_forecast, resolved_history
+from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
 
@@ -192,7 +192,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     return Prediction(*numbers, variables=variables, strength=strength)
 
 
-def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Averages:
+def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> RunAverages:
     """What averages over free rotation tell of a body."""
     is_needle = _is_needle(inertia, dipole)
 
@@ -203,7 +203,7 @@ def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Averag
         regime = forecast(variables, constants[1]).regime
         return best_history(variables, constants, regime)
 
-    return Averages(forecast, history)
+    return RunAverages(forecast, history)
 
 
 def _check_rim(body: Body | Particle, omega: Array) -> None:

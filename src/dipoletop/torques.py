@@ -17,7 +17,7 @@ from ._base.attitudes import Quaternion, rotate, unit_quaternion
 from ._base.checks import ArrayLike, NumberLike, finite, instance, positive, refuse
 from ._base.linalg import cross, matvec
 from ._base.types import Equation, State, Vector
-from .equations.driven import Driven, DrivenFull, Torque, driven
+from .equations.torque_driven import Driven, DrivenFull, Torque, driven
 from .particles import Particle
 
 AIR = 28.97 * scipy.constants.atomic_mass

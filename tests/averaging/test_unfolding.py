@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 from dipoletop._averaging.capture import Expansion, capture
 from dipoletop._averaging.forecast import best_forecast, coverage, forecast, unfolded_forecast
-from dipoletop._averaging.unfolding import Plane, entry_q, phases, settle
+from dipoletop._averaging.unfolding import PlanarMotion, entry_q, phases, settle
 
 ONE = jnp.asarray(1.0)
 DIRECTION = np.array([0.5, 0.3, 0.8])
@@ -41,14 +41,14 @@ def test_semi_reduced_level_tends_to_the_unfolded_system(delta):
                 r1, r2, r3 = equation(0.0, jnp.array([w1, w2, w3]))
                 fall = 2 * (w1 * r1 + w2 * r2)
                 rates = [w1 * r2 - w2 * r1, r3 - w3 * fall / u, fall]
-                plane = Plane(jnp.asarray(delta), jnp.asarray(asymmetry))
+                plane = PlanarMotion(jnp.asarray(delta), jnp.asarray(asymmetry))
                 expected = plane(0.0, jnp.array([phi, z, 0.0]))
                 np.testing.assert_allclose(np.array(rates) / u**2, expected, atol=largest)
 
 
 @pytest.mark.parametrize(("delta", "asymmetry"), [(0.4, 2.0), (0.4, -0.7), (-0.2, -5.0)])
 def test_loss_at_the_residual_line_is_that_of_an_integration(delta, asymmetry):
-    plane = Plane(jnp.asarray(delta), jnp.asarray(asymmetry))
+    plane = PlanarMotion(jnp.asarray(delta), jnp.asarray(asymmetry))
     y = np.array([np.pi + 1e-4, 3e-4 / delta, 0.0])
     rate = jax.jit(lambda y: plane(0.0, y))
     last = solve_ivp(lambda t, y: np.asarray(rate(y)), (0, 60), y, rtol=1e-10, atol=1e-14).y
@@ -64,7 +64,7 @@ def test_a_vanishing_asymmetry_leaves_the_capture_of_the_axisymmetric_top():
 
     @jax.jit
     def sampled(ratio):
-        plane = Plane(delta, ratio)
+        plane = PlanarMotion(delta, ratio)
         q = entry_q(delta, ratio)
         lanes = jax.vmap(lambda y: settle(plane, y))(phases(plane, q))
         return lanes, Expansion(-1.5 * delta / (1 - delta)).log_w(q)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dipoletop._maps.quantities import describe, initial_condition
+from dipoletop._maps.top_parameters import describe, initial_condition
 from dipoletop.cli import quantities
 
 

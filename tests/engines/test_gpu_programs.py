@@ -10,7 +10,7 @@ import pytest
 import dipoletop as dt
 from dipoletop._engines.interface import Limits, Queue
 from dipoletop._engines.jax_engine import ON_ACCELERATOR, _classify, _Method
-from dipoletop._runs.doubt import finish_of
+from dipoletop._runs.label_doubt import finish_of
 
 N = 256
 OBLIQUE = jax.tree.map(

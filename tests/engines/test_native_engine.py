@@ -12,7 +12,7 @@ from dipoletop._engines import native_engine
 from dipoletop._engines.interface import Limits, Queue
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._runs.doubt import finish_of
+from dipoletop._runs.label_doubt import finish_of
 
 RNG = np.random.default_rng(11)
 

@@ -7,8 +7,8 @@ import pytest
 import dipoletop as dt
 from dipoletop import Outcome
 from dipoletop._maps import tiling
-from dipoletop._maps.store.contents import verify
-from dipoletop._maps.tallies import Tally
+from dipoletop._maps.store.saved_basins import verify
+from dipoletop._maps.tally_results import Tally
 
 AXES = {
     "delta": np.array([-0.4, -0.2, 0.3]),

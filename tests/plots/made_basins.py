@@ -5,7 +5,7 @@ from matplotlib.colors import to_rgba
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop
-from dipoletop.plots.plane import CLASSES
+from dipoletop.plots.map_layout import CLASSES
 
 R, S, U, F = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED
 

@@ -11,8 +11,8 @@ from matplotlib.colors import to_rgba
 
 import dipoletop as dt
 from dipoletop import Stop, plots
-from dipoletop.plots.plane import CHANCE, CLASSES
-from dipoletop.plots.shades import SIGNED, UNKNOWN
+from dipoletop.plots.column_shading import SIGNED, UNKNOWN
+from dipoletop.plots.map_layout import CHANCE, CLASSES
 
 
 def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():

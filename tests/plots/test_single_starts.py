@@ -10,8 +10,8 @@ from matplotlib.colors import to_rgba
 
 import dipoletop as dt
 from dipoletop import Stop, plots
-from dipoletop.plots.plane import CLASSES
-from dipoletop.plots.shades import SIGNED
+from dipoletop.plots.column_shading import SIGNED
+from dipoletop.plots.map_layout import CLASSES
 
 BLUE, GREY = (CLASSES[outcome, Stop.NONE][1] for outcome in (R, S))
 

@@ -8,7 +8,7 @@ from settling import Settling
 
 import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
-from dipoletop._averaging.many import ManyEnds
+from dipoletop._averaging.untimed_ends import ManyEnds
 from dipoletop._runs.slow_runs import SlowMotions, _stops, check_slow_flow, slow_motions
 
 RESIDUAL, STOP, UNDECIDED = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED

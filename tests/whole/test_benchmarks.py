@@ -45,13 +45,13 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     case = label_doubt.tops("1", "tops, −½ < δ < 0", 4096, rng)
     middles, truth = list(label_doubt.closing_in(case, rng))[-1]
     kept = label_doubt.judged(middles, truth)
-    run = blocks.Block.run
+    run = blocks.RunBlock.run
 
     def without_doubt(block, limits):
         runs, doubt = run(block, limits)
         return blocks.Ended(runs, np.where(runs.outcome > 0, 0.0, doubt))
 
-    monkeypatch.setattr(blocks.Block, "run", without_doubt)
+    monkeypatch.setattr(blocks.RunBlock, "run", without_doubt)
     doubtless = label_doubt.judged(middles, truth)
     assert kept["wrong_once"] == doubtless["wrong_once"] == 0
     assert kept["wrong_first"] == doubtless["wrong_first"] == doubtless["lost"] > kept["lost"]

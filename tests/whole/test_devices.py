@@ -20,7 +20,6 @@ import dipoletop as dt
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.columns import COLUMNS
-from dipoletop._runs import memory
 
 COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
 ENGINES = ["jax", "native"]

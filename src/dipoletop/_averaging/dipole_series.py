@@ -29,7 +29,7 @@ from jaxtyping import Array, Complex, Float
 from .._base.guards import safe_sqrt
 from .._base.types import Real
 from .landen import Descent, lag
-from .orbit import Orbit
+from .orbit import MomentumOrbit
 
 Terms = Float[Array, "k"]
 
@@ -56,7 +56,7 @@ class _Factors(NamedTuple):
     """1 − G²."""
 
 
-def series(orbit: Orbit, steps: Descent, n: int) -> Series:
+def series(orbit: MomentumOrbit, steps: Descent, n: int) -> Series:
     """The Fourier coefficients up to the n-th harmonic."""
     return Series(_along(orbit, steps, n), _across(orbit, steps, n))
 
@@ -74,7 +74,7 @@ def _interleaved(odd: Array, even: Array, n: int) -> Array:
     return jnp.stack([odd, even], axis=-1).reshape(-1)[:n]
 
 
-def _along(orbit: Orbit, steps: Descent, n: int) -> Complex[Array, "n"]:
+def _along(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "n"]:
     count = (n + 1) // 2
     root, sx = steps.root, safe_sqrt(orbit.x)
     q = orbit.x * orbit.gaps[2] / orbit.q * root**2
@@ -90,7 +90,7 @@ def _along(orbit: Orbit, steps: Descent, n: int) -> Complex[Array, "n"]:
     return jax.lax.complex(steps.mean * real, steps.mean * imaginary)
 
 
-def _factors(orbit: Orbit, steps: Descent) -> _Factors:
+def _factors(orbit: MomentumOrbit, steps: Descent) -> _Factors:
     """From whichever of α and η is the smaller at m = 0, where w is infinite."""
     x, q, g, root = orbit.x, orbit.q, orbit.g, steps.root
     c = jnp.sqrt(q / orbit.gaps[0])
@@ -112,7 +112,7 @@ def _factors(orbit: Orbit, steps: Descent) -> _Factors:
     )
 
 
-def _across(orbit: Orbit, steps: Descent, n: int) -> Complex[Array, "m"]:
+def _across(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "m"]:
     factors = _factors(orbit, steps)
     root, sx, k = steps.root, safe_sqrt(orbit.x), safe_sqrt(orbit.gaps[2] / orbit.q)
     q = orbit.x * k**2 * root**2

@@ -15,7 +15,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
-from .motion import HALVINGS, Motion, Point, Stage
+from .motion import HALVINGS, Point, SlowMotion, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
@@ -58,7 +58,7 @@ class SlowEnd(NamedTuple):
     """Whether the body is captured at once, from its own phase, so that nothing is averaged."""
 
 
-def slow_end(rotation: FreeRotation, motion: Motion) -> SlowEnd:
+def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     """How a slow motion of a body ends."""
     stage = motion.final
     limit = stage.limit
@@ -142,7 +142,7 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
     )
 
 
-def needle_end(rotation: FreeRotation, motion: Motion, weakness: Real) -> SlowEnd:
+def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> SlowEnd:
     """How the rotation of a needle ends, an axisymmetric body with its dipole across its long axis.
 
     The slow flow leads to rotation across the long axis, where the body is captured by chance.
@@ -235,7 +235,7 @@ def energies(stage: Stage) -> Float[Array, "K"]:
     return jnp.where(known, h * jnp.exp(stage.states.log) / 2, 0.0)
 
 
-def time_at(motion: Motion, energy: Real) -> Real:
+def time_at(motion: SlowMotion, energy: Real) -> Real:
     """The time at which the energy has fallen to a value."""
     second = motion.crosses & (energies(motion.stage(0))[motion.stage(0).last] > energy)
     stage = motion.stage(second.astype(int))

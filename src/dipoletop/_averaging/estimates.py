@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
 from .free_rotation import averages, period
-from .motion import Motion, Stage
+from .motion import SlowMotion, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side, from_logit
 
@@ -56,7 +56,7 @@ def loss(side: Side, x: Real, rest: Real, log: Real) -> Real:
     return r * period(side.moments, x, rest, LONGEST) * jnp.exp(log / 2)
 
 
-def largest_loss(motion: Motion) -> Real:
+def largest_loss(motion: SlowMotion) -> Real:
     """The largest `loss` of a motion, at some of its knots."""
 
     def largest(stage: Stage) -> Real:

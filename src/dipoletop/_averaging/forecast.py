@@ -16,11 +16,11 @@ from .._base.types import Outcome, Real, Regime
 from .capture import LARGEST, SMALLEST
 from .ends import SlowEnd, needle_end, slow_end, sphere_end, spin_end
 from .estimates import error_of_phase, estimated_error, largest_loss, start_error
-from .motion import Motion, motion_from
+from .motion import SlowMotion, motion_from
 from .principal_axes import FreeRotation, free_rotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
 from .unfolding import LARGEST as FARTHEST_RATIO
-from .unfolding import Plane, asymmetry_at_entry, top_of
+from .unfolding import PlanarMotion, asymmetry_at_entry, top_of
 
 Variables = Float[Array, "15"]
 """Inertia, dipole and ω₀ in one vector."""
@@ -108,7 +108,7 @@ def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation,
     return scaled, Units(momentum, moment, unit, weakness)
 
 
-def slow_motion(rotation: FreeRotation) -> Motion:
+def slow_motion(rotation: FreeRotation) -> SlowMotion:
     """The slow motion of a body with at least two different moments."""
     high, z = rotation.place
     return motion_from(rotation.side(high), high, z)
@@ -222,7 +222,7 @@ def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[
     d = top.delta
     shaped = (jnp.abs(d) >= SMALLEST) & (jnp.abs(d) <= LARGEST) & (jnp.abs(top.eta) < jnp.abs(d))
     moves = ~is_spin & jnp.any(top.omega[:2] != 0)
-    turns = Plane(d, top.ratio).turns(top.start)
+    turns = PlanarMotion(d, top.ratio).turns(top.start)
     error = order_error(top, jnp.where(turns, -jnp.inf, top.log_u))
     covered = across & shaped & moves & ~(turns & (d < 0))
     asymmetry = jnp.where(turns, asymmetry_at_entry(top), top.ratio)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from .isotropic import isotropic_shapes, momentum_at, share_below, share_of_side
-from .many import ManyEnds, ends_of_many
+from .untimed_ends import ManyEnds, ends_of_many
 
 STARTS = 16
 """Values of h on each side of the separatrix."""

@@ -156,7 +156,7 @@ class Point(NamedTuple):
     """ln L²/L₀²."""
 
 
-class Motion(eqx.Module):
+class SlowMotion(eqx.Module):
     """A slow motion from t = 0 on; times are in the unit 1/(2κL₀²)."""
 
     starts_high: Bool[Array, ""]
@@ -209,7 +209,7 @@ class Motion(eqx.Module):
         return Point(self.starts_high ^ second, x, rest, state.log + fall)
 
 
-def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> Motion:
+def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion:
     """The motion from z = logit x on a side.
 
     A body with two equal moments has no other side: its separatrix is the equator, where L is
@@ -226,4 +226,4 @@ def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> Motion:
     zero = jnp.zeros_like(z)
     carry = side, z, State(zero, zero, zero), jnp.asarray(True)
     _, (stages, arrives) = jax.lax.scan(next_stage, carry, jnp.arange(2))
-    return Motion(starts_high, stages, arrives[0])
+    return SlowMotion(starts_high, stages, arrives[0])

@@ -26,7 +26,7 @@ from .principal_axes import ROUNDING, free_rotation, gaps_of
 Triple = Float[Array, "3"]
 
 
-class Orbit(NamedTuple):
+class MomentumOrbit(NamedTuple):
     """A free rotation of the body about no fixed axis, or about that of J₁ or J₃."""
 
     moments: Triple
@@ -90,7 +90,9 @@ class Spin(NamedTuple):
     """The part of the unit vector n across the axis."""
 
 
-def motion_of(inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple) -> tuple[Orbit, Spin]:
+def motion_of(
+    inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple
+) -> tuple[MomentumOrbit, Spin]:
     """The free rotation; where it is a `Spin` the orbit is another, without meaning.
 
     Args:
@@ -125,7 +127,7 @@ def _spin(
     return Spin(holds, size * dot(unit**2, 1 / moments), safe_sqrt(dot(turned, turned)))
 
 
-def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) -> Orbit:
+def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) -> MomentumOrbit:
     p12, p23, p13 = gaps_of(moments)
     to_b, a_to_b = jnp.where(high, p12, p23), jnp.where(high, p23, p12)
 
@@ -142,4 +144,4 @@ def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) 
     half_turn = jnp.where(momentum[2] < 0, -1.0, 1.0)
     signs = jnp.stack([jnp.ones_like(half_turn), half_turn, half_turn])
     gaps, sense = jnp.stack([p13, to_b, a_to_b]), jnp.where(high, -1.0, 1.0)
-    return Orbit(axes(moments, 1.0), gaps, sense, x, rest, n * signs, momentum * signs)
+    return MomentumOrbit(axes(moments, 1.0), gaps, sense, x, rest, n * signs, momentum * signs)

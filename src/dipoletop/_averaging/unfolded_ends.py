@@ -20,9 +20,9 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS, solution_until
 from .ends import SlowEnd, slow_end, time_at
-from .motion import HALVINGS, Motion, motion_from
+from .motion import HALVINGS, SlowMotion, motion_from
 from .principal_axes import FreeRotation
-from .unfolding import LARGEST, PHASES, Plane, Settled, Top, entry_of, phases, settle
+from .unfolding import LARGEST, PHASES, PlanarMotion, SettledAngle, Top, entry_of, phases, settle
 
 TURNING = 2.0  # q above which no phase is captured
 SHIFT = 3.0  # of neighbours, in units of the error
@@ -46,10 +46,10 @@ def order_error(top: Top, log_u: Real) -> Real:
     return (jnp.exp(log_u) * far + jnp.abs(top.eta)) * far / (1 - top.delta)
 
 
-def captured_end(rotation: FreeRotation, motion: Motion, top: Top) -> UnfoldedEnd:
+def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> UnfoldedEnd:
     """The end of a needle that is captured at a random phase."""
     entry = entry_of(rotation, motion, top)
-    plane = Plane(top.delta, top.eta * jnp.exp(-entry.log_u))
+    plane = PlanarMotion(top.delta, top.eta * jnp.exp(-entry.log_u))
     lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, entry.q))
     logs = lanes.log_ratio + _log_momentum(top, entry.log_u)
     known = jnp.all(lanes.residual | lanes.stops)
@@ -82,7 +82,7 @@ def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
     error = order_error(top, log_u)
     start, ratio = top.start, top.ratio
     size = jnp.stack([jnp.ones_like(error), jnp.abs(start[1]) + 1, jnp.zeros_like(error)])
-    plane = Plane(top.delta, ratio)
+    plane = PlanarMotion(top.delta, ratio)
     size = jnp.where(plane.stays(start), 0.0, SHIFT * error * size)
     shifts = jnp.array([[0, 0, 0], [1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0.0]])
     lanes = jax.vmap(lambda shift: settle(plane, start + shift * size))(shifts)
@@ -121,11 +121,11 @@ def half_time_of(top: Top, last_part: Real) -> Real:
     return jnp.where(lost(orbit.last) >= 0, u_time * jnp.exp(-state[2]) * orbit.unit, jnp.nan)
 
 
-class Orbit(eqx.Module):
+class PlaneOrbit(eqx.Module):
     """An orbit of the unfolded system in time."""
 
     top: Top
-    plane: Plane
+    plane: PlanarMotion
     path: diffrax.DenseInterpolation
     last: Real
     """The last σ."""
@@ -134,7 +134,7 @@ class Orbit(eqx.Module):
 
     @property
     def unit(self) -> Real:
-        """The unit 1/u₀ of τ, in that of `Motion`."""
+        """The unit 1/u₀ of τ, in that of `SlowMotion`."""
         return 2 * self.top.moment / (self.top.omega[0] ** 2 + self.top.omega[1] ** 2)
 
     def at(self, sigma: Real) -> tuple[Float[Array, "3"], Real]:
@@ -153,9 +153,9 @@ class Orbit(eqx.Module):
         return jnp.stack([jnp.ones_like(top.eta), 1 - top.eta, 1 - top.delta])
 
 
-def orbit_of(top: Top) -> Orbit:
+def orbit_of(top: Top) -> PlaneOrbit:
     """The orbit of a start that has a phase of its own."""
-    plane = Plane(top.delta, top.ratio)
+    plane = PlanarMotion(top.delta, top.ratio)
 
     def field(sigma: Any, y: Array, args: Any) -> Array:
         rate = plane(sigma, y)
@@ -169,7 +169,7 @@ def orbit_of(top: Top) -> Orbit:
     ts: Any = solution.ts
     ys: Any = solution.ys
     path: Any = solution.interpolation
-    return Orbit(top, plane, path, ts[-1], plane.settles(ys[-1], TIGHT))
+    return PlaneOrbit(top, plane, path, ts[-1], plane.settles(ys[-1], TIGHT))
 
 
 def _log_momentum(top: Top, log_u: Real) -> Real:
@@ -216,7 +216,7 @@ def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
 
 
 def _stops(
-    rotation: FreeRotation, top: Top, plane: Plane, at: Settled
+    rotation: FreeRotation, top: Top, plane: PlanarMotion, at: SettledAngle
 ) -> tuple[Float[Array, "8"], Real]:
     """Where a start leads that is not captured, and the logarithm of L∞/L₀.
 

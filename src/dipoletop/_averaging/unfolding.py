@@ -33,7 +33,7 @@ from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
 from ..equations._common import planar_rates
 from .capture import ENTRY, Expansion, follow, log_scale_of
-from .motion import HALVINGS, Motion
+from .motion import HALVINGS, SlowMotion
 from .principal_axes import FreeRotation
 
 PHASES = 256  # of a random start
@@ -110,7 +110,7 @@ def top_of(rotation: FreeRotation, axial: int, weakness: Real) -> Top:
     return Top(delta, eta, first, frame, omega, jnp.log(weakness / first))
 
 
-class Plane(NamedTuple):
+class PlanarMotion(NamedTuple):
     """The unfolded system of a given δ and η/u₀; states are (φ, z, ln u/u₀)."""
 
     delta: Real
@@ -182,7 +182,7 @@ class Plane(NamedTuple):
         return jnp.append(target, ys[-1])
 
 
-class Settled(NamedTuple):
+class SettledAngle(NamedTuple):
     """The end of an orbit of the unfolded system."""
 
     residual: Bool[Array, "*any"]
@@ -195,14 +195,14 @@ class Settled(NamedTuple):
     """The last one."""
 
 
-def settle(plane: Plane, y: Float[Array, "3"]) -> Settled:
+def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> SettledAngle:
     """The end of the orbit from a state."""
     y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), MAX_STEPS)
     residual = plane.settles(y)
     _, left = plane.line(y)
     along = jnp.cos(y[0]) > 0
     log_ratio = jnp.where(residual, (y[2] - left) / 2, -jnp.inf)
-    return Settled(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
+    return SettledAngle(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
 
 
 def entry_q(delta: Real, asymmetry: Real) -> Real:
@@ -235,17 +235,17 @@ def asymmetry_at_entry(top: Top) -> Real:
     return asymmetry(root(above, low, low + 80.0, HALVINGS))
 
 
-class Entry(NamedTuple):
+class CaptureEntry(NamedTuple):
     """Where the slow flow of a needle leads into the unfolded system."""
 
     log_time: Real
-    """The logarithm of the time, in the unit of `Motion`."""
+    """The logarithm of the time, in the unit of `SlowMotion`."""
     q: Real
     log_u: Real
     """That of u where φ = 0."""
 
 
-def entry_of(rotation: FreeRotation, motion: Motion, top: Top) -> Entry:
+def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEntry:
     """Where q has fallen to `entry_q`; also q above, where the motion starts there.
 
     Between there and capture q²u/δ² is small, and W of `capture` is constant. It is taken from the
@@ -283,10 +283,10 @@ def entry_of(rotation: FreeRotation, motion: Motion, top: Top) -> Entry:
     log_w = log_scale_of(top.delta, log_w1, log_w3, zero)
     expansion = Expansion(-1.5 * top.delta / (1 - top.delta))
     q = jnp.exp(log_q)
-    return Entry(state.log_time, q, 2 * (log_w - expansion.log_w(q)))
+    return CaptureEntry(state.log_time, q, 2 * (log_w - expansion.log_w(q)))
 
 
-def phases(plane: Plane, q: Real, number: int = PHASES) -> Float[Array, "n 3"]:
+def phases(plane: PlanarMotion, q: Real, number: int = PHASES) -> Float[Array, "n 3"]:
     """States φ = 0 uniform in the number of turns, from one passage at q to the next."""
     z = q / (2 * plane.delta)
     zero = jnp.zeros_like(z)

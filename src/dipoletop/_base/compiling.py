@@ -33,10 +33,8 @@ def compiled_soon(function: Function) -> Function:
     A call from the host on processors has these options: it is compiled two to three times sooner,
     and runs as fast within some ten per cent. A call in a trace belongs to a program of the user.
     """
-    in_trace, on_host = (
-        eqx.filter_jit(function),
-        eqx.filter_jit(function, compiler_options=COMPILED_SOON),
-    )
+    jit: Any = eqx.filter_jit
+    in_trace, on_host = jit(function), jit(function, compiler_options=COMPILED_SOON)
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:

@@ -74,7 +74,7 @@ def absolute(
         known = np.asarray(omega0), np.asarray(exact_when_slow)
         return on_device(_default_atol_in_numpy(rtol, *known))
     if atol is None:
-        return _default_atol(jnp.asarray(rtol), omega0, jnp.asarray(exact_when_slow))
+        return _default_atol(jnp.asarray(rtol), jnp.asarray(omega0), jnp.asarray(exact_when_slow))
     given, shape = check_atol(atol, omega0.shape[1:]), omega0.shape[1:]
     return given if given.shape == shape else jnp.broadcast_to(given, shape)
 

@@ -113,7 +113,7 @@ def _is_physical(equation: Any, window: Window) -> Bool[Array, ""]:
     return window.retained < jnp.where(long, UNRESOLVED, 1.0)
 
 
-class Motion(NamedTuple):
+class BranchMotion(NamedTuple):
     """The physical motion at given times; NaN where it was not found."""
 
     states: Float[Array, "T n"]
@@ -134,7 +134,7 @@ def follow(
     rtol: Float[Array, ""],
     max_windows: Any,
     attitude: bool = False,
-) -> Motion:
+) -> BranchMotion:
     """The physical motion of a full equation from ω₀ at times[0] on, forwards.
 
     Args:
@@ -180,7 +180,7 @@ def follow(
     begun = start_march(equation, omega0, times[0]), output, jnp.zeros(k, omega0.dtype), turning
     state, output, _, turning = jax.lax.while_loop(unfinished, advance, begun)
     turned = None if turning is None else attitudes(equation, turning)
-    return Motion(output[:, :n], output[:, n:], state.windows, state.time, turned)
+    return BranchMotion(output[:, :n], output[:, n:], state.windows, state.time, turned)
 
 
 def crossing(

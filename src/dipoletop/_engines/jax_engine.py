@@ -103,7 +103,7 @@ def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
     return finish(equation, omegas, ends, limits.tolerances)
 
 
-class _Block(eqx.Module):
+class _Lanes(eqx.Module):
     """Runs with their places in the queue: those at work, those that wait, or the finished."""
 
     slot: Int[Array, "B"]  # which run; past the last one when idle
@@ -113,11 +113,11 @@ class _Block(eqx.Module):
     def running(self) -> Bool[Array, "B"]:
         return self.lanes.status == RUNNING
 
-    def at(self, lanes: Int[Array, "K"]) -> "_Block":
+    def at(self, lanes: Int[Array, "K"]) -> "_Lanes":
         """Some of the runs."""
         return jax.tree.map(lambda x: x.at[..., lanes].get(mode="promise_in_bounds"), self)
 
-    def part(self, first: Any, width: int) -> "_Block":
+    def part(self, first: Any, width: int) -> "_Lanes":
         """So many neighbours."""
         return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
@@ -134,7 +134,7 @@ def _integrate(
     def step(carry: Any) -> Any:
         block, count = carry
         lanes = advance(block.lanes, limits.rtol, limits.max_steps, method.solver, until)
-        return _Block(block.slot, lanes), count + 1
+        return _Lanes(block.slot, lanes), count + 1
 
     def work(carry: Any) -> Any:
         block, taken, written, out, steps = carry
@@ -166,7 +166,7 @@ def _integrate(
     slot, *late = out
 
     place = jnp.full(size, -1).at[slot].set(jnp.arange(room), mode="drop")
-    _, *early = _result(_Block(slot, begun))
+    _, *early = _result(_Lanes(slot, begun))
     pairs = zip(late, early, strict=True)
     y, t, steps, status = (jnp.where(place >= 0, x[..., place], at_once) for x, at_once in pairs)
     return EndStates(y, t, steps, status, jnp.stack([wide, last]))
@@ -177,7 +177,7 @@ def _busy(least: Any) -> Any:
     return lambda carry: jnp.sum(carry[0].running) >= least
 
 
-def _queue(begun: LaneState, width: int) -> tuple[_Block, Array]:
+def _queue(begun: LaneState, width: int) -> tuple[_Lanes, Array]:
     """The runs, those that need a step in front, and how many these are; idle lanes behind."""
     front, count = _partition_order(begun.status == RUNNING)
     size = front.size
@@ -185,10 +185,10 @@ def _queue(begun: LaneState, width: int) -> tuple[_Block, Array]:
     lanes = jax.tree.map(lambda x: x[..., padded], begun)
     idle = jnp.arange(padded.size) >= size
     lanes = eqx.tree_at(lambda x: x.status, lanes, jnp.where(idle, FINISHED, lanes.status))
-    return _Block(jnp.where(idle, size, padded), lanes), count
+    return _Lanes(jnp.where(idle, size, padded), lanes), count
 
 
-def _in_front(block: _Block, rank: Int[Array, "B"]) -> _Block:
+def _in_front(block: _Lanes, rank: Int[Array, "B"]) -> _Lanes:
     """The chosen lanes in front, others without a slot; `rank` counts the chosen up to each lane.
 
     Found by bisection, since XLA:CPU scatters one number after another.
@@ -200,7 +200,7 @@ def _in_front(block: _Block, rank: Int[Array, "B"]) -> _Block:
         place = jnp.searchsorted(rank, wanted, method="scan_unrolled")
     moved = block.at(jnp.minimum(place, rank.size - 1))
     nowhere = jnp.iinfo(moved.slot.dtype).max
-    return _Block(jnp.where(wanted <= rank[-1], moved.slot, nowhere), moved.lanes)
+    return _Lanes(jnp.where(wanted <= rank[-1], moved.slot, nowhere), moved.lanes)
 
 
 def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
@@ -213,13 +213,13 @@ def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
     return order, count
 
 
-def _result(block: _Block) -> tuple[Array, ...]:
+def _result(block: _Lanes) -> tuple[Array, ...]:
     """What is kept of runs that have ended: their slots and end states."""
     lanes = block.lanes
     return block.slot, lanes.y, lanes.t, lanes.steps, lanes.status
 
 
-def _write(out: Any, block: _Block, written: Array) -> Any:
+def _write(out: Any, block: _Lanes, written: Array) -> Any:
     """Write the results of a block behind those that are written already."""
     return jax.tree.map(
         lambda into, x: jax.lax.dynamic_update_slice_in_dim(into, x, written, axis=-1),

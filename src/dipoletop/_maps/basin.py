@@ -26,7 +26,7 @@ from .columns import (
 )
 from .grids import counted, described_axis
 from .selection import at_positions, positions_of
-from .store import contents
+from .store import saved_basins
 from .store.errors import StoreDamaged
 
 if TYPE_CHECKING:
@@ -290,7 +290,7 @@ class Basin:
         Raises:
             StoreMismatch: something is there already; nothing of it is touched.
         """
-        contents.save(self._parts, path)
+        saved_basins.save(self._parts, path)
 
     @staticmethod
     def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Basin":
@@ -307,7 +307,7 @@ class Basin:
             StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
             StoreDamaged: it is not what was written.
         """
-        return Basin(*contents.load(path, flag("unfinished", unfinished)))
+        return Basin(*saved_basins.load(path, flag("unfinished", unfinished)))
 
     def __repr__(self) -> str:
         axes = [described_axis(name, values) for name, values in self.coords.items()]

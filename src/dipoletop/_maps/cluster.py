@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .._base.checks import one_line, refuse
-from .cluster_workers import Job, compute_tile, job_of
+from .cluster_workers import ClusterJob, compute_tile, job_of
 from .sweep_plan import Plan
 from .sweep_stores import Store, ZarrStore
 
@@ -72,7 +72,7 @@ def await_worker(client: Any, seconds: float | None = None) -> None:
 
 
 def _compute_once(
-    client: Any, job: Job, store: ZarrStore, tiles: Sequence[int]
+    client: Any, job: ClusterJob, store: ZarrStore, tiles: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray | None]]:
     """Yield the tiles as they are finished; those that other processes have claimed are left.
 
@@ -112,7 +112,7 @@ def _compute_once(
                 yield tile, counts
 
 
-def _kept_by_workers(client: Any, job: Job) -> Any:
+def _kept_by_workers(client: Any, job: ClusterJob) -> Any:
     """A job that is sent once to each worker, and again if all that had it are lost.
 
     Scattered data would not be sent again.
@@ -120,7 +120,7 @@ def _kept_by_workers(client: Any, job: Job) -> Any:
     import dask.config
 
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 EB"}):
-        return client.submit(Job, *job, pure=False)
+        return client.submit(ClusterJob, *job, pure=False)
 
 
 @contextlib.contextmanager

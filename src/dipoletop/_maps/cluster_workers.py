@@ -28,7 +28,7 @@ LIBRARIES = "dipoletop", "jax", "jaxlib", "numpy", "llvmlite"
 """Libraries on whose versions a sweep may depend."""
 
 
-class Job(NamedTuple):
+class ClusterJob(NamedTuple):
     """A sweep as it travels to the workers."""
 
     folder: str
@@ -41,7 +41,7 @@ class Job(NamedTuple):
     """Versions where the sweep was called."""
 
 
-def job_of(plan: Plan, folder: Path) -> Job:
+def job_of(plan: Plan, folder: Path) -> ClusterJob:
     """The sweep that is called here, to be sent to workers."""
     import cloudpickle
 
@@ -49,7 +49,7 @@ def job_of(plan: Plan, folder: Path) -> Job:
     problem, over = plan.blocks.problem, plan.blocks.over
     settings = plan.settings._replace(devices=None)
     sweep = cloudpickle.dumps((problem, over, settings, config))
-    return Job(str(folder), sweep, digest(sweep).hex(), versions_here())
+    return ClusterJob(str(folder), sweep, digest(sweep).hex(), versions_here())
 
 
 def versions_here() -> dict[str, str]:
@@ -63,7 +63,7 @@ def versions_here() -> dict[str, str]:
     return found
 
 
-def compute_tile(job: Job, tile: int) -> tuple[int, bool, np.ndarray | None]:
+def compute_tile(job: ClusterJob, tile: int) -> tuple[int, bool, np.ndarray | None]:
     """Compute a tile: its number, whether it is finished, and its counts if found here.
 
     Raises:
@@ -95,7 +95,7 @@ _sessions: dict[str, _Session] = {}  # by the folder of the store
 _lock = threading.Lock()
 
 
-def _session(job: Job) -> _Session:
+def _session(job: ClusterJob) -> _Session:
     """The plan and the store of a sweep on this worker, whose digests are compared."""
     import cloudpickle
 
@@ -115,7 +115,7 @@ def _session(job: Job) -> _Session:
         return session
 
 
-def _check_python(job: Job) -> None:
+def _check_python(job: ClusterJob) -> None:
     """Functions are pickled as code, which another Python cannot read."""
     there = job.versions["Python"]
     if there.split(".")[:2] != [str(part) for part in sys.version_info[:2]]:
@@ -123,7 +123,7 @@ def _check_python(job: Job) -> None:
         refuse("client", f"have workers with Python {there}, as its process has", has)
 
 
-def _store(job: Job, plan: Plan) -> ZarrStore:
+def _store(job: ClusterJob, plan: Plan) -> ZarrStore:
     """The store that the client has made."""
     node = platform.node()
     if not Path(job.folder).is_dir():  # one that is made here may be seen by nobody else

@@ -8,10 +8,10 @@ from .._base.tolerances import tolerance
 from .basin import Basin
 from .grids import Grid
 from .problems import Problem
-from .running import finish
 from .sweep_plan import Plan, Settings, plan_of
 from .sweep_stores import ColumnsInMemory, MemoryStore
 from .tiling import Tiling
+from .unfinished_tiles import finish
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from .grids import Grid, Points, PointValues, Sample
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
 """From the named values of one point to the equation and the start ω₀."""
-Block = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
+StartBlock = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 """Equations and starts of N points; every array has a trailing lane axis."""
 
 
@@ -51,7 +51,7 @@ class BlockBuilder:
             _check_names(self.problem, tuple(self.over.header.values))
             check_arguments("over", self.over.header.values)
 
-    def __call__(self, points: PointValues) -> Block:
+    def __call__(self, points: PointValues) -> StartBlock:
         """The block of these points, which `over` gives; in NumPy on processors."""
         with as_worker():
             if self.derivatives:
@@ -71,13 +71,13 @@ class BlockBuilder:
         return jax.tree.structure(self.template())
 
     @functools.cached_property
-    def _jitted(self) -> Callable[[PointValues], Block]:
+    def _jitted(self) -> Callable[[PointValues], StartBlock]:
         return jax.jit(self._vectorised)
 
     def _leaves(self, points: PointValues) -> list[Array]:
         return jax.tree.leaves(self._vectorised(points))
 
-    def _vectorised(self, points: PointValues) -> Block:
+    def _vectorised(self, points: PointValues) -> StartBlock:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
         with self._tracing:  # so that the user's function need not be thread-safe
             return jax.vmap(of_point, out_axes=-1)(points)
@@ -183,7 +183,7 @@ def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
         refuse("over", must, f"has {', '.join(names)} ({error})")
 
 
-def first_lanes(block: Block, length: int) -> Any:  # a `Block` of another length
+def first_lanes(block: StartBlock, length: int) -> Any:  # a `StartBlock` of another length
     """The equations and starts of the first points."""
     if block[1].shape[1] == length:
         return block
@@ -204,6 +204,6 @@ def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray)
 
 
-def block_digest(block: Block) -> bytes:
+def block_digest(block: StartBlock) -> bytes:
     """Digest of equations and starts, parameter by parameter."""
     return array_digest(*jax.tree.leaves(eqx.filter(block, eqx.is_array)))

@@ -13,9 +13,9 @@ from .._runs.slow_runs import SlowFlow
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .running import finish
 from .sweep_plan import Settings, plan_of
 from .sweep_stores import ColumnsInMemory, MemoryStore, Store, ZarrStore
+from .unfinished_tiles import finish
 
 
 def sweep(

@@ -17,17 +17,17 @@ from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, toleranc
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
 from .._engines.select import select_engines
-from .._runs.blocks import Way, classify_block
+from .._runs.blocks import RunOptions, classify_block
 from .._runs.classification import Value, stopping_rule
-from .._runs.doubt import finish_of
-from .._runs.memory import TILE, largest_tile
+from .._runs.label_doubt import finish_of
+from .._runs.memory_limits import TILE, largest_tile
 from .._runs.slow_labels import exact_when_slow
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
 from .columns import COLUMNS, DERIVATIVE_PREFIX, START, VERSION, check_arguments
 from .grids import Grid, Points, PointValues, Sample
-from .problems import Block, BlockBuilder, Problem, block_digest, first_lanes, joined
-from .reduction import Reduction, counted_outcomes
+from .problems import BlockBuilder, Problem, StartBlock, block_digest, first_lanes, joined
+from .tally_counts import Reduction, counted_outcomes
 from .tiling import Tiling
 
 Columns = dict[str, np.ndarray]
@@ -224,7 +224,7 @@ class Plan:
 
     def _columns(
         self,
-        block: Block,
+        block: StartBlock,
         is_real: np.ndarray,
         rtol: Float[Array, ""],
         device: Device,
@@ -235,7 +235,7 @@ class Plan:
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
         atol = absolute(atol, rtol, omegas, exact_when_slow(equation, value))
         limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
-        way = Way(value, self.engines[device], device, slow_flow, self.threads, loosely)
+        way = RunOptions(value, self.engines[device], device, slow_flow, self.threads, loosely)
         ends = classify_block(equation, omegas, limits, way)
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
         for k, name in enumerate(self.blocks.derivatives):
@@ -283,7 +283,7 @@ def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:
     return {START: (3,)} | {name: x for name, x in parameters.items() if name != START}
 
 
-def drawn_values(names: Iterable[str], points: Any, block: Block) -> dict[str, np.ndarray]:
+def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:
     """What is kept of the points of a sample, as many as the block has lanes."""
     (_, omegas), length = block, block[1].shape[1]
     values = {name: omegas.T if name == START else points[name][:length] for name in names}

@@ -11,11 +11,11 @@ from .._base.tolerances import check_settings
 from .._runs.classification import Value
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .reduction import ROTATION, reduction_of, with_kept_first
-from .running import finish
 from .sweep_plan import Settings, column_names, derivative_names, plan_of
 from .sweep_stores import MemoryStore, ZarrStore
-from .tallies import CountsInMemory, Tally, tally_of, tally_on_disk
+from .tally_counts import ROTATION, reduction_of, with_kept_first
+from .tally_results import CountsInMemory, Tally, tally_of, tally_on_disk
+from .unfinished_tiles import finish
 
 
 def tally(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._engines.interface import power_of_two
-from .._runs.memory import TILE
+from .._runs.memory_limits import TILE
 
 MANY = 65536  # tiles; rather than more of these, they have up to `LARGEST` starts
 LARGEST = 1 << 20

@@ -3,7 +3,7 @@
 An outcome is certain long before a motion is known exactly, and almost every start lies far from
 the boundary between outcomes. So runs that are asked for no more than their outcome are made
 loosely and briefly at first. Made again at the tolerance that was asked for are those that did not
-end by then, and those whose label is in doubt (`doubt`).
+end by then, and those whose label is in doubt (`label_doubt`).
 """
 
 from dataclasses import dataclass, replace
@@ -18,18 +18,18 @@ from .._base.stopping import Until
 from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Finish, Limits, Queue
 from ..equations._common import omega_scale_of, physical
+from .chosen_lanes import Lanes, part_of, put_back
 from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
-from .doubt import CERTAIN, Ended, finish_of, made_twice
-from .lanes import Lanes, part_of, put_back
-from .memory import in_fitting_parts
+from .label_doubt import CERTAIN, Ended, finish_of, made_twice
+from .memory_limits import in_fitting_parts
 from .slow_runs import SlowFlow, is_predictable, with_predictions
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
 
 
-class Way(NamedTuple):
+class RunOptions(NamedTuple):
     """How the runs of a block are made.
 
     With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
@@ -47,7 +47,7 @@ def classify_block(
     equation: Equation,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
-    way: Way,
+    way: RunOptions,
 ) -> Classification:
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
 
@@ -64,13 +64,13 @@ def _classified(
     equation: Equation,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
     limits: Limits,
-    way: Way,
+    way: RunOptions,
 ) -> Classification:
     """The same, all at once."""
     deciding: DecidingEquation = physical(equation)
     value, slow_flow = way.value, way.slow_flow
     rule, finish = stopping_rule(equation, value), finish_of(value)
-    block = Block(deciding, omegas, rule, finish, way.engine, way.device, way.threads)
+    block = RunBlock(deciding, omegas, rule, finish, way.engine, way.device, way.threads)
 
     def classified(limits: Limits) -> Classification:
         if value is False and way.loosely:
@@ -94,7 +94,7 @@ def _classified(
 
 
 @dataclass(frozen=True)
-class Block:
+class RunBlock:
     """N runs of one equation on one device.
 
     Attributes:
@@ -136,7 +136,7 @@ class Block:
         return replace(block, equation=equation, omegas=omegas).run(limits).runs
 
 
-def outcomes(block: Block, limits: Limits) -> Classification:
+def outcomes(block: RunBlock, limits: Limits) -> Classification:
     """The classifications of runs of which no more than the outcome is wanted.
 
     In two passes, unless the second one would cost as much as if it were alone.

@@ -38,11 +38,11 @@ from .._engines.interface import EndStates, Limits
 from .._engines.select import select_engines
 from .._engines.step_sizes import Controller
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
-from .blocks import Way, classify_block
+from .blocks import RunOptions, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
 from .classify_many import Runs
 from .conditioning import run_with_error_estimate, without_error_estimates
-from .doubt import finish_of
+from .label_doubt import finish_of
 from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
@@ -147,7 +147,7 @@ def _classify_by_engine(
     one, device = runs.tile(0, 1), worker_devices()[0]
     rule = stopping_rule(equation, value), finish_of(value)
     engine = select_engines("auto", one[0], [device], *rule, warn=False)[device]
-    run = classify_block(*one, Way(value, engine, device, slow_flow))
+    run = classify_block(*one, RunOptions(value, engine, device, slow_flow))
     return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), run)
 
 

@@ -21,10 +21,10 @@ from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
 from .._engines.interface import Limits, power_of_two
 from .._engines.select import select_engines
-from .blocks import Way, classify_block
+from .blocks import RunOptions, classify_block
 from .classification import Classification, Value, stopping_rule
-from .doubt import finish_of
-from .memory import largest_tile
+from .label_doubt import finish_of
+from .memory_limits import largest_tile
 from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
@@ -103,7 +103,9 @@ def classify_many(
     # Few runs share a queue, so that no thread waits for the longest runs of another. So do labels,
     # for which hardly anything is left to do outside the engine.
     if engines[first].has_own_threads and (value is False or size <= PIECE * threads):
-        return classify_block(*every_run, Way(value, engines[first], first, slow_flow, threads))
+        return classify_block(
+            *every_run, RunOptions(value, engines[first], first, slow_flow, threads)
+        )
     if engines[first].compiles_for_size:
         length = min(largest_tile(devices), power_of_two(-(-size // threads)))
     else:  # as many pieces for every thread
@@ -111,7 +113,7 @@ def classify_many(
 
     def work(job: int, device: Device) -> Classification:
         tile = runs.tile(job * length, length)
-        return classify_block(*tile, Way(value, engines[device], device, slow_flow))
+        return classify_block(*tile, RunOptions(value, engines[device], device, slow_flow))
 
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]

@@ -42,8 +42,8 @@ from jaxtyping import Array, Bool, Float
 from .._base.tolerances import Tolerances
 from .._base.types import OmegaScale, Outcome
 from .._engines.interface import Limits, power_of_two
+from .chosen_lanes import Lanes
 from .classification import Classification, Value
-from .lanes import Lanes
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
 NEIGHBOUR_RTOLS = 1e3, 3.0  # of the neighbours over rtol, at the first and the second try

@@ -38,7 +38,7 @@ SETTLED = 1e-9  # of E₀: the E − E∞ below which a residual rotation counts
 POINTS, ROUNDS = 65, 3  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
 
 
-class Averages(NamedTuple):
+class RunAverages(NamedTuple):
     """What averages over free rotation tell, from the variables and the k of κ = k d²."""
 
     forecast: Callable[[Variables, Real], Forecast]
@@ -128,7 +128,7 @@ class _Course:
 
 
 def resolved_forecast(
-    start: Variables, strength: Real, averages: Averages, ratio: Real
+    start: Variables, strength: Real, averages: RunAverages, ratio: Real
 ) -> Forecast | None:
     """How a rotation ends, by integration; None if that takes too long.
 
@@ -173,7 +173,7 @@ def resolved_forecast(
 
 
 def resolved_history(
-    start: Variables, constants: tuple[Float[Array, "T"], Real], averages: Averages
+    start: Variables, constants: tuple[Float[Array, "T"], Real], averages: RunAverages
 ) -> Values:
     """E, |L|, h and √⟨Ω²⟩ at given times, of a rotation that has a resolved forecast."""
     times, strength = np.asarray(constants[0]), constants[1]
@@ -205,7 +205,7 @@ def _is_residual(run: Classification) -> bool:
     return bool((run.outcome == Outcome.RESIDUAL) & jnp.isfinite(run.omega_inf))
 
 
-def _follow_stop(course: _Course, averages: Averages) -> bool:
+def _follow_stop(course: _Course, averages: RunAverages) -> bool:
     """Integrate a rotation that stops until averages hold and half of the energy is lost."""
     half = course.energy(course.omegas[0]) / 2
 

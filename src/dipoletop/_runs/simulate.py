@@ -54,7 +54,7 @@ from ..equations._common import (
     physical,
     twist_axis,
 )
-from ..equations.plain import PlainFunction
+from ..equations.plain_functions import PlainFunction
 from .solver_options import (
     Options,
     check_branch_options,
@@ -235,7 +235,7 @@ def _differentiable_motion(
     rtol: Float[Array, ""],
     max_windows: int,
     attitude: bool,
-) -> march.Motion:
+) -> march.BranchMotion:
     """`march.follow` with derivatives in reverse mode, too, by the equation, ω₀ and the first time.
 
     All other times are at fixed distances from the first one.
@@ -244,7 +244,7 @@ def _differentiable_motion(
     first = times[0] if march.depends_on_time(equation, omega0) else None
     variables, unravel = ravel_pytree((arrays, omega0, first))
 
-    def follow(variables: Float[Array, "n"], constants: Any) -> march.Motion:
+    def follow(variables: Float[Array, "n"], constants: Any) -> march.BranchMotion:
         arrays, omega0, first = unravel(variables)
         times, rtol = constants
         if first is not None:  # all times move with the first one

@@ -23,16 +23,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR
-from .._averaging.many import ManyEnds, ends_of_many
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
+from .._averaging.untimed_ends import ManyEnds, ends_of_many
 from .._base.checks import refuse
 from .._base.types import Outcome, Regime, Stop, implied_probability
 from .._engines.interface import Limits
 from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
+from .chosen_lanes import part_of, put_back
 from .classification import Classification
-from .lanes import part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),

@@ -25,7 +25,7 @@ from .._engines.interface import Limits, lifted
 from .._engines.select import select_engine
 from .._maps.problems import Problem
 from ..equations._common import physical
-from ..equations.driven import DrivenEquation
+from ..equations.torque_driven import DrivenEquation
 from .crossings import Coordinates, Crossings, bisect, fates_at, narrow, unsearched, unsearched_rows
 
 NAMES = ("w1", "w2", "w3")  # coordinates of a start

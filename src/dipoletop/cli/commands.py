@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import stability, validation
 from .._maps.basin import Basin
-from .._maps.quantities import QUANTITIES, describe, initial_condition
+from .._maps.top_parameters import QUANTITIES, describe, initial_condition
 from .._runs.classify import classify
 from .._runs.simulate import simulate
 from .._runs.slow_runs import SlowFlow

@@ -10,7 +10,7 @@ from .._maps.basin import Basin
 from .._maps.columns import VERSION, without_versions
 from .._maps.grids import counted, described_axis
 from .._maps.store.status import Status, status
-from .._maps.tallies import Tally
+from .._maps.tally_results import Tally
 from .files import FORMATS, output_paths
 from .parameters import Number
 from .refusals import Refusal, computing

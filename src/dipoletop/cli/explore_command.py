@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from .._maps.quantities import QUANTITIES
+from .._maps.top_parameters import QUANTITIES
 from ..equations.levels import Level
 from . import quantities
 from .parameters import Number

@@ -13,11 +13,11 @@ from .._base.checks import refuse
 from .._base.monitoring import COMPILING
 from .._maps.basin import Basin
 from .._maps.grids import Grid
-from .._maps.quantities import CYLINDRICAL, SPHERICAL, problem_of_top
-from .._maps.store.contents import starts_done, verify
 from .._maps.store.errors import StoreMismatch
+from .._maps.store.saved_basins import starts_done, verify
 from .._maps.store.tiles import open_store
 from .._maps.sweep import sweep
+from .._maps.top_parameters import CYLINDRICAL, SPHERICAL, problem_of_top
 from ..equations.levels import Level
 from .refusals import Refusal
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from .._base.numerals import as_text
 from .._maps.grids import Grid
-from .._maps.quantities import CYLINDRICAL, QUANTITIES, SPHERICAL, describe
+from .._maps.top_parameters import CYLINDRICAL, QUANTITIES, SPHERICAL, describe
 from ..equations.transverse import TransverseReduced
 from .parameters import Number
 from .refusals import Command, Refusal

@@ -4,8 +4,8 @@ import sys
 
 import click
 
-from .._maps.store.contents import verify
 from .._maps.store.errors import StoreDamaged
+from .._maps.store.saved_basins import verify
 from . import maps
 from .interruption import interruptible
 from .refusals import computing

@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float
 
 from .._base.summaries import with_error
 from .._base.types import Outcome, Regime, Stop
-from .._maps.symmetry import unfold
+from .._maps.unfolded_basins import unfold
 from .._runs.classification import Classification
 from ..equations.levels import Level
 from ..stability import Spectrum

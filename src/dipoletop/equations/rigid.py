@@ -2,7 +2,7 @@
 
 The equation of motion (3.3) is IΩ̇ + N = T(Ω, Ω̇, Ω̈) with N = Ω×IΩ and T the radiation torque.
 The levels differ in the Ω̇ and Ω̈ that they insert into T. The rates by these levels are functions
-of the load, N here; N − M where a torque M acts from outside (`driven`).
+of the load, N here; N − M where a torque M acts from outside (`torque_driven`).
 """
 
 from typing import Any

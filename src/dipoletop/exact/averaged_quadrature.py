@@ -45,7 +45,7 @@ class Point(NamedTuple):
     dtau_dx: Scalars
 
 
-class Orbit(NamedTuple):
+class AveragedOrbit(NamedTuple):
     """A solution, given by its δ and its initial values u₀ > 0, v₀ > 0."""
 
     delta: Scalar
@@ -85,7 +85,7 @@ class Orbit(NamedTuple):
         return 3 / (1 - self.delta) / SLOWEST * growth
 
 
-def _falling(orbit: Orbit, x: Scalars) -> Point:
+def _falling(orbit: AveragedOrbit, x: Scalars) -> Point:
     """Case ξ > ξ*: ξ − ξ* falls like e⁻ˣ. (4.16) in a form that holds for b → 0, too."""
     d, a, b, xi0 = orbit.delta, orbit.a, orbit.b, orbit.u / orbit.v
     log_xi = jnp.log1p(orbit.direction / (a * xi0) * jnp.expm1(-x))
@@ -98,13 +98,13 @@ def _falling(orbit: Orbit, x: Scalars) -> Point:
     return Point(log_u, log_v, -(1 - d) / (a * u))
 
 
-def _constant(orbit: Orbit, x: Scalars) -> Point:
+def _constant(orbit: AveragedOrbit, x: Scalars) -> Point:
     """Case ξ = ξ*: v falls like e⁻ˣ."""
     rate = ((2 + orbit.delta) * orbit.u + 2 * orbit.v) / (1 - orbit.delta)
     return Point(-x, -x, jnp.exp(x) / rate)
 
 
-def _rising(orbit: Orbit, x: Scalars) -> Point:
+def _rising(orbit: AveragedOrbit, x: Scalars) -> Point:
     """Case ξ < ξ*: ξ/(ξ* − ξ) grows like eˣ."""
     a, b = orbit.a, orbit.b
     log_ratio = _log1p_over(-a, orbit.u / orbit.v * jnp.expm1(x) / b)
@@ -114,7 +114,7 @@ def _rising(orbit: Orbit, x: Scalars) -> Point:
     return Point(log_u, log_v, (1 - orbit.delta) / (b * v))
 
 
-def _unbounded(orbit: Orbit, x: Scalars) -> Point:
+def _unbounded(orbit: AveragedOrbit, x: Scalars) -> Point:
     """Case a ≥ 0: ξ = ξ₀eˣ."""
     a, b, direction = orbit.a, orbit.b, orbit.direction
     near = _log1p_over(a, orbit.u / orbit.v * jnp.expm1(jnp.minimum(x, FAR)) / direction)
@@ -124,13 +124,15 @@ def _unbounded(orbit: Orbit, x: Scalars) -> Point:
     return Point(log_u, log_v, (1 - orbit.delta) / (a * u + b * v))
 
 
-def _log_v(orbit: Orbit, log_xi: Scalars, log_ratio: Scalars) -> Scalars:
+def _log_v(orbit: AveragedOrbit, log_xi: Scalars, log_ratio: Scalars) -> Scalars:
     """(4.16) with ln ξ/ξ₀ and `log_ratio` = ln[(aξ + b)/(aξ₀ + b)]/a, finite for a → 0."""
     d = orbit.delta
     return (d * (1 - d) * (3 + 3 * d + d**2) * log_ratio - 2 * log_xi) / orbit.b
 
 
-def _u_and_v(orbit: Orbit, log_xi: Scalars, log_v: Scalars) -> tuple[Scalars, Scalars, Scalars]:
+def _u_and_v(
+    orbit: AveragedOrbit, log_xi: Scalars, log_v: Scalars
+) -> tuple[Scalars, Scalars, Scalars]:
     """The logarithm ln u/u₀, u and v."""
     log_u = log_xi + log_v
     return log_u, orbit.u * jnp.exp(log_u), orbit.v * jnp.exp(log_v)
@@ -142,7 +144,7 @@ def _log1p_over(c: Scalar, z: Scalars) -> Scalars:
     return jnp.where(c == 0, z, jnp.log1p(divisor * z) / divisor)
 
 
-def integrals(orbit: Orbit, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
+def integrals(orbit: AveragedOrbit, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
     """∫dτ and ∫√v dτ, the angle over −δ, between two parameters x of one panel."""
     width = high - low
     point = orbit.point(low + width * (POINTS + 0.5))
@@ -150,7 +152,7 @@ def integrals(orbit: Orbit, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
     return width * jnp.sum(WEIGHTS * point.dtau_dx), width * jnp.sum(WEIGHTS * point.dtau_dx * w3)
 
 
-def mesh(orbit: Orbit, last: Scalar) -> tuple[Scalars, Scalars, Scalars]:
+def mesh(orbit: AveragedOrbit, last: Scalar) -> tuple[Scalars, Scalars, Scalars]:
     """Parameters x from 0 to `last`, closer near 0, and τ and ∫√v dτ from 0 to each of them."""
     xs = jnp.expm1(jnp.linspace(0.0, 1.0, PANELS + 1) * jnp.log1p(last))
     times, angles = jax.vmap(lambda x, y: integrals(orbit, x, y))(xs[:-1], xs[1:])
@@ -162,7 +164,7 @@ def _running_sums(parts: Float[Array, "n"]) -> Float[Array, "n+1"]:
     return jnp.concatenate([jnp.zeros(1), jnp.cumsum(parts)])
 
 
-def solve(orbit: Orbit, times: Scalars) -> tuple[Point, Scalars]:
+def solve(orbit: AveragedOrbit, times: Scalars) -> tuple[Point, Scalars]:
     """The points at `times` ≥ 0, shape (T,), and ∫√v dτ up to each; NaN at negative times."""
     latest = jnp.max(jnp.where(times >= 0, times, 0.0))
     xs, ends, _ = mesh(orbit, orbit.upper_bound(latest))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .._base.checks import finite, real, refuse, where_valid
 from ..equations._common import shape_parameter
 from ..equations.coordinates import from_cylindrical
-from .averaged_quadrature import Orbit, mesh, solve
+from .averaged_quadrature import AveragedOrbit, mesh, solve
 
 Times = Float[Array, "*n"]
 
@@ -196,7 +196,7 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     time = _times(tau)
     u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
     off_axes = (u > 0) & (v > 0)
-    orbit = Orbit(d, jnp.where(off_axes, u, 1.0), jnp.where(off_axes, v, 1.0))
+    orbit = AveragedOrbit(d, jnp.where(off_axes, u, 1.0), jnp.where(off_axes, v, 1.0))
     point, turned = solve(orbit, jnp.atleast_1d(time))
     # Where one of u, v is 0 the other has a closed solution.
     across = _decay_factor(u / 2, jnp.zeros(()), time)
@@ -229,7 +229,7 @@ def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
     w = finite("omega0", omega0, (3,), batch=False)
     u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
     where_valid("omega0", w, (u > 0) & (v > 0), "have ω⊥ ≠ 0 and ω₃ ≠ 0")
-    orbit = Orbit(d, u, v)
+    orbit = AveragedOrbit(d, u, v)
     x = orbit.parameter(finite("xi", xi, batch=False))
     x = where_valid("xi", jnp.where(x >= 0, x, jnp.nan), x >= 0, "lie between ξ₀ and its limit")
     return mesh(orbit, x)[1][-1]

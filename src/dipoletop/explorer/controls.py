@@ -9,7 +9,7 @@ import panel as pn
 
 from .._base.checks import refuse
 from .._base.numerals import as_text, number_in
-from .._maps.quantities import Quantity
+from .._maps.top_parameters import Quantity
 from .scenes import Scene, checked
 from .views import SIZES, View, axes_in, checked_view, in_system, zoomed
 

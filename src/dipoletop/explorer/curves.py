@@ -11,7 +11,7 @@ from bokeh.plotting import figure
 from jaxtyping import Float
 
 from ..plots.style import BLACK, COMPONENTS, GREEN, ORANGE
-from .starts import FRAMES, Motion, OfBody
+from .starts import FRAMES, OfBody, ShownMotion
 
 HEIGHT = 250
 NAMES = "ω₁", "ω₂", "ω₃"
@@ -22,13 +22,13 @@ MESH = "x0", "y0", "z0", "x1", "y1", "z1"
 AT_BEGINNING, AT_END = "beginning", "end"
 
 
-class Curves:
+class CurvePlots:
     """Figures of a motion, empty until there is one."""
 
     def __init__(self) -> None:
         self._omega = _source("omega", "tau", "w1", "w2", "w3", "size")
         self._energy = _source("energy", "tau", "energy")
-        self._motion: Motion | None = None
+        self._motion: ShownMotion | None = None
         of_omega = _figure("τ = t/τ₀", "ω = τ₀Ω", "omega-figure")
         for column, name, colour in (("size", "|ω|", BLACK), *_components()):
             style = {"color": colour, "line_width": 1.5, "legend_label": name}
@@ -54,7 +54,7 @@ class Curves:
         """The panes of figures."""
         return [self.omega, self.energy, self._body.pane]
 
-    def show(self, motion: Motion) -> None:
+    def show(self, motion: ShownMotion) -> None:
         """Draw a motion."""
         self._motion = motion
         size = np.linalg.norm(motion.omega, axis=1)
@@ -132,7 +132,7 @@ class _Body:
         self.player.jscallback(args=drawn, value="const k = cb_obj.value\n" + code)
         self.pane = pn.pane.Bokeh(plot)
 
-    def show(self, motion: Motion, of_body: OfBody, part: slice) -> None:
+    def show(self, motion: ShownMotion, of_body: OfBody, part: slice) -> None:
         """Show a part of a motion."""
         self._mesh.data = dict(zip(MESH, surface(np.asarray(of_body.inertia)), strict=True))
         self._dipole.data = {"direction": of_body.dipole / np.linalg.norm(of_body.dipole)}

@@ -13,15 +13,15 @@ from .._base.checks import one_line
 from . import texts
 from .addresses import address_of
 from .controls import Controls
-from .curves import Curves
+from .curves import CurvePlots
 from .drawing import Drawing
+from .fair_queue import Turns
 from .maps import Maps
-from .outlet import Outlet
 from .pictures import Picture
 from .recipes import code_of
 from .scenes import Scene
 from .starts import motion_of, slopes_of, verdict_of
-from .turns import Turns
+from .thread_results import Outlet
 from .views import Range, View, whole_ranges, zoomed
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ class Page:
         symbols = texts.symbols_of(scene)
         self._maps = Maps(symbols, self._zoom, self._inspect, self._drawn)
         self._controls = Controls(scene, self._change, self._refuse)
-        self._curves = Curves()
+        self._curves = CurvePlots()
         self._refusal, self._status, self._legend = _html(), _html(), _html()
         self._captions = [_html(), _html()]
         self._verdict, self._slopes, self._code = _html(), _html(), _html()

@@ -10,8 +10,8 @@ from matplotlib.colors import Normalize, to_hex
 
 from .._base.types import Outcome
 from .._maps.basin import Basin
-from ..plots.plane import Plane, classes_of, coloured, legend_colours, plane_of, shades_of
-from ..plots.shades import SIGNED, Shade
+from ..plots.column_shading import SIGNED, Shade
+from ..plots.map_layout import Plane, classes_of, coloured, legend_colours, plane_of, shades_of
 from ..plots.style import percent
 from .views import View
 

@@ -11,10 +11,10 @@ import numpy as np
 from .._base.checks import check_single, check_verdict, described, instance, refuse
 from .._base.types import Equation
 from .._maps.problems import Problem, check_problem
-from .._maps.quantities import QUANTITIES, Quantity, initial_condition, problem_of_top
+from .._maps.top_parameters import QUANTITIES, Quantity, initial_condition, problem_of_top
 from ..equations._families import RIGID, TRANSVERSE
 from ..equations.levels import Level
-from . import sources
+from . import source_code
 
 MAPPED = tuple(level for level in Level if level is not Level.FULL)
 """The levels of maps: the full equation takes milliseconds a start."""
@@ -106,7 +106,7 @@ def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
     quantities = _quantities(tuple(QUANTITIES), over)
     systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
     levels = first, *(level for level in MAPPED if level is not first)
-    source = Source((), lambda level, names: sources.of_top(level, names))
+    source = Source((), lambda level, names: source_code.of_top(level, names))
     return Scene(quantities, systems, levels, _problem_of_top, source, True)
 
 
@@ -125,7 +125,9 @@ def scene_of_equation(equation: Any, over: Over) -> Scene:
         return equation, initial_condition(point)
 
     systems = _ordered((CYLINDRICAL, SPHERICAL), over)
-    source = Source(sources.of_equation(equation), lambda _, names: sources.of_starts(names))
+    source = Source(
+        source_code.of_equation(equation), lambda _, names: source_code.of_starts(names)
+    )
     return Scene(quantities, systems, (), lambda _: problem, source, _is_symmetric(equation))
 
 
@@ -146,7 +148,7 @@ def scene_of_problem(problem: Any, over: Over) -> Scene:
         (names,),
         (),
         lambda _: problem,
-        Source(sources.of_function(problem), lambda _, names: ()),
+        Source(source_code.of_function(problem), lambda _, names: ()),
         False,
     )
     if len(scene.free) < 2:

@@ -32,7 +32,7 @@ SETTLED = 3.0
 """The motion is shown so many times as long as it takes until its outcome is certain."""
 
 
-class Verdict(NamedTuple):
+class StartVerdict(NamedTuple):
     """How a start ends at a level."""
 
     level: str
@@ -55,7 +55,7 @@ class OfBody(NamedTuple):
     inertia: Float[np.ndarray, "3 3"] | Float[Array, "3 3"]
 
 
-class Motion(NamedTuple):
+class ShownMotion(NamedTuple):
     """The motion from a start at a level."""
 
     level: str
@@ -69,7 +69,7 @@ class Motion(NamedTuple):
 
 def verdict_of(
     drawing: Drawing, level: Level | None, values: Mapping[str, float], rtol: float
-) -> Verdict:
+) -> StartVerdict:
     """How a start ends, as a map has it.
 
     Raises:
@@ -78,7 +78,7 @@ def verdict_of(
     basin = drawing.sweep(level, Grid(**{name: [x] for name, x in values.items()}), rtol, True)
     outcome, stop = Outcome(basin.outcome.item()), Stop(basin.stop.item())
     words = outcome.name.lower() + ("" if stop is Stop.NONE else f", {stop.name.lower()}")
-    return Verdict(
+    return StartVerdict(
         basin.level,
         words,
         basin.omega_inf.item(),
@@ -130,8 +130,8 @@ def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
 
 
 def motion_of(
-    problem: Problem, values: Mapping[str, float], verdict: Verdict, rtol: float
-) -> Motion:
+    problem: Problem, values: Mapping[str, float], verdict: StartVerdict, rtol: float
+) -> ShownMotion:
     """The motion from a start until well after its outcome is certain.
 
     Args:
@@ -154,7 +154,7 @@ def motion_of(
     omega, of_body = jax.tree.map(np.asarray, run)
     if not np.all(np.isfinite(omega)):
         raise RuntimeError(f"The motion could not be followed to τ = {ts[-1]:.4g}.")
-    return Motion(verdict.level, ts, omega, of_body, is_cut)
+    return ShownMotion(verdict.level, ts, omega, of_body, is_cut)
 
 
 def _precession(body: Any, speed: float) -> float:

@@ -11,7 +11,7 @@ from ..equations.levels import Level
 from ..plots.style import capitalised, percent
 from .pictures import Picture, colour_scale, shares
 from .scenes import Scene
-from .starts import Motion, Verdict
+from .starts import ShownMotion, StartVerdict
 from .views import View
 
 HEAD = """
@@ -96,14 +96,14 @@ def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
     return ""
 
 
-def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[Verdict]) -> str:
+def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[StartVerdict]) -> str:
     """The start, and how it ends at each level."""
     symbols = symbols_of(scene)
     start = ", ".join(f"{escape(symbols[name])} = {as_text(x)}" for name, x in values.items())
     return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
 
 
-def _verdict(verdict: Verdict) -> str:
+def _verdict(verdict: StartVerdict) -> str:
     rows = {"outcome": verdict.outcome, "law": LAWS[verdict.regime]}
     if 0 < verdict.probability < 1:
         rows["probability of residual rotation"] = f"{verdict.probability:.4g}"
@@ -117,7 +117,7 @@ def _verdict(verdict: Verdict) -> str:
     return f"<h4>{escape(capitalised(verdict.level))}</h4>{_table(rows)}"
 
 
-def length_of(motion: Motion) -> str:
+def length_of(motion: ShownMotion) -> str:
     """How far a motion is shown, if that is not far enough."""
     if not motion.is_cut:
         return ""

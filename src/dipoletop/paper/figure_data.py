@@ -18,7 +18,7 @@ from .._runs.simulate import simulate
 from .._runs.trajectory import Trajectory
 from ..equations.levels import Level
 from ..equations.transverse import cylindrical, equation_at
-from ..plots.plane import CLASSES
+from ..plots.map_layout import CLASSES
 from ..stability import spectrum
 
 AMPLITUDE = 0.2
@@ -51,7 +51,7 @@ def outcomes_by_shape(
     return sweep(problem, Grid(delta=deltas, omega=starts), value=False, **settings)
 
 
-class Share(NamedTuple):
+class ResidualShare(NamedTuple):
     """The share of the starts with one outcome, at every δ, with its 95 % interval."""
 
     label: str
@@ -61,13 +61,13 @@ class Share(NamedTuple):
     high: Float[np.ndarray, "d"]
 
 
-def shares(basin: Basin) -> list[Share]:
+def shares(basin: Basin) -> list[ResidualShare]:
     """Every outcome that occurs, in the order of `CLASSES`; intervals as for random starts."""
     n, occurring = basin.shape[1], []
     for (outcome, stop), (label, colour) in CLASSES.items():
         counts = np.sum((basin.outcome == outcome) & (basin.stop == stop), axis=1)
         if np.any(counts):
-            occurring.append(Share(label, colour, counts / n, *wilson(counts, n)))
+            occurring.append(ResidualShare(label, colour, counts / n, *wilson(counts, n)))
     return occurring
 
 

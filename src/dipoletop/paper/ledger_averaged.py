@@ -38,7 +38,7 @@ def q_printed(d: Any) -> Any:
     return 2 / (1 + d**3)
 
 
-class Orbit(NamedTuple):
+class SampledOrbit(NamedTuple):
     """One integrated motion of the averaged top."""
 
     delta: float
@@ -59,7 +59,7 @@ def averaged_rate(delta: Any, y: Any) -> Any:
     return TransverseAveraged(delta)(0.0, y)
 
 
-def integrated() -> list[Orbit]:
+def integrated() -> list[SampledOrbit]:
     """The motions of `ORBITS`, integrated."""
     orbits = []
     for delta, (*start, span) in ORBITS.items():
@@ -72,7 +72,7 @@ def integrated() -> list[Orbit]:
             rtol=1e-13,
             atol=1e-15,
         )
-        orbits.append(Orbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
+        orbits.append(SampledOrbit(delta, run.t, run.y[0] ** 2, run.y[1] ** 2, run.y[2]))
     return orbits
 
 
@@ -88,7 +88,7 @@ def orbits() -> Iterator[Entry]:
     yield from exponents(runs)
 
 
-def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
+def off_the_orbit(orbit: SampledOrbit, p: Exponent) -> float:
     """Relative variation of v ξ^q |aξ + b|^{−p} along an orbit, which should be 0."""
     d = orbit.delta
     edge = np.abs((1 + 2 * d) * orbit.xi + 1 + d**3)
@@ -96,7 +96,7 @@ def off_the_orbit(orbit: Orbit, p: Exponent) -> float:
     return gap(constant / constant[0], np.ones_like(constant))
 
 
-def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
+def quadrature(orbit: SampledOrbit, *, angle: bool = False) -> np.ndarray:
     """The times since τᵢ by (4.17), or the angles by (4.18), with absolute values."""
     d, p, q = orbit.delta, p_right(orbit.delta), q_printed(orbit.delta)
     a, b, first = 1 + 2 * d, 1 + d**3, orbit.xi[0]
@@ -111,7 +111,7 @@ def quadrature(orbit: Orbit, *, angle: bool = False) -> np.ndarray:
     return factor * np.abs(integrals)
 
 
-def times(runs: list[Orbit]) -> Iterator[Entry]:
+def times(runs: list[SampledOrbit]) -> Iterator[Entry]:
     """(4.17)."""
     since = [quadrature(o) for o in runs]
     residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
@@ -128,7 +128,7 @@ def times(runs: list[Orbit]) -> Iterator[Entry]:
     yield Entry("(4.17)", claim, residual, 1e-11, wrong, unit)
 
 
-def exponents(runs: list[Orbit]) -> Iterator[Entry]:
+def exponents(runs: list[SampledOrbit]) -> Iterator[Entry]:
     """(4.19), put into (4.13)–(4.14): d ln v/d ln ξ for many ξ and every δ, and along orbits."""
     deltas = np.asarray(shapes())
     deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # p itself is singular there

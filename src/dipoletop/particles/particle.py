@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._base.batches import over_batch
 from .._base.checks import concrete, finite, on_device, on_host, refuse, where_valid
 from .._base.guards import safe_sqrt
-from .._base.linalg import dot, trace
+from .._base.linalg import dot
 from ..bodies import Body
 from . import moments, shapes
 from .texts import text
@@ -88,7 +88,7 @@ class Particle(eqx.Module):
         if radius is not None:
             given = positive_si("radius", radius)
             # tr I = 2 Σ mρ² ≤ 2mR²
-            least = trace(on_host(self.inertia)) / (2 * mass)
+            least = on_host(self.inertia).trace() / (2 * mass)
             large = given**2 >= (1 - 2e-12) * least
             must = "be at least √(tr I/(2m)), the mean distance of the mass from the centre"
             self.radius = on_device(where_valid("radius", given, large, must))

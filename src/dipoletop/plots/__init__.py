@@ -1,11 +1,11 @@
 """Pictures of basins, trajectories and continuations.
 
-`plane` and `shades` compute what a map shows before it is drawn; `axes` and `style` hold what
-several pictures share; the other modules draw. The colours can be told apart by
+`map_layout` and `column_shading` compute what a map shows before it is drawn; `axes` and `style`
+hold what several pictures share; the other modules draw. The colours can be told apart by
 colour-blind people. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
 """
 
-from .._maps.symmetry import unfold
+from .._maps.unfolded_basins import unfold
 from .animations import animate
 from .atlases import atlas
 from .basins import basin, compare

@@ -16,7 +16,8 @@ from matplotlib.transforms import ScaledTranslation
 from .._base.checks import flag, instance, refuse
 from .._maps.basin import Basin
 from .axes import check_axes, name_axis, show_cells
-from .plane import (
+from .column_shading import CERTIFIED, Shade
+from .map_layout import (
     CLASSES,
     NOT_COMPUTED,
     Plane,
@@ -28,7 +29,6 @@ from .plane import (
     plane_of,
     shades_of,
 )
-from .shades import CERTIFIED, Shade
 from .style import hatch, percent
 
 COLUMNS, MOST = 3, 12

@@ -10,11 +10,11 @@ from .._base.tolerances import budget
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.grids import counted
-from .._maps.reduction import MOTION
-from .._maps.tallies import Tally
+from .._maps.tally_counts import MOTION
+from .._maps.tally_results import Tally
 from .axes import check_axes
-from .plane import CLASSES, fixed_values
-from .shades import CERTIFIED, check_shade, scale_of
+from .column_shading import CERTIFIED, check_shade, scale_of
+from .map_layout import CLASSES, fixed_values
 from .style import capitalised, percent, symbol
 
 SHOWN = {Outcome.RESIDUAL: "residual rotation", Outcome.STOP: "stop"}

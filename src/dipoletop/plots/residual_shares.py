@@ -9,7 +9,7 @@ from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
 from .axes import check_axes, name_axis
-from .plane import check_axis, fixed_values
+from .map_layout import check_axis, fixed_values
 from .style import capitalised, percent, symbol
 
 

@@ -14,8 +14,8 @@ from .._maps.basin import Basin
 from .._maps.columns import START, is_result
 from .axes import check_axes, name_axis, spacing
 from .basins import draw_colourbars, put_legend_below
-from .plane import CLASSES, Plane, classes_of, coloured, legend_colours, shades_of, title_of
-from .shades import CERTIFIED, check_shade, scale_of
+from .column_shading import CERTIFIED, check_shade, scale_of
+from .map_layout import CLASSES, Plane, classes_of, coloured, legend_colours, shades_of, title_of
 from .style import symbol
 
 

@@ -14,11 +14,11 @@ from .._base.statistics import wilson
 from .._base.types import Outcome
 from .columns import CONVENTIONS, column_spec, coordinate_dims, labels, plain_attributes
 from .grids import counted, described_axis
-from .reduction import CERTIFIED, Reduction
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
 from .store.tiles import Tiles, open_store
 from .sweep_plan import ComputedTile
+from .tally_counts import CERTIFIED, Reduction
 from .tiling import Tiling
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from made_basins import R, S, made
 from matplotlib.colors import to_rgb
 
 from dipoletop import plots
-from dipoletop.plots.plane import CLASSES
-from dipoletop.plots.shades import BLUES, OLIVES, SIGNED
+from dipoletop.plots.column_shading import BLUES, OLIVES, SIGNED
+from dipoletop.plots.map_layout import CLASSES
 
 # Machado, Oliveira & Fernandes (2009), severity 1: linear RGB as the colour-blind see it.
 SIGHT = {

@@ -4,8 +4,6 @@ import time
 
 import pytest
 
-from dipoletop.explorer import turns
-
 
 def pieces(log, name, count, seconds=0.005):
     for k in range(count):

@@ -100,7 +100,7 @@ def _whole(side: Side) -> Interval:
     return Interval(side, bound(side, -infinite), bound(side, infinite))
 
 
-class _Way(NamedTuple):
+class _Course(NamedTuple):
     """A way to an end of an interval."""
 
     log: Real
@@ -111,14 +111,14 @@ class _Way(NamedTuple):
     """The largest `estimates.loss`, for ln L²/L₀² = 0 at its start."""
 
 
-def _way(interval: Interval, z: Real, rises: Bool[Array, ""]) -> _Way:
+def _way(interval: Interval, z: Real, rises: Bool[Array, ""]) -> _Course:
     """The way from z to the end of the interval."""
     start = interval.parameter(z)
     end = jnp.where(rises, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
     rule = collocation_rule(NODES)
     length = (end - start) / PANELS
 
-    def add(so_far: _Way, index: Array) -> tuple[_Way, None]:
+    def add(so_far: _Course, index: Array) -> tuple[_Course, None]:
         y = start + length * (index + rule.nodes)
         pace, r = jax.vmap(interval.pace)(y)
         change = -length * r * pace
@@ -126,12 +126,12 @@ def _way(interval: Interval, z: Real, rises: Bool[Array, ""]) -> _Way:
         x, rest = interval.position(y)
         losses = jax.vmap(lambda *at: loss(interval.side, *at))(x, rest, logs)
         tail = jnp.asarray(rule.coefficients[-2:]) @ change
-        return _Way(
+        return _Course(
             logs[-1],
             so_far.error + jnp.sum(jnp.abs(tail)),
             jnp.maximum(so_far.loss, jnp.max(losses)),
         ), None
 
     zero = jnp.zeros_like(start)
-    way, _ = jax.lax.scan(add, _Way(zero, zero, zero), jnp.arange(PANELS, dtype=start.dtype))
+    way, _ = jax.lax.scan(add, _Course(zero, zero, zero), jnp.arange(PANELS, dtype=start.dtype))
     return way

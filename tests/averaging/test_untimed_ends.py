@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
-from dipoletop._averaging.many import ends_of_many
+from dipoletop._averaging.untimed_ends import ends_of_many
 from dipoletop._base.types import Outcome
 
 RNG = np.random.default_rng(0)

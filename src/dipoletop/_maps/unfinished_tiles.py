@@ -12,7 +12,7 @@ from jaxtyping import Int
 
 from .._base.parallel import Device, ParallelJobs
 from .cluster import on_cluster
-from .running_shares import RunningShares
+from .outcome_shares import RunningShares
 from .sweep_plan import Plan
 from .sweep_stores import Store
 

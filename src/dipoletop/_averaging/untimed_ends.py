@@ -1,7 +1,7 @@
 """How the slow motions of many bodies and starts end: the numbers of predictions without times.
 
-What a case costs does not depend on it (see `outline`), except in two kinds. The capture of needles
-is found once for each δ, and a start whose quadrature is in doubt is predicted by itself.
+What a case costs does not depend on it (see `slow_course`), except in two kinds. The capture of
+needles is found once for each δ, and a start whose quadrature is in doubt is predicted by itself.
 """
 
 import functools
@@ -25,7 +25,7 @@ from .forecast import (
     scaled_rotation,
     speed_about_dipole,
 )
-from .outline import outline
+from .slow_course import outline
 
 CHUNKS = 64, 1024  # starts that are computed at once; few sizes, since each is compiled
 DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted by itself
@@ -42,7 +42,7 @@ class ManyEnds(NamedTuple):
     error: Float[np.ndarray, "N"]
 
 
-class _End(NamedTuple):
+class _UntimedEnd(NamedTuple):
     """How one motion ends."""
 
     probability: Float[Array, "8"]
@@ -78,7 +78,7 @@ def ends_of_many(
         _put(ends, lanes, captured)
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
         alone = forecast(jnp.asarray(variables[lane]), coupling, False)
-        _put(ends, lane, _End(*(getattr(alone, name) for name in _End._fields)))
+        _put(ends, lane, _UntimedEnd(*(getattr(alone, name) for name in _UntimedEnd._fields)))
     outcome = np.asarray(decided_outcome(jnp.asarray(ends.probability), jnp.asarray(ends.error)))
     decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
     omega_inf = np.where(decided, ends.omega_inf, np.nan)
@@ -95,7 +95,7 @@ def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: A
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(variables)], *parts)
 
 
-def _put(ends: _End, lanes: Any, values: _End) -> None:
+def _put(ends: _UntimedEnd, lanes: Any, values: _UntimedEnd) -> None:
     """Replace the ends of some starts."""
     for array, value in zip(ends, values, strict=True):
         array[lanes] = value
@@ -103,7 +103,7 @@ def _put(ends: _End, lanes: Any, values: _End) -> None:
 
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
-def _slow_ends(variables: Variables, strength: Real) -> tuple[_End, Real, Bool[Array, ""]]:
+def _slow_ends(variables: Variables, strength: Real) -> tuple[_UntimedEnd, Real, Bool[Array, ""]]:
     """The end by the slow flow; δ of a needle, or 0; whether the quadrature is in doubt."""
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
@@ -125,13 +125,13 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[_End, Real, Bool[A
     omega_inf = speed_about_dipole(probability, ratio, last_moment, units)
     delta, _ = needle_start(apart, units.weakness)
     doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
-    end = _End(probability, omega_inf, ratio, regime_of(rotation), error)
+    end = _UntimedEnd(probability, omega_inf, ratio, regime_of(rotation), error)
     return end, jnp.where(apart.is_needle, delta, 0.0), doubtful
 
 
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
-def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _End:
+def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _UntimedEnd:
     """The end of a needle, given the distribution of its capture."""
     strength, chance = constants
     rotation, units = scaled_rotation(variables, strength)
@@ -142,7 +142,7 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _End:
     omega_inf = speed_about_dipole(probability, ratio, rotation.moments[2], units)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
-    return _End(probability, omega_inf, ratio, regime_of(rotation), error)
+    return _UntimedEnd(probability, omega_inf, ratio, regime_of(rotation), error)
 
 
 _capture = eqx.filter_jit(capture)

@@ -10,7 +10,6 @@ import pytest
 import dipoletop as dt
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
-from dipoletop._runs import memory
 
 N = 700
 STARTS = np.asarray(dt.Sample(n=N, amplitude=(0.05, 0.4), seed=1).points(np.arange(N)))

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .._base.parallel import Device
-from .lanes import part_of
+from .chosen_lanes import part_of
 
 T = TypeVar("T")
 SMALLEST = 128  # runs of a block that is not halved any more

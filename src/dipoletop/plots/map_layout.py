@@ -11,8 +11,8 @@ from .._base.checks import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
-from .._maps.symmetry import unfold
-from .shades import UNKNOWN, Shade, check_shade, shades_by
+from .._maps.unfolded_basins import unfold
+from .column_shading import UNKNOWN, Shade, check_shade, shades_by
 from .style import capitalised, number, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
