@@ -3,7 +3,12 @@
 Nothing here imports dipoletop at once: jaxtyping must see it first.
 """
 
+import collections
+import contextlib
+import ctypes
+import gc
 import os
+import resource
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -26,6 +31,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 matplotlib.use("Agg")
 
+PLAIN = "not slow and not system"  # the tests that plain `pytest` runs
 UNCHECKED = {
     "_engines/" + name
     for name in ("constant_folding", "jaxpr_to_llvm", "machine_code", "native_queue", "vector_code")
@@ -49,6 +55,71 @@ install_import_hook(list(checked_modules()), "beartype.beartype")
 @pytest.fixture(autouse=True, scope="session")
 def lanes_as_users_compile_them():
     quick.compile_lanes_as_users_do()
+
+
+MOST_PROGRAMS = 120
+"""Programs that the tests of one file may compile; a file that needs more has its own number."""
+MOST_MEMORY = 900
+"""MB of a worker beyond which it gives up what it has compiled."""
+compiled = collections.Counter()
+
+
+def count_programs(event, _seconds, **_):
+    if event.endswith("backend_compile_duration"):
+        compiled["programs"] += 1
+
+
+jax.monitoring.register_event_duration_secs_listener(count_programs)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def limits_of_a_file(request):
+    """No file compiles too many programs, and no worker keeps too many in its memory."""
+    before = compiled["programs"]
+    yield
+    number = compiled["programs"] - before
+    if resident_memory() > MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
+        give_memory_back()
+    if request.config.option.markexpr == PLAIN:
+        most = getattr(request.module, "MOST_PROGRAMS", MOST_PROGRAMS)
+        assert number <= most, f"{number} programs were compiled, where {most} are allowed"
+
+
+def resident_memory():
+    """The memory of this process in MB; 0 where it is not known."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def give_memory_back():
+    """Give free memory back to the system, which the C library keeps."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def pytest_sessionfinish(session):
+    output = getattr(session.config, "workeroutput", None)
+    if output is not None:
+        output["peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    peaks[node.gateway.id] = getattr(node, "workeroutput", {}).get("peak", 0)
+
+
+peaks = {}
+
+
+def pytest_terminal_summary(terminalreporter):
+    if peaks:
+        shown = ", ".join(f"{name} {peak:.0f} MB" for name, peak in sorted(peaks.items()))
+        terminalreporter.write_line(f"Peak memory of the workers: {shown}")
 
 
 @pytest.fixture(autouse=True)
