@@ -199,7 +199,7 @@ def _raveled(leaves: list[Array | None]) -> Float[Array, "n"]:
 
 
 @eqx.filter_jit
-def _value_and_change(found: Float[Array, "1+n"], change: Float[Array, "n"]) -> Any:
+def _value_and_change(found: Float[Array, "m"], change: Float[Array, "n"]) -> Any:
     """ω∞, and its derivative along a change, from ω∞ and its derivatives."""
     return found[0], found[1:] @ change
 
