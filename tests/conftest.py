@@ -3,12 +3,15 @@
 Nothing here imports dipoletop at once: jaxtyping must see it first.
 """
 
+import atexit
 import collections
 import contextlib
 import ctypes
 import gc
 import os
 import resource
+import shutil
+import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,8 +25,10 @@ import quick
 
 # `.ci/run` also runs what users do, with all of XLA's optimisations.
 os.environ.setdefault("XLA_FLAGS", quick.FLAGS)
-# Tests neither use what is kept between processes nor leave anything there.
-os.environ["DIPOLETOP_CACHE"] = "off"
+# The processes of one run share their machine code, and leave nothing behind.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["DIPOLETOP_CACHE"] = tempfile.mkdtemp(prefix="dipoletop-")
+    atexit.register(shutil.rmtree, os.environ["DIPOLETOP_CACHE"], ignore_errors=True)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -15,7 +15,7 @@ from pathlib import Path
 from .digests import SIZE, digest
 
 VARIABLE = "DIPOLETOP_CACHE"
-"""The environment variable that switches the cache off."""
+"""The environment variable that names the folder of the cache, or switches it off."""
 LIMIT = 64 * 2**20
 """Bytes of all entries together; beyond that the oldest are removed."""
 
@@ -58,8 +58,11 @@ def save(key: bytes, content: bytes) -> None:
 
 def location() -> Path | None:
     """The folder of the cache, whether it is there or not; None if it is switched off."""
-    if os.environ.get(VARIABLE, "").lower() in ("0", "off", "no", "false"):
+    wanted = os.environ.get(VARIABLE, "")
+    if wanted.lower() in ("0", "off", "no", "false"):
         return None
+    if os.path.isabs(wanted):
+        return Path(wanted)
     home = os.path.expanduser("~")
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or os.path.join(home, "AppData", "Local")
