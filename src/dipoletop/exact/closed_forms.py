@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, real, refuse, where_valid
+from .._base.checks import finite, on_host, real, refuse, where_valid
+from .._base.compiling import compiled_soon
+from .._base.types import Real, Vector
 from ..equations._common import shape_parameter
 from ..equations.coordinates import from_cylindrical
 from .averaged_quadrature import AveragedOrbit, mesh, solve
@@ -53,7 +55,7 @@ def rotator_closed_time(w: Any) -> Times:
         ValueError: ω ≤ 0, or a value that is not real.
     """
     array = real("w", w, np.shape(w))
-    array = where_valid("w", array, array > 0, "be positive")
+    array = where_valid("w", array, on_host(array) > 0, "be positive")
     return jnp.sqrt(1 + 2 * array**2) / (2 * array**2) + jnp.arcsinh(1 / (jnp.sqrt(2) * array))
 
 
@@ -97,9 +99,13 @@ def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         [0.06, 0.08, 0.0]
     """
     d = real("delta", delta, batch=False)
-    d = where_valid("delta", d, (d >= -1) & (d <= 1), "lie in [-1, 1]")
-    w1, w2, w3 = finite("omega0", omega0, (3,), batch=False)
-    time = _times(tau)
+    d = where_valid("delta", d, (on_host(d) >= -1) & (on_host(d) <= 1), "lie in [-1, 1]")
+    return _longitudinal(d, finite("omega0", omega0, (3,), batch=False), _times(tau))
+
+
+@compiled_soon
+def _longitudinal(d: Real, omega0: Vector, time: Times) -> Float[Array, "*n 3"]:
+    w1, w2, w3 = omega0
     factor = _decay_factor(w1**2 + w2**2, (1 - d) * w3, time)
     angle = d * w3 * time
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -153,12 +159,16 @@ def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
     """
     d = shape_parameter(finite("delta", delta, batch=False))
     w = finite("omega0", omega0, (3,), batch=False)
-    axial = (w[0] == 0) & (w[1] == 0)
-    solvable = (w[2] == 0) | axial | (d == 0)
-    w1, w2, w3 = where_valid(
-        "omega0", w, solvable, "have ω₃ = 0 or ω₁ = ω₂ = 0 where δ is not 0, to be solved"
-    )
-    time = _times(tau)
+    known = on_host(w)
+    solvable = (known[2] == 0) | ((known[0] == 0) & (known[1] == 0)) | (on_host(d) == 0)
+    must = "have ω₃ = 0 or ω₁ = ω₂ = 0 where δ is not 0, to be solved"
+    return _transverse(d, where_valid("omega0", w, solvable, must), _times(tau))
+
+
+@compiled_soon
+def _transverse(d: Real, omega0: Vector, time: Times) -> Float[Array, "*n 3"]:
+    w1, w2, w3 = omega0
+    axial = (w1 == 0) & (w2 == 0)
     in_plane = _decay_factor(w2**2 + w3**2, w1, time)
     on_axis = _decay_factor(w3**2, jnp.zeros(()), time / (1 - d))
     factor = jnp.where(axial, on_axis, in_plane)
@@ -192,8 +202,11 @@ def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
         1.000e-08
     """
     d = shape_parameter(finite("delta", delta, batch=False))
-    w = finite("omega0", omega0, (3,), batch=False)
-    time = _times(tau)
+    return _averaged(d, finite("omega0", omega0, (3,), batch=False), _times(tau))
+
+
+@compiled_soon
+def _averaged(d: Real, w: Vector, time: Times) -> Float[Array, "*n 3"]:
     u, v = w[0] ** 2 + w[1] ** 2, w[2] ** 2
     off_axes = (u > 0) & (v > 0)
     orbit = AveragedOrbit(d, jnp.where(off_axes, u, 1.0), jnp.where(off_axes, v, 1.0))
@@ -257,8 +270,11 @@ def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
         ValueError: δ outside [−1, 1), a value that is not finite, or τ < 0.
     """
     d = shape_parameter(finite("delta", delta, batch=False))
-    w = finite("omega0", omega0, (3,), batch=False)
-    time = _times(tau)
+    return _averaged_late(d, finite("omega0", omega0, (3,), batch=False), _times(tau))
+
+
+@compiled_soon
+def _averaged_late(d: Real, w: Vector, time: Times) -> tuple[Times, Times]:
     a, b = 1 + 2 * d, 1 + d**3
     xi = (w[0] ** 2 + w[1] ** 2) / w[2] ** 2
     # K from ln v = ln K − (2+δ)/a ln ξ, which (4.16) becomes for large ξ.
@@ -274,6 +290,7 @@ def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
     return u, jnp.select(cases, [1 / time, v_oblate, 12 / (7 * time * log)], v_power)
 
 
+@compiled_soon
 def _decay_factor(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
     """√(u/u₀) of u′ = −2(s² + u)u: e^{−s²τ}/√(1 + 2u₀τ (1 − e^{−2s²τ})/(2s²τ))."""
     x = 2 * s**2 * time
@@ -287,4 +304,4 @@ def _times(tau: Any) -> Times:
     time = finite("tau", tau)
     if time.size == 0:
         refuse("tau", "hold at least one time", "holds none")
-    return where_valid("tau", time, time >= 0, "not be before the start, τ = 0")
+    return where_valid("tau", time, on_host(time) >= 0, "not be before the start, τ = 0")
