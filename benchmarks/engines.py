@@ -10,10 +10,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import dipoletop as dt
+from benchmarks.problems.mixed_basin import MAX_STEPS
 from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
@@ -47,12 +50,33 @@ def integrate(
     return _engine(name, **settings).end_states(equation, y0, bounds, until=until)
 
 
+def integrate_tops(
+    deltas: Any, omegas: Any, until: str, rtol: float, *, t1: float = np.inf, **settings: Any
+) -> EndStates:
+    """Starts (N, 3) of tops with a transverse dipole; settings: `engine`, `max_steps`, …"""
+    y0 = jnp.asarray(omegas.T)
+    atol, max_steps = rtol * jnp.linalg.norm(y0, axis=0), settings.pop("max_steps", MAX_STEPS)
+    bounds = limits(rtol, atol, max_steps, jnp.full(len(omegas), t1))
+    equation = dt.TransverseReduced(jnp.asarray(deltas))
+    return integrate(
+        settings.pop("engine", "native"), equation, y0, bounds, until=until, **settings
+    )
+
+
 def integrate_by_the_fastest(equation: Any, y0: Any, bounds: Limits, *, until: Any) -> EndStates:
     """By machine code, unless the equation is too long for it."""
     try:
         return integrate("native", equation, y0, bounds, until=until)
     except Unsupported:
         return integrate("jax", equation, y0, bounds, until=until)
+
+
+def evaluations(steps: float, starts: float, solver: Any = None) -> float:
+    """Right-hand sides of so many steps, and two for each start to choose its first step.
+
+    All methods here reuse the last stage of a step (FSAL), accepted or not.
+    """
+    return steps * len((solver or diffrax.Dopri8()).tableau.c) + 2 * starts
 
 
 def block_steps(ends: EndStates) -> np.ndarray:

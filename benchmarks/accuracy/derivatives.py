@@ -3,11 +3,11 @@
 First ones from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the inertia tensor,
 the dipole and ω₀. Second ones of tops by `jax.hessian`.
 
-    python -m benchmarks.accuracy.derivatives --first semi --second     a look
-    python -m benchmarks.accuracy.derivatives --write                   kept: results/derivatives.md
+    python -m benchmarks.accuracy.derivatives --small         a look
+    python -m benchmarks.accuracy.derivatives full --write    one family; kept beside the others
+    python -m benchmarks.accuracy.derivatives --write         all; kept: results/derivatives.md
 """
 
-import argparse
 from typing import Any
 
 import jax
@@ -16,9 +16,8 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks.accuracy.differences import Function, certain, chosen_steps, differences, off
-from benchmarks.problems.families import NAMES, TRUTH, Family, with_guide
-from benchmarks.reporting import derivatives as page
-from benchmarks.reporting import measure, pages
+from benchmarks.problems.families import NAMES, TRUTH, Family, merged, with_guide
+from benchmarks.reporting import pages
 from dipoletop import Level, equation_at
 
 RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
@@ -96,34 +95,17 @@ def compared(
     return lines
 
 
-def keep(order: str, rows: list[dict[str, Any]]) -> None:
-    """Write rows into the results, in the place of older ones of the same family."""
-    every = {name: [] for name in page.ORDERS} | dict(pages.read("derivatives"))
-    others = [row for row in every[order] if row["of"] != rows[0]["of"]]
-    every[order] = sorted(others + rows, key=lambda row: NAMES.index(row["of"]))
-    pages.save("derivatives", every)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--points", type=int, default=50, help="of each kind of start")
-    parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
-    parser.add_argument("--first", nargs="*", choices=NAMES, default=NAMES, help="default: all")
-    parser.add_argument(
-        "--second", nargs="*", choices=list(Level), default=list(Level), help="default: all"
-    )
-    parser.add_argument("--write", action="store_true", help="keep the results of each family")
-    args = parser.parse_args()
-    run = {"run": measure.this_run()}
-    pieces = [("first", first, name, args.points) for name in args.first]
-    pieces += [("second", second, name, max(args.points // 5, 1)) for name in args.second]
-    for order, measured, name, count in pieces:
-        rows = [row | run for row in measured(name, count, args.pool)]
-        print(page.table(rows), flush=True)
-        if args.write:
-            keep(order, rows)
+def measured(small: bool, names: list[str]) -> dict[str, Any]:
+    """The families of these names, by default all, beside the others that were kept."""
+    count, pool = (5, 512) if small else (50, 4096)
+    found: dict[str, Any] = {"first": [], "second": []}
+    for name in names or (["semi"] if small else NAMES):
+        found["first"] += first(name, count, pool)
+        if name in list(Level) and not small:
+            found["second"] += second(name, max(count // 5, 1), pool)
+    kept = found if small else pages.read("derivatives")
+    return {order: merged(kept[order], rows) for order, rows in found.items()}
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    main()
+    pages.command("derivatives", measured, names=NAMES)

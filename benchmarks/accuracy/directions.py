@@ -3,12 +3,11 @@
 Along a random change of everything that a problem depends on: first ones, forwards and backwards
 (the larger error of the two is kept), and second ones.
 
-    python -m benchmarks.accuracy.directions --of semi --what motion     a look
-    python -m benchmarks.accuracy.directions --write                     kept: results/directions.md
+    python -m benchmarks.accuracy.directions --small         a look
+    python -m benchmarks.accuracy.directions full --write    one family; kept beside the others
+    python -m benchmarks.accuracy.directions --write         all; kept: results/directions.md
 """
 
-import argparse
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,9 +19,8 @@ from jaxtyping import Float
 
 import dipoletop as dt
 from benchmarks.accuracy.differences import STEPS, agree, chosen_steps, differences, largest, spread
-from benchmarks.problems.families import COSTLY, FRACTION, NAMES, TRUTH, Family, family
-from benchmarks.reporting import directions as page
-from benchmarks.reporting import measure, pages
+from benchmarks.problems.families import COSTLY, NAMES, TRUTH, Family, family, merged
+from benchmarks.reporting import pages
 from dipoletop.radiation import schott_energy
 
 RTOLS = (1e-10, 1e-12)  # of the derivatives; the first is the default for one start
@@ -73,7 +71,6 @@ QUANTITIES = {
     "decay": Quantity(decay, {"decay time": slice(1)}),
     "residual": Quantity(residual, {"ω∞": slice(1)}),
 }
-PARTS = [part for quantity in QUANTITIES.values() for part in quantity.parts]
 
 
 def cases(drawn_from: Family, count: int) -> Float[np.ndarray, "n 2*k"]:
@@ -124,8 +121,7 @@ def errors(name: str, quantity: Quantity, count: int) -> list[dict[str, Any]]:
     """Errors of derivatives along random changes: a row for each part of the quantity."""
     asked = family(name)
     guide = family(COSTLY[name][0] if name in COSTLY else name)
-    costly = name in COSTLY and quantity.function is not motion
-    rows = cases(guide, count // FRACTION if costly else count)
+    rows = cases(guide, count)
     ways = np.roll(rows, rows.shape[1] // 2, axis=1)[:, None]
     ways[..., rows.shape[1] // 2 :] = 0
     find = derivatives(asked, quantity.function)
@@ -156,29 +152,14 @@ def compared(
     return line
 
 
-def keep(rows: list[dict[str, Any]]) -> None:
-    """Write rows into the results, in the place of older ones of the same kind."""
-    new = {(row["of"], row["what"]): row for row in [*pages.read("directions"), *rows]}
-    pages.save("directions", [new[key] for key in itertools.product(NAMES, PARTS) if key in new])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--starts", type=int, default=100, help="of each kind")
-    parser.add_argument("--of", nargs="*", choices=NAMES, default=NAMES, help="default: all")
-    whats = list(QUANTITIES)
-    parser.add_argument("--what", nargs="*", choices=whats, default=whats, help="default: all")
-    parser.add_argument("--write", action="store_true", help="keep the results of each kind")
-    args = parser.parse_args()
-    run = {"run": measure.this_run()}
-    for name in args.of:
-        for what in args.what:
-            rows = [row | run for row in errors(name, QUANTITIES[what], args.starts)]
-            print(page.table(rows), flush=True)
-            if args.write:
-                keep(rows)
+def measured(small: bool, names: list[str]) -> list[dict[str, Any]]:
+    """The families of these names, by default all, beside the others that were kept."""
+    whats, found = [QUANTITIES["motion"]] if small else list(QUANTITIES.values()), []
+    for name in names or (["semi"] if small else NAMES):
+        for quantity in whats:
+            found += errors(name, quantity, 10 if small else 100)
+    return merged([] if small else pages.read("directions"), found)
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    main()
+    pages.command("directions", measured, names=NAMES)

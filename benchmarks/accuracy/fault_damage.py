@@ -2,60 +2,50 @@
 
 import random
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+import dipoletop as dt
 from benchmarks.accuracy import fault_sweep
 
-Row = dict[str, Any]
 HARMS = ("a flipped bit", "a lost end")
 SMALL = 12  # tiles
 
 
-def damaged(trials: int, rng: random.Random, room: Path) -> list[Row]:
+def damaged(trials: int, rng: random.Random) -> list[dict[str, Any]]:
     """So many damages of each kind, of random files; one after the other, each of a good store."""
-    import numpy as np
-
-    import dipoletop as dt
-
-    good, place = room / "good.zarr", room / "s.zarr"
-    fault_sweep.swept(str(good), SMALL)
-    expected, right = contents(good), dt.Basin.load(good)
-    columns = {name: np.asarray(right.column(name)) for name in right.columns}
-
-    def wrong() -> bool:
-        """Whether a number that can be read is not what was written."""
-        found = dt.Basin.load(place)
-        return any(
-            not np.array_equal(found.column(name), values, equal_nan=values.dtype.kind == "f")
-            for name, values in columns.items()
-        )
-
-    rows = []
-    for harm in HARMS:
-        row: Row = {"harm": harm, "trials": 0, "seen": 0, "wrong": 0, "other_bytes": 0}
-        while row["trials"] < trials:
-            shutil.copytree(good, place)
-            _damage(rng.choice([f for f in sorted(expected) if expected[f]]), place, harm, rng)
-            row["trials"] += 1
-            try:
-                row["wrong"] += wrong()
-            except (dt.StoreDamaged, dt.StoreMismatch):
-                row["seen"] += 1
-            fault_sweep.swept(str(place), SMALL, repair=True)
-            row["other_bytes"] += contents(place) != expected
-            shutil.rmtree(place)
-        rows.append(row)
+    with tempfile.TemporaryDirectory() as room:
+        good, place = Path(room) / "good.zarr", Path(room) / "s.zarr"
+        fault_sweep.swept(str(good), SMALL)
+        expected, right = contents(good), dt.Basin.load(good)
+        columns = {name: np.asarray(right.column(name)) for name in right.columns}
+        rows = [{"harm": harm, "seen": 0, "wrong": 0, "other_bytes": 0} for harm in HARMS]
+        for row in rows:
+            row["trials"] = trials
+            for _ in range(trials):
+                shutil.copytree(good, place)
+                file = place / rng.choice([f for f in sorted(expected) if expected[f]])
+                data = bytearray(file.read_bytes())
+                if row["harm"] == HARMS[0]:
+                    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+                else:
+                    del data[rng.randrange(len(data)) :]
+                file.write_bytes(data)
+                try:  # a number that can be read must be what was written
+                    found = dt.Basin.load(place)
+                    for name, values in columns.items():
+                        nan = values.dtype.kind == "f"
+                        same = np.array_equal(found.column(name), values, equal_nan=nan)
+                        row["wrong"] += not same
+                except (dt.StoreDamaged, dt.StoreMismatch):
+                    row["seen"] += 1
+                fault_sweep.swept(str(place), SMALL, repair=True)
+                row["other_bytes"] += contents(place) != expected
+                shutil.rmtree(place)
     return rows
-
-
-def _damage(file: str, place: Path, harm: str, rng: random.Random) -> None:
-    data = bytearray((place / file).read_bytes())
-    if harm == HARMS[0]:
-        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-    else:
-        del data[rng.randrange(len(data)) :]
-    (place / file).write_bytes(data)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -11,7 +11,6 @@ Damages are flipped bits and lost ends of random files. On a cluster of Dask wor
 are killed.
 """
 
-import argparse
 import os
 import random
 import shutil
@@ -30,8 +29,8 @@ from benchmarks.reporting import measure, pages
 
 Row = dict[str, Any]
 KILLS = {"SIGKILL": 200, "SIGTERM": 20, "SIGINT": 20}
-DAMAGES, CLUSTER = 200, {"worker": 20, "scheduler": 5}
-TILES, SOAK = 100, 10_000
+CLUSTER = {"worker": 20, "scheduler": 5}
+TILES = 100
 
 
 class Sweeper:
@@ -59,10 +58,7 @@ class Sweeper:
         os.close(into_errors)
         self.output, self._errors = os.fdopen(output, "rb"), os.fdopen(errors, "rb")
         self._ended = False
-
-    def until_ready(self) -> None:
-        """Until it begins to sweep."""
-        while (line := self.output.readline()) and line != b"ready\n":
+        while (line := self.output.readline()) and line != b"ready\n":  # to sweep
             pass
 
     def signal(self, number: int) -> bool:
@@ -75,26 +71,16 @@ class Sweeper:
 
     def rest(self) -> tuple[list[int], bool, str]:
         """The tiles that it computed, whether it came to its end, and its errors."""
-        words, errors = self.output.read().split(), self._errors.read().decode()
+        with self.output, self._errors:
+            words, errors = self.output.read().split(), self._errors.read().decode()
         if not self._ended:
             os.waitpid(self.pid, 0)
-        self.output.close()
-        self._errors.close()
         return [int(word) for word in words if word.isdigit()], b"done" in words, errors
 
 
-def undisturbed(place: Path, tiles: int) -> tuple[dict[str, bytes], float]:
-    """The bytes of a sweep that nobody disturbs, and how long it takes from its beginning."""
-    sweeper = Sweeper(place, tiles)
-    sweeper.until_ready()
-    begun = time.perf_counter()
-    sweeper.rest()
-    return contents(place), time.perf_counter() - begun
-
-
-def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, bytes], float]) -> Row:
+def killed(name: str, kills: int, rng: random.Random, expected: Any, length: float) -> Row:
     """So many kills by a signal, at random moments, of one of two processes at a store."""
-    number, (expected, length) = getattr(signal, name), right
+    number = getattr(signal, name)
     row: Row = {"signal": name, "kills": 0, "late": 0, "stores": 0, "other_bytes": 0}
     row |= {"computed": 0, "needed": 0, "left_behind": 0, "other_files": []}
     begun = time.perf_counter()
@@ -102,24 +88,21 @@ def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, byt
         place = Path(room) / "s.zarr"
         while row["kills"] < kills:
             pair = [Sweeper(place, TILES) for _ in range(2)]
-            for sweeper in pair:
-                sweeper.until_ready()
-            victim, other = pair if rng.random() < 0.5 else pair[::-1]
-            time.sleep(rng.uniform(0, 0.7 * length))
-            row["kills" if victim.signal(number) else "late"] += 1
-            # Mostly the other one is killed as well, so that the store is left unfinished.
-            if rng.random() < 0.8:
-                time.sleep(rng.uniform(0, 0.1 * length))
-                row["kills" if other.signal(number) else "late"] += 1
+            rng.shuffle(pair)
+            for sweeper, share in zip(pair, (0.7, 0.1), strict=True):
+                time.sleep(rng.uniform(0, share * length))
+                row["kills" if sweeper.signal(number) else "late"] += 1
+                # Mostly the other one is killed as well, so that the store is left unfinished.
+                if rng.random() > 0.8:
+                    break
             ends = [sweeper.rest() for sweeper in pair]
             row["computed"] += sum(len(tiles) for tiles, _, _ in ends)
             if any(finished for _, finished, _ in ends):
+                found = contents(place)
                 row["stores"] += 1
                 row["needed"] += TILES
-                found = contents(place)
                 row["other_bytes"] += found != expected
-                differ = found.items() ^ expected.items()
-                row["other_files"] += sorted({file for file, _ in differ})
+                row["other_files"] += sorted({file for file, _ in found.items() ^ expected.items()})
                 row["left_behind"] += len(list(Path(room).iterdir())) - 1
                 shutil.rmtree(place)
     return row | {"seconds": time.perf_counter() - begun}
@@ -128,25 +111,21 @@ def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, byt
 def full_disk(expected: dict[str, bytes]) -> Row:
     """A sweep into a file system that is too small, then into a larger one, which goes on."""
     with tempfile.TemporaryDirectory() as room:
-        mount = ["mount", "-t", "tmpfs", "-o"]
-        tried = subprocess.run(
-            [*mount, "size=400k", "tmpfs", room], capture_output=True, check=False
-        )
-        if tried.returncode:
+        mount: Any = ["mount", "-t", "tmpfs", "tmpfs", room, "-o"]
+        if subprocess.run([*mount, "size=400k"], capture_output=True, check=False).returncode:
             return {"mounted": False}
         try:
             place = Path(room) / "s.zarr"
             _, finished, errors = Sweeper(place, TILES).rest()
             said = errors.strip().splitlines()[-1].replace(room, "")
             kept = len(list((place / "dipoletop-tiles/done/c").iterdir()))
-            larger = [*mount, "remount,size=50m", "tmpfs", room]
-            subprocess.run(larger, check=True, capture_output=True)
+            subprocess.run([*mount, "remount,size=50m"], check=True, capture_output=True)
             tiles, done, _ = Sweeper(place, TILES).rest()
             same = contents(place) == expected
         finally:
             subprocess.run(["umount", room], check=False, capture_output=True)
-    again = len(tiles) - (TILES - kept)
     row = {"mounted": True, "stopped": not finished, "said": said, "kept": kept}
+    again = len(tiles) - (TILES - kept)
     return row | {"went_on": done, "same_bytes": same, "computed_again": again}
 
 
@@ -154,66 +133,45 @@ def soak(tiles: int) -> Row:
     """Memory and open files of a process while it computes many tiles."""
     with tempfile.TemporaryDirectory() as room:
         sweeper = Sweeper(Path(room) / "s.zarr", tiles)
-        sweeper.until_ready()
-        begun, seen = time.perf_counter(), []
+        begun, seen, about = time.perf_counter(), [], Path(f"/proc/{sweeper.pid}")
         for count, _ in enumerate(sweeper.output, 1):
             if count % (tiles // 10) == 0:
-                status = Path(f"/proc/{sweeper.pid}/statm").read_text().split()
-                memory = int(status[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-                files = len(list(Path(f"/proc/{sweeper.pid}/fd").iterdir()))
+                pages_used = int((about / "statm").read_text().split()[1])
+                memory = pages_used * os.sysconf("SC_PAGE_SIZE") / 1e6
+                files = len(list((about / "fd").iterdir()))
                 seen.append({"tiles": count, "megabytes": memory, "files": files})
         sweeper.rest()
     return {"tiles": tiles, "seen": seen, "seconds": time.perf_counter() - begun}
 
 
-def _faults(results: Row) -> list[str]:
-    """Everything that differs from what an undisturbed sweep leaves and says."""
-    faults, disk = [], results["full_disk"]
-    for part, name in (("killed", "signal"), ("damaged", "harm"), ("cluster", "killed")):
+def check(results: Row) -> None:
+    """Fail if anything differs from what an undisturbed sweep leaves and says."""
+    faults = [] if results["full_disk"].get("same_bytes", True) else ["full disk"]
+    for part in ("killed", "damaged", "cluster"):
         for row in results[part]:
             for key in ("other_bytes", "left_behind", "wrong", "other_errors"):
-                if found := row.get(key):
-                    faults.append(f"{part}, {row[name]}: {key} = {found}")
-    if not disk.get("same_bytes", True):
-        faults.append(f"full disk: {disk}")
-    return faults
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--small", action="store_true", help="few kills: does everything work?")
-    parser.add_argument("--write", action="store_true", help="keep the results")
-    args = parser.parse_args()
-    if args.small and args.write:
-        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
-    with tempfile.TemporaryDirectory() as room:
-        right = undisturbed(Path(room) / "s.zarr", TILES)
-    rng = random.Random(args.seed)
-    results: Row = {
-        "command": measure.command(),
-        "seed": args.seed,
-        "tiles": TILES,
-        "killed": [
-            killed(name, 4 if args.small else kills, rng, right) for name, kills in KILLS.items()
-        ],
-        "full_disk": full_disk(right[0]),
-        "soak": soak(500 if args.small else SOAK),
-    }
-    # From here on JAX runs in this process: nothing is forked any more.
-    with tempfile.TemporaryDirectory() as room:
-        trials = 5 if args.small else DAMAGES
-        results["damaged"] = damaged(trials, rng, Path(room))
-    results["cluster"] = []
-    for kind, kills in CLUSTER.items():
-        with tempfile.TemporaryDirectory() as room:
-            found = fault_cluster.killed(kind, 1 if args.small else kills, rng, Path(room))
-            results["cluster"].append(found)
-    results |= measure.machine()
-    pages.show("faults", results, keep=args.write)
-    if faults := _faults(results):
+                faults += [f"{part}: {row}"] if row.get(key) else []
+    if faults:
         raise SystemExit("Stores or errors were not as they must be: " + "; ".join(faults))
 
 
+def measured(small: bool) -> Row:
+    """All of it; whatever forks this process is done before JAX runs in it."""
+    rng, results = random.Random(0), {"tiles": TILES}
+    with tempfile.TemporaryDirectory() as room:
+        place = Path(room) / "s.zarr"
+        _, clocks = measure.timed(lambda: Sweeper(place, TILES).rest())
+        expected, length = contents(place), clocks["seconds"]
+    results["killed"] = [
+        killed(name, 4 if small else kills, rng, expected, length) for name, kills in KILLS.items()
+    ]
+    results |= {"full_disk": full_disk(expected), "soak": soak(500 if small else 10_000)}
+    results["damaged"] = damaged(5 if small else 200, rng)
+    results["cluster"] = [
+        fault_cluster.killed(kind, 1 if small else kills, rng) for kind, kills in CLUSTER.items()
+    ]
+    return results
+
+
 if __name__ == "__main__":
-    main()
+    pages.command("faults", measured, check=check)

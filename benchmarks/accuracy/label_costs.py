@@ -1,9 +1,7 @@
 """What labels of the mixed basin cost, and how many are wrong, at every tolerance."""
 
-import importlib
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import jax.numpy as jnp
@@ -11,9 +9,10 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks import engines
+from benchmarks.peers.available import available
 from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
-from benchmarks.reporting.label_precision import DEFAULT, HEYOKA
+from benchmarks.reporting.views import DEFAULT, HEYOKA
 
 RTOL = 1e-8  # of the default
 TRUTH = 1e-11  # of the labels to compare with
@@ -21,75 +20,56 @@ METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}
 Row = dict[str, Any]
 
 
-class Sizes(NamedTuple):
-    """How much is measured."""
-
-    starts: int = 262_144
-    repeats: int = 3
-    tolerances: tuple[float, ...] = tuple(10.0**-k for k in range(2, 9))
-    heyoka: tuple[float, ...] = tuple(10.0**-k for k in range(2, 10))
-
-
-FEW = Sizes(starts=2048, repeats=1, tolerances=(1e-3, 1e-6), heyoka=(1e-4,))
+def ways(small: bool) -> dict[tuple[str, float], Row]:
+    """The default, and one pass of each method at each tolerance, as `engines.driven` has them."""
+    tolerances = (1e-3, 1e-6) if small else [10.0**-k for k in range(2, 9)]
+    every: dict[tuple[str, float], Row] = {(DEFAULT, RTOL): {}}
+    for name, method in METHODS.items():
+        every |= {(name, rtol): {"method": method, "once": True} for rtol in tolerances}
+    return every
 
 
-class Problem:
-    """The labels of the mixed basin by `classify_many`, driven in several ways."""
+def compare(small: bool) -> Row:
+    """One row for each method and tolerance."""
+    n = 2048 if small else 262_144
+    deltas, omegas = mixed_basin.sample(n)
+    equations, starts = dt.TransverseReduced(jnp.asarray(deltas)), jnp.asarray(omegas)
 
-    def __init__(self, n: int) -> None:
-        self.deltas, self.omegas = mixed_basin.sample(n)
-        self.equations = dt.TransverseReduced(jnp.asarray(self.deltas))
-        self.starts = jnp.asarray(self.omegas)
-
-    def labelled(self, rtol: float, **way: Any) -> dt.Classification:
-        """In the way that `engines.driven` tells."""
+    def labelled(rtol: float, **way: Any) -> np.ndarray:
         settings: Any = {"rtol": rtol, "max_steps": mixed_basin.MAX_STEPS, "value": False}
         with engines.driven(**way):
-            return dt.classify_many(self.equations, self.starts, slow_flow=False, **settings)
+            return dt.classify_many(equations, starts, slow_flow=False, **settings).outcome
 
-    def ours(self, rtol: float, **way: Any) -> Row:
+    def ours(rtol: float, way: Row) -> Row:
         """A record as the peers give it."""
-        runs, clocks = measure.timed(lambda: self.labelled(rtol, **way))
-        return clocks | {"labels": runs.outcome}
+        labels, clocks = measure.timed(labelled, rtol, **way)
+        return clocks | {"labels": labels}
 
-    def steps(self, rtol: float, **way: Any) -> int:
-        """The steps of all passes."""
-        passes: list[engines.Pass] = []
-        self.labelled(rtol, passes=passes, **way)
-        return sum(int(done.ended.runs.steps.sum()) for done in passes)
-
-
-def compare(sizes: Sizes) -> Row:
-    """One row for each method and tolerance."""
-    problem = Problem(sizes.starts)
-    truth = np.asarray(problem.labelled(TRUTH, once=True).outcome)
-    ways: dict[Any, Row] = {(DEFAULT, RTOL): {}}
-    for name, method in METHODS.items():
-        ways |= {(name, rtol): {"method": method, "once": True} for rtol in sizes.tolerances}
-    cases: dict[Any, Callable[[], Row]] = {
-        key: partial(problem.ours, key[1], **way) for key, way in ways.items()
-    }
+    truth = np.asarray(labelled(TRUTH, once=True))
+    cases: Row = {key: partial(ours, key[1], way) for key, way in ways(small).items()}
     measure.interleaved(cases, 1)  # everybody is measured warm; heyoka sees to it itself
-    missing = []
-    try:
-        heyoka = importlib.import_module("benchmarks.peers.with_heyoka").run
-    except ImportError as error:
-        missing.append(f"{HEYOKA}: left out ({error})")
-    else:
-        for rtol in sizes.heyoka:
-            cases[HEYOKA, rtol] = partial(heyoka, problem.deltas, problem.omegas, rtol)
-    records = measure.interleaved(cases, sizes.repeats)
+    peers, missing = available()
+    if HEYOKA in peers:
+        for rtol in (1e-4,) if small else [10.0**-k for k in range(2, 10)]:
+            cases[HEYOKA, rtol] = partial(peers[HEYOKA], deltas, omegas, rtol)
     rows = []
-    for (name, rtol), runs in records.items():
+    for (name, rtol), runs in measure.interleaved(cases, 1 if small else 3).items():
         made = runs[0].get("steps")
-        made = problem.steps(rtol, **ways[name, rtol]) if made is None else made
-        row = {"name": name, "rtol": rtol, "starts": sizes.starts, "steps": made / sizes.starts}
+        if made is None:  # the steps of all passes
+            passes: list[engines.Pass] = []
+            labelled(rtol, passes=passes, **ways(small)[name, rtol])
+            made = sum(int(done.ended.runs.steps.sum()) for done in passes)
+        row = {"name": name, "rtol": rtol, "starts": n, "steps": made / n}
         rows.append(row | measure.summary(runs) | counted(runs[0]["labels"], truth))
     about = {"truth": TRUTH, "undecided": int(np.sum(truth <= 0)), "missing": missing}
-    return {"starts": sizes.starts, **about, "rows": rows}
+    return {"starts": n, **about, "rows": rows}
+
+
+def wrong(labels: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Whether labels are wrong, of starts that both decide."""
+    return (labels > 0) & (truth > 0) & (labels != truth)
 
 
 def counted(labels: np.ndarray, truth: np.ndarray) -> dict[str, int]:
-    """Wrong labels, of the starts that both decide, and undecided ones."""
-    wrong = (labels > 0) & (truth > 0) & (labels != truth)
-    return {"wrong": int(np.sum(wrong)), "undecided": int(np.sum(labels <= 0))}
+    """Wrong labels, and undecided ones."""
+    return {"wrong": int(np.sum(wrong(labels, truth))), "undecided": int(np.sum(labels <= 0))}

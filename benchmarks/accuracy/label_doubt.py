@@ -16,17 +16,15 @@ from jaxtyping import Float, Int
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.accuracy import separatrix
-from benchmarks.accuracy.label_costs import METHODS, RTOL, TRUTH
+from benchmarks.accuracy.label_costs import RTOL, TRUTH, counted, ways, wrong
 from benchmarks.problems import random_bodies
-from benchmarks.reporting.label_precision import DEFAULT
+from benchmarks.problems.random_bodies import directions
 
 MAX_STEPS = 4000
 BATCH = 65_536  # starts in one call: they are one block, so that its passes can be told apart
 PAIRS = 16_384  # starts from which bisections begin, at most
 ROUNDS = 20  # of a bisection: the last start is 1e-6 of the first distance from the boundary
 SHOWN = 3  # starts of each block whose label only the default has wrong that are kept
-DELTA = -0.2  # of the tops at the separatrix
-NEAREST, FARTHEST = 1e-14, 1e-2  # distances from it
 TOPS = {
     "tops, any δ": (-0.99, 0.99, 1.0),
     "tops, −½ < δ < 0": (-0.5, 0.0, 1.0),
@@ -34,24 +32,11 @@ TOPS = {
     "tops, slow needles": (0.7532, 0.99, 0.05),
 }
 """For each kind of top: bounds of δ, and the largest |ω₀|."""
-BODIES = random_bodies.FAMILIES[:-1]
+MANY = {"1": 262_144, "2": 32_768, "3": 32_768, "4": 32_768, "semi": 262_144}
+"""Starts at random of each kind of top, by the level."""
+OF_BODIES = {"1": 8192, "semi": 8192}
+"""The same of the families of bodies."""
 Row = dict[str, Any]
-
-
-class Sizes(NamedTuple):
-    """Starts at random of each kind, by the level."""
-
-    tops: dict[str, int]
-    bodies: dict[str, int]
-    wall: int = 400
-    """Starts on each side of the separatrix."""
-
-
-FULL = Sizes(
-    tops={"1": 262_144, "2": 32_768, "3": 32_768, "4": 32_768, "semi": 262_144},
-    bodies={"1": 8192, "semi": 8192},
-)
-FEW = Sizes(tops={"1": 4096, "semi": 4096}, bodies={}, wall=20)
 
 
 class Case(NamedTuple):
@@ -72,11 +57,6 @@ class Case(NamedTuple):
             return np.asarray(dt.classify_many(self.equations, self.omegas, **settings).outcome)
 
 
-def _directions(n: int, rng: np.random.Generator) -> np.ndarray:
-    way = rng.normal(size=(n, 3))
-    return way / np.linalg.norm(way, axis=1)[:, None]
-
-
 def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
     """Tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
     low, high, most = TOPS[kind]
@@ -85,7 +65,7 @@ def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
     delta = jnp.asarray(rng.uniform(low, high, n))
     size = most * 10 ** rng.uniform(-2.5, 0, n)
     equations = dt.TransverseSemi(delta) if order is None else dt.TransverseReduced(delta, order)
-    return Case(equations, size[:, None] * _directions(n, rng))
+    return Case(equations, size[:, None] * directions(n, rng))
 
 
 def bodies(level: str, family: str, n: int, number: int) -> Case:
@@ -104,22 +84,17 @@ def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
     if truth is None:
         truth = case.labels(TRUTH, once=True)
     passes: list[engines.Pass] = []
-    default = case.labels(RTOL, passes=passes)
-    once = case.labels(RTOL, once=True)
+    failing = wrong(case.labels(RTOL, passes=passes), truth)
+    once = wrong(case.labels(RTOL, once=True), truth)
     first, *again = passes
-    runs = first.ended.runs
-
-    def wrong(labels: np.ndarray) -> np.ndarray:
-        return (labels > 0) & (truth > 0) & (labels != truth)
-
-    missed, failing = wrong(runs.outcome), wrong(default)
-    lost = np.flatnonzero(failing & ~wrong(once))
+    missed = wrong(first.ended.runs.outcome, truth)
+    lost = np.flatnonzero(failing & ~once)
     return {
         "starts": len(truth),
         "decided": int(np.sum(truth > 0)),
         "again": sum(done.runs for done in again),
         "wrong_first": int(np.sum(missed)),
-        "wrong_once": int(np.sum(wrong(once))),
+        "wrong_once": int(np.sum(once)),
         "wrong": int(np.sum(failing)),
         "lost": len(lost),
         "margin": float(np.max(1 / first.ended.doubt[missed], initial=0.0)),
@@ -138,7 +113,7 @@ def closing_in(
     """Starts nearer and nearer to the boundary, with their outcomes, round by round."""
     case = case.some(slice(PAIRS))
     low, n = case.omegas, len(case.omegas)
-    high = np.linalg.norm(low, axis=1)[:, None] * _directions(n, rng)
+    high = np.linalg.norm(low, axis=1)[:, None] * directions(n, rng)
     label = case.labels(TRUTH, once=True)
     other = case._replace(omegas=high).labels(TRUTH, once=True)
     between = np.flatnonzero((label > 0) & (other > 0) & (label != other))
@@ -153,48 +128,40 @@ def closing_in(
 
 def merged(rows: list[Row]) -> Row:
     """The sum of counts, the largest margin, all the starts that are shown."""
-    if not rows:
-        return {}
-    total = {
-        name: max(row[name] for row in rows) if name == "margin" else sum(row[name] for row in rows)
-        for name in rows[0]
-        if name != "lost_starts"
-    }
-    return total | {"lost_starts": [start for row in rows for start in row["lost_starts"]]}
+    names = rows[0] if rows else ()
+    total = {name: sum((row[name] for row in rows), type(rows[0][name])()) for name in names}
+    return total | ({"margin": max(row["margin"] for row in rows)} if rows else {})
 
 
-def compare(sizes: Sizes, seed: int = 0) -> list[Row]:
+def compare(small: bool) -> list[Row]:
     """A row for each level and kind of body: starts at random, and those that close in."""
-    kinds = [(level, kind, n) for level, n in sizes.tops.items() for kind in TOPS]
-    kinds += [(level, kind, n) for level, n in sizes.bodies.items() for kind in BODIES]
+    many = {"1": 4096, "semi": 4096} if small else MANY
+    kinds = [(level, kind, n) for level, n in many.items() for kind in TOPS]
+    if not small:
+        families = random_bodies.FAMILIES[:-1]
+        kinds += [(level, kind, n) for level, n in OF_BODIES.items() for kind in families]
     rows = []
     for row_number, (level, kind, n) in enumerate(kinds):
-        rng = np.random.default_rng([seed, row_number])
-        at_random, near, case = [], [], None
+        rng = np.random.default_rng([0, row_number])
+        at_random = []
         for number, first in enumerate(range(0, n, BATCH)):
             size = min(BATCH, n - first)
             made = tops(level, kind, size, rng) if kind in TOPS else None
             case = made or bodies(level, kind, size, number)
             at_random.append(judged(case))
-        if case is not None:
-            near = [judged(*round_) for round_ in closing_in(case, rng)]
+        near = [judged(*round_) for round_ in closing_in(case, rng)]
         row = {"level": level, "kind": kind, "top": kind in TOPS}
         rows.append(row | {"random": merged(at_random), "near": merged(near)})
     return rows
 
 
-def wall(each: int, tolerances: tuple[float, ...]) -> Row:
+def wall(small: bool) -> Row:
     """Labels of starts on both sides of the separatrix, by one pass and by default."""
-    near = separatrix.wall(DELTA, np.geomspace(FARTHEST, NEAREST, each), 10)
-    case = Case(dt.TransverseReduced(DELTA), near.starts.T)
-    ways: list[tuple[str, float, Row]] = [(DEFAULT, RTOL, {})]
-    for name, method in METHODS.items():
-        ways += [(name, rtol, {"method": method, "once": True}) for rtol in tolerances]
-    rows = []
-    for name, rtol, way in ways:
+    near, rows = separatrix.wall(20 if small else 400), []
+    case = Case(dt.TransverseReduced(separatrix.DELTA), near.starts.T)
+    for (name, rtol), way in ways(small).items():
         labels = case.labels(rtol, **way)
-        wrong = (labels > 0) & (labels != near.truth)
-        farthest = float(np.max(near.distance[wrong], initial=0))
-        counts = {"wrong": int(np.sum(wrong)), "undecided": int(np.sum(labels <= 0))}
-        rows.append({"name": name, "rtol": rtol, **counts, "farthest": farthest})
-    return {"starts": 2 * each, "span": [NEAREST, FARTHEST], "edge": str(near.edge), "rows": rows}
+        farthest = near.farthest(wrong(labels, near.truth))
+        rows.append({"name": name, "rtol": rtol, **counted(labels, near.truth)})
+        rows[-1]["farthest"] = farthest
+    return near.about() | {"rows": rows}

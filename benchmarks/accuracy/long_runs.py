@@ -4,7 +4,6 @@ Each run goes on from the state in which the verdict fell, with the same equatio
 plain to see (`Settling.plain`, `compare`). `labels.py` makes the table.
 """
 
-import time
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -136,7 +135,7 @@ def _roundness(inertia: np.ndarray, y: Any) -> np.ndarray:
 
 
 class Comparison(NamedTuple):
-    """Labels, and the ends of the long runs; arrays of shape (N,) except for the times."""
+    """Labels, and the ends of the long runs; arrays of shape (N,)."""
 
     outcome: np.ndarray
     stop: np.ndarray  # in which way, a `Stop`
@@ -146,7 +145,6 @@ class Comparison(NamedTuple):
     final: np.ndarray  # label of the long run; 0: not plain within the budget
     value: np.ndarray  # n·Ω at the end of the long run
     steps: np.ndarray
-    seconds: tuple[float, float]
 
     @property
     def plain(self) -> np.ndarray:
@@ -176,11 +174,9 @@ def compare(
     y = jnp.asarray(sample.omega.T)
     size, zero = jnp.linalg.norm(y, axis=0), jnp.zeros(y.shape[1])
 
-    begin = time.perf_counter()
     own = Settling(equation, shape, zero, zero > 0)
     ends = _run(own, y, RTOL * size, budgets[0])
     label = jax.device_get(_verdict(equation, ends.y))
-    middle = time.perf_counter()
     final, value = _long_run(equation, shape, sample, ends.y, fall, budgets[1])
     status = np.asarray(ends.status)
     outcome = np.where(status == engines.FINISHED, label.outcome, status)
@@ -189,7 +185,6 @@ def compare(
         *(label.stop, label.certified, label.omega_inf, label.error),
         *(final, value),
         np.asarray(ends.steps),
-        (middle - begin, time.perf_counter() - middle),
     )
 
 

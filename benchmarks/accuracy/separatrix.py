@@ -6,6 +6,8 @@ import numpy as np
 
 from dipoletop import Outcome
 
+DELTA = -0.2  # shape of the tops
+NEAREST, FARTHEST = 1e-14, 1e-2  # distances of the wall's starts from the separatrix, in φ
 HALVINGS = 6  # 2^HALVINGS angles in each round of the search
 ORDER = 26  # of the Taylor series
 
@@ -56,16 +58,6 @@ def starts_at(phi: np.ndarray) -> np.ndarray:
     return np.stack([fifth * np.cos(phi), fifth * np.sin(phi), np.full_like(phi, fifth)])
 
 
-def separatrix(delta: float, rounds: int) -> tuple[Any, Any]:
-    """Two neighbouring angles φ between which starts with ω⊥ = ω₃ = 1/5 change their outcome."""
-    low, high = np.longdouble(0), np.longdouble(1)
-    for _ in range(rounds):
-        phi = low + (high - low) * np.arange(2**HALVINGS + 1) / np.longdouble(2**HALVINGS)
-        last = np.flatnonzero(np.diff(outcomes(delta, starts_at(phi))))[0]
-        low, high = phi[last], phi[last + 1]
-    return low, high
-
-
 class Wall(NamedTuple):
     """Starts on both sides of the separatrix."""
 
@@ -79,11 +71,24 @@ class Wall(NamedTuple):
     distance: np.ndarray
     """Their distances from the separatrix, in φ, (N,)."""
 
+    def farthest(self, which: np.ndarray) -> float:
+        """The largest distance of some of them."""
+        return float(np.max(self.distance[which], initial=0))
 
-def wall(delta: float, distances: np.ndarray, rounds: int) -> Wall:
-    """Starts at these distances in φ from the separatrix, on either side."""
-    low, high = separatrix(delta, rounds)
-    edge, far = (low + high) / 2, distances.astype(np.longdouble)
+    def about(self) -> dict[str, Any]:
+        """Which wall it is."""
+        about = {"edge": str(self.edge), "between": self.between, "span": [NEAREST, FARTHEST]}
+        return about | {"starts": len(self.truth)}
+
+
+def wall(each: int, rounds: int = 10) -> Wall:
+    """So many starts on either side of the separatrix, ω⊥ = ω₃ = 1/5, found by bisection."""
+    low, high = np.longdouble(0), np.longdouble(1)
+    for _ in range(rounds):
+        phi = low + (high - low) * np.arange(2**HALVINGS + 1) / np.longdouble(2**HALVINGS)
+        last = np.flatnonzero(np.diff(outcomes(DELTA, starts_at(phi))))[0]
+        low, high = phi[last], phi[last + 1]
+    edge, far = (low + high) / 2, np.geomspace(FARTHEST, NEAREST, each).astype(np.longdouble)
     starts = starts_at(np.concatenate([edge - far, edge + far])).astype(float)
-    truth = outcomes(delta, starts)  # of the rounded starts
+    truth = outcomes(DELTA, starts)  # of the rounded starts
     return Wall(edge, float(high - low), starts, truth, np.concatenate([far, far]).astype(float))

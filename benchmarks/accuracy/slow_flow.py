@@ -5,12 +5,9 @@ python -m benchmarks.accuracy.slow_flow             all: about four minutes of p
 python -m benchmarks.accuracy.slow_flow --write     the same, kept: results/slow_flow.md
 """
 
-import argparse
 import statistics
-import time
 from typing import Any
 
-import jax
 import numpy as np
 
 import dipoletop as dt
@@ -18,13 +15,13 @@ from benchmarks.accuracy import slow_balance
 from benchmarks.accuracy.turn_by_turn import (
     Predicted,
     Resolved,
+    compared,
     differences,
     momenta,
     predicted,
-    resolved,
 )
 from benchmarks.problems import slow_rotations
-from benchmarks.problems.random_bodies import Starts
+from benchmarks.problems.random_bodies import directions, of_one
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
 
@@ -69,14 +66,13 @@ def summed(of: Predicted, runs: Resolved, chosen: np.ndarray) -> Row:
 def on_bodies(small: bool) -> Row:
     """The chosen bodies from the same directions at every amplitude."""
     bodies = slow_rotations.chosen(small)
-    ways = slow_rotations.directions(2 if small else 8, np.random.default_rng(1))
+    ways = directions(2 if small else 8, np.random.default_rng(1))
     family = np.repeat(bodies.family, len(ways))
     amplitudes = AMPLITUDES[1:3] if small else AMPLITUDES
     rows, found, signs = [], [], []
     for amplitude in amplitudes:
         sample = bodies.started(amplitude * ways)
-        of = predicted(sample)
-        runs = resolved(sample, of.time, BUDGET)
+        of, runs = compared(sample, BUDGET)
         found.append(differences(of, runs))
         signs.append(_signs(of, runs))
         for name in dict.fromkeys(bodies.family):
@@ -101,48 +97,33 @@ def _signs(of: Predicted, runs: Resolved) -> np.ndarray:
     return np.array([by_chance.sum(), np.sum(by_chance & (runs.omega_inf > 0))])
 
 
-def on_random(n: int, seed: int) -> Row:
+def on_random(n: int) -> Row:
     """Bodies, dipoles, starts and amplitudes at random, and those beyond the estimate."""
-    kinds, sample = slow_rotations.at_random(n, seed)
-    of = predicted(sample)
-    runs = resolved(sample, of.time, BUDGET)
+    kinds, sample = slow_rotations.at_random(n)
+    of, runs = compared(sample, BUDGET)
     ratio, energy = differences(of, runs)
     over = np.fmax(ratio, energy) / of.error
+    sizes = {"speed": np.linalg.norm(sample.omega, axis=1), "error": of.error}
+    sizes |= {"ratio": ratio / of.error, "energy": energy / of.error}
     beyond = [
-        {
-            "kind": kinds[k],
-            "moments": np.diag(sample.inertia[k]).tolist(),
-            "dipole": sample.dipole[k].tolist(),
-            "speed": float(np.linalg.norm(sample.omega[k])),
-            "error": float(of.error[k]),
-            "ratio": float(ratio[k] / of.error[k]),
-            "energy": float(energy[k] / of.error[k]),
-        }
+        {"kind": kinds[k], "dipole": sample.dipole[k].tolist()}
+        | {"moments": np.diag(sample.inertia[k]).tolist()}
+        | {name: float(values[k]) for name, values in sizes.items()}
         for k in np.flatnonzero(over > 1)
     ]
     names = np.array(kinds)
     rows = [{"kind": kind} | summed(of, runs, names == kind) for kind in dict.fromkeys(kinds)]
     rows.append({"kind": "all"} | summed(of, runs, names == names))
-    compared = int(np.isfinite(over).sum())
-    return {
-        "rows": rows,
-        "compared": compared,
-        "within": compared - len(beyond),
-        "beyond": beyond,
-        "signs": _signs(of, runs).tolist(),
-    }
+    known = int(np.isfinite(over).sum())
+    about = {"compared": known, "within": known - len(beyond), "signs": _signs(of, runs).tolist()}
+    return about | {"rows": rows, "beyond": beyond}
 
 
 def needle(delta: float, n: int) -> Row:
     """The shares and values of captures of many starts, against their probabilities."""
-    ways = slow_rotations.directions(n, np.random.default_rng([2, round(100 * delta)]))
+    ways = directions(n, np.random.default_rng([2, round(100 * delta)]))
     body = dt.axisymmetric(delta)
-    sample = Starts(
-        *(np.tile(np.asarray(part), (n, *[1] * part.ndim)) for part in (body.inertia, body.dipole)),
-        NEEDLE_AMPLITUDE * ways,
-    )
-    of = predicted(sample)
-    runs = resolved(sample, of.time, BUDGET)
+    of, runs = compared(of_one(body, NEEDLE_AMPLITUDE * ways), BUDGET)
     random = ~of.certain & ~of.refused
     stops = runs.outcome == Outcome.STOP
     known = random & (stops | np.isfinite(runs.ratio))
@@ -168,18 +149,14 @@ def needle(delta: float, n: int) -> Row:
 def in_full() -> list[Row]:
     """Residual values of an asymmetric body by the full and the semi-reduced equation."""
     body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
-    ways = slow_rotations.directions(4, np.random.default_rng(0))[:3]  # the last one costs most
+    ways = directions(4, np.random.default_rng(0))[:3]  # the last one costs most
     rows = []
     for amplitude in FULL:
         full, semi = (
             dt.classify_many(kind(body), amplitude * ways, max_steps=BUDGET)
             for kind in (dt.Full, dt.SemiReduced)
         )
-        starts = Starts(
-            np.tile(np.asarray(body.inertia), (len(ways), 1, 1)),
-            np.tile(np.asarray(body.dipole), (len(ways), 1)),
-            amplitude * ways,
-        )
+        starts = of_one(body, amplitude * ways)
         of = predicted(starts)
         ratio = np.abs(full.omega_inf) / momenta(starts)
         between = np.abs(full.omega_inf / semi.omega_inf - 1)
@@ -195,54 +172,40 @@ def costs(n: int, slowest: float) -> list[Row]:
     """Steps and time of runs, and the time of a prediction, at every amplitude."""
     body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
     equation: Any = dt.SemiReduced(body)
-    ways = slow_rotations.directions(n, np.random.default_rng(0))
-    rows = []
+    ways = directions(n, np.random.default_rng(0))
+    rows: list[Row] = []
+
+    def predict(*start: Any) -> None:
+        dt.predict(*start).ratio.block_until_ready()
+
     for amplitude in SPEEDS:
         row: Row = {"amplitude": amplitude}
         if amplitude >= slowest:
             dt.classify_many(equation, amplitude * ways, max_steps=1)  # compiled
-            begin = time.perf_counter()
-            runs = dt.classify_many(equation, amplitude * ways, max_steps=MANY)
-            row |= {"seconds": (time.perf_counter() - begin) / n, "steps": float(runs.steps.mean())}
+            runs, clocks = measure.timed(
+                dt.classify_many, equation, amplitude * ways, max_steps=MANY
+            )
+            row |= {"seconds": clocks["seconds"] / n, "steps": float(runs.steps.mean())}
         if amplitude <= 1e-2:
-            laps = []
-            for way in ways:
-                begin = time.perf_counter()
-                dt.predict(body, amplitude * way).ratio.block_until_ready()
-                laps.append(time.perf_counter() - begin)
-            row["prediction"] = statistics.median(laps)
+            laps = [measure.timed(predict, body, amplitude * way) for way in ways]
+            row["prediction"] = statistics.median(clocks["seconds"] for _, clocks in laps)
         rows.append(row)
     return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--n", type=int, default=1000, help="motions at random")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--small", action="store_true", help="small sizes: does everything work?")
-    parser.add_argument("--write", action="store_true", help="keep the results")
-    args = parser.parse_args()
-    if args.small and args.write:
-        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
-    results: Row = {
-        "command": measure.command(),
-        **measure.machine(),
+def measured(small: bool) -> Row:
+    """All of it; what compiles for long only if not `small`."""
+    ways = directions(2, np.random.default_rng(3))
+    return {
         "budget": BUDGET,
-        "bodies": on_bodies(args.small),
-        "random": on_random(8 if args.small else args.n, args.seed),
-        "costs": costs(4 if args.small else 32, 1e-3 if args.small else RESOLVED_FROM),
-        "needles": [],
-        "full": [],
-        "balance": [],
+        "bodies": on_bodies(small),
+        "random": on_random(8 if small else 1000),
+        "costs": costs(4 if small else 32, 1e-3 if small else RESOLVED_FROM),
+        "needles": [] if small else [needle(delta, 256) for delta in NEEDLES],
+        "full": [] if small else in_full(),
+        "balance": [] if small else slow_balance.defects(slow_rotations.chosen(False), ways),
     }
-    if not args.small:  # these compile for long
-        ways = slow_rotations.directions(2, np.random.default_rng(3))
-        results["balance"] = slow_balance.defects(slow_rotations.chosen(False), ways)
-        results["needles"] = [needle(delta, 256) for delta in NEEDLES]
-        results["full"] = in_full()
-    pages.show("slow_flow", results, keep=args.write)
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    main()
+    pages.command("slow_flow", measured)

@@ -8,9 +8,7 @@ Random starts at order 1 are labelled, and integrated on until their end is plai
 The wall of starts stands at the separatrix (`separatrix.py`).
 """
 
-import argparse
 import itertools
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,7 +20,8 @@ import numpy as np
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.accuracy import long_runs, separatrix
-from benchmarks.problems.random_bodies import Starts
+from benchmarks.accuracy.label_costs import counted, wrong
+from benchmarks.problems.random_bodies import Starts, directions
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
 
@@ -30,8 +29,6 @@ PIECE = 5000  # starts integrated together
 BLOCKS = ("mixed", "slow", "tiny")
 BUDGETS = {"mixed": (20_000, 60_000), "slow": (5000, 20_000), "tiny": (300, 1000)}
 RTOLS = tuple(10.0**-k for k in range(4, 13))
-DELTA = -0.2  # shape of the tops at the wall
-NEAREST, FARTHEST = 1e-14, 1e-2  # distances of the wall's starts from the separatrix, in φ
 Row = dict[str, Any]
 
 
@@ -44,77 +41,57 @@ def random_starts(block: str, n: int, rng: np.random.Generator) -> Starts:
     delta = rng.uniform(-1, 0.99, n)
     low, high = (-3, np.log10(3)) if block == "mixed" else (-30, 1)
     size = 10 ** rng.uniform(low, high, n)
-    way = rng.normal(size=(n, 3))
-    omega = size[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+    omega = size[:, None] * directions(n, rng)
     if block == "slow":
         phi = rng.uniform(0, 2 * np.pi, n)
         ratio = rng.choice([-1, 1], n) * 10 ** rng.uniform(-3, 3, n)
         omega = size[:, None] * np.stack([np.cos(phi), np.sin(phi), ratio * size], axis=1)
-    inertia = np.zeros((n, 3, 3))
-    inertia[:, 0, 0] = inertia[:, 1, 1] = 1
-    inertia[:, 2, 2] = 1 - delta
+    inertia = np.eye(3) - delta[:, None, None] * np.diag([0, 0, 1])
     return Starts(inertia, np.tile([1.0, 0.0, 0.0], (n, 1)), omega)
 
 
-def checked(block: str, n: int, seed: int) -> Row:
+def checked(block: str, n: int) -> Row:
     """So many labels against the ends of long runs without certificates."""
-    begin = time.perf_counter()
     row: Row = {"block": block, "largest_steps": 0, "wrong_starts": []}
     for number in range(-(-n // PIECE)):
-        rng = np.random.default_rng([seed, BLOCKS.index(block), number])
+        rng = np.random.default_rng([0, BLOCKS.index(block), number])
         sample = random_starts(block, PIECE, rng)
         result = long_runs.compare("1", sample, budgets=BUDGETS[block], closed=True)
+        delta, label = 1 - sample.inertia[:, 2, 2], result.outcome
+        stop, residual = label == Outcome.STOP, label == Outcome.RESIDUAL
         counts = {
             "n": np.ones(PIECE),
-            "residual": result.outcome == Outcome.RESIDUAL,
-            "stop": result.outcome == Outcome.STOP,
-            "undecided": result.outcome == Outcome.UNDECIDED,
-            "failed": result.outcome == Outcome.FAILED,
+            "residual": residual,
+            "stop": stop,
+            "undecided": label == Outcome.UNDECIDED,
+            "failed": label == Outcome.FAILED,
             "plain": result.plain,
             "wrong": result.wrong,
-            "contrary": _contrary(sample, result.outcome),
+            # Labels that order 1 excludes.
+            "contrary": (stop & (delta > 0)) | (residual & (delta <= -0.5)),
         }
         for name, values in counts.items():
             row[name] = row.get(name, 0) + int(np.sum(values))
         row["wrong_starts"] += [[number, int(k)] for k in np.flatnonzero(result.wrong)]
         row["largest_steps"] = max(row["largest_steps"], int(result.steps.max()))
-    return row | {"seconds": time.perf_counter() - begin}
-
-
-def _contrary(sample: Starts, outcome: np.ndarray) -> np.ndarray:
-    """Labels that order 1 excludes: a stop at δ > 0, a residual rotation at δ ≤ −1/2."""
-    delta = 1 - sample.inertia[:, 2, 2]
-    stop, residual = outcome == Outcome.STOP, outcome == Outcome.RESIDUAL
-    return (stop & (delta > 0)) | (residual & (delta <= -0.5))
+    return row
 
 
 def wall(small: bool) -> Row:
     """Labels of starts on both sides of the separatrix, at every tolerance."""
-    each = 20 if small else 400
-    distances = np.geomspace(FARTHEST, 1e-8 if small else NEAREST, each)
-    near = separatrix.wall(DELTA, distances, 5 if small else 10)
-    about = {"edge": str(near.edge), "between": near.between, "starts": 2 * each}
-    result: Row = about | {"rows": []}
-    for engine in ("native", "jax"):
-        before = None
+    near, rows = separatrix.wall(20 if small else 400), []
+    for engine in engines.NAMES:
+        before = np.zeros(len(near.truth))
         for rtol in (1e-3, *RTOLS, 1e-13, 1e-14):
             settings: Any = {"rtol": rtol, "engine": engine, "value": False}
-            run = dt.classify_many(dt.TransverseReduced(DELTA), near.starts.T, **settings)
-            wrong = (run.outcome > 0) & (run.outcome != near.truth)
-            hidden = wrong & (before == run.outcome) if before is not None else wrong & False
-            result["rows"].append(
-                {
-                    "engine": engine,
-                    "rtol": rtol,
-                    "undecided": int(np.sum(run.outcome <= 0)),
-                    "wrong": int(np.sum(wrong)),
-                    "farthest": float(np.max(near.distance[wrong], initial=0)),
-                    "farthest_hidden": float(np.max(near.distance[hidden], initial=0)),
-                    "largest_steps": int(run.steps.max()),
-                }
-            )
+            tops = dt.TransverseReduced(separatrix.DELTA)
+            run = dt.classify_many(tops, near.starts.T, **settings)
+            off = wrong(run.outcome, near.truth)
+            row = {"engine": engine, "rtol": rtol, **counted(run.outcome, near.truth)}
+            row |= {"farthest": near.farthest(off), "largest_steps": int(run.steps.max())}
+            rows.append(row | {"farthest_hidden": near.farthest(off & (before == run.outcome))})
             before = run.outcome
-    return result
+    return near.about() | {"rows": rows}
 
 
 def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
@@ -149,43 +126,26 @@ def tolerances(small: bool) -> list[Row]:
         size, errors = jnp.linalg.norm(starts, axis=0), []
         for rtol in RTOLS:
             bounds = engines.limits(rtol, rtol * size, 1_000_000, times)
-            ends = engines.integrate(
-                "native", equation, starts, bounds, solver=method, until="time"
-            )
+            way: Any = {"solver": method, "until": "time"}
+            ends = engines.integrate("native", equation, starts, bounds, **way)
             errors.append(float(jnp.max(jnp.abs(ends.y - exact) / size[None])))
-        slope = np.polyfit(np.log(RTOLS), np.log(errors), 1)[0]
+        slope = float(np.polyfit(np.log(RTOLS), np.log(errors), 1)[0])
         over = [error / rtol for error, rtol in zip(errors, RTOLS, strict=True)]
-        rows.append(
-            {"method": type(method).__name__, "problem": name, "over": over, "slope": float(slope)}
-        )
+        about = {"method": type(method).__name__, "problem": name}
+        rows.append(about | {"over": over, "slope": slope})
     return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--n", type=int, default=1_000_000, help="starts of the first block")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--small", action="store_true", help="small sizes: does everything work?")
-    parser.add_argument("--write", action="store_true", help="keep the results")
-    args = parser.parse_args()
-    if args.small and args.write:
-        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
-    n = 5000 if args.small else args.n
-    results: Row = {
-        "command": measure.command(),
-        "seed": args.seed,
-        **measure.machine(),
-        "rtols": RTOLS,
-        "span": [NEAREST, FARTHEST],
-        "tolerances": tolerances(args.small),
-        "wall": wall(args.small),
-        "blocks": [
-            checked(block, n if block == "mixed" else n // 4, args.seed) for block in BLOCKS
-        ],
-    }
-    pages.show("stress", results, keep=args.write)
+def measured(small: bool) -> Row:
+    """All of it."""
+    near, blocks = wall(small), []
+    for block in BLOCKS:
+        n = (5000 if small else 1_000_000) // (1 if block == "mixed" else 4)
+        row, clocks = measure.timed(checked, block, n)
+        blocks.append(row | {"seconds": clocks["seconds"]})
+    about = {"rtols": RTOLS, "span": near["span"], "wall": near, "blocks": blocks}
+    return about | {"tolerances": tolerances(small)}
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    main()
+    pages.command("stress", measured)

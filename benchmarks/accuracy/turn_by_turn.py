@@ -25,8 +25,6 @@ class Predicted(NamedTuple):
     omega_inf: np.ndarray
     ratio: np.ndarray
     quantiles: np.ndarray  # (N, 5), of the ratio
-    half_time: np.ndarray
-    lost: np.ndarray  # E₀ − E∞
     error: np.ndarray
     time: np.ndarray  # at which energies are compared, see `_time`
     energy: np.ndarray  # then
@@ -48,12 +46,7 @@ class Predicted(NamedTuple):
 
 
 UNKNOWN = Predicted(
-    *(np.array(np.nan) for _ in Predicted._fields),
-)._replace(
-    outcome=np.array(int(Outcome.UNDECIDED)),
-    refused=np.array(True),
-    ends=np.full(8, np.nan),
-    quantiles=np.full(5, np.nan),
+    Outcome.UNDECIDED, True, np.full(8, np.nan), np.nan, np.nan, np.full(5, np.nan), *[np.nan] * 3
 )
 
 
@@ -63,7 +56,6 @@ class Resolved(NamedTuple):
     outcome: np.ndarray
     omega_inf: np.ndarray  # NaN where the run is out of steps
     ratio: np.ndarray  # L∞/L₀ of residual rotation
-    steps: np.ndarray
     energy: np.ndarray  # at the time that was asked for; NaN where that was not reached
 
 
@@ -72,21 +64,11 @@ def momenta(sample: Starts) -> np.ndarray:
     return np.linalg.norm(np.einsum("nij,nj->ni", sample.inertia, sample.omega), axis=1)
 
 
-def energies(sample: Starts, omega: np.ndarray) -> np.ndarray:
-    """½ ω·Iω, shape (N,)."""
-    return np.einsum("ni,nij,nj->n", omega, sample.inertia, omega) / 2
-
-
-def braking_times(sample: Starts) -> np.ndarray:
-    """J₃³/(2L₀²), shape (N,)."""
-    return np.linalg.eigvalsh(sample.inertia)[:, 2] ** 3 / (2 * momenta(sample) ** 2)
-
-
 def predicted(sample: Starts) -> Predicted:
     """Each motion by itself, as `predict` is meant."""
     rows = []
-    for unit, *parts in zip(braking_times(sample), *sample, strict=True):
-        inertia, dipole, omega = parts
+    braking_times = np.linalg.eigvalsh(sample.inertia)[:, 2] ** 3 / (2 * momenta(sample) ** 2)
+    for unit, inertia, dipole, omega in zip(braking_times, *sample, strict=True):
         try:
             one = dt.predict(dt.Body(inertia, dipole), omega)
         except ValueError as refusal:
@@ -97,7 +79,7 @@ def predicted(sample: Starts) -> Predicted:
         time = _time(float(one.half_time), unit)
         energy = one.history(np.array([time])).energy[0]
         label = one.outcome, False, one.probability, one.omega_inf
-        sizes = one.ratio, one.ratio_quantiles, one.half_time, one.radiated_energy, one.error
+        sizes = one.ratio, one.ratio_quantiles, one.error
         rows.append(Predicted(*label, *sizes, time, energy))
     return Predicted(*(np.array(column) for column in zip(*rows, strict=True)))
 
@@ -124,13 +106,19 @@ def resolved(sample: Starts, times: np.ndarray, max_steps: int) -> Resolved:
         turns, jnp.asarray(sample.omega.T), bounds, until="time"
     )
     reached = known & (np.asarray(states.status) == engines.FINISHED)
-    energy = np.where(reached, energies(sample, np.asarray(states.y).T), np.nan)
+    omega = np.asarray(states.y).T
+    energy = np.einsum("ni,nij,nj->n", omega, sample.inertia, omega) / 2
     n = sample.dipole / np.linalg.norm(sample.dipole, axis=1)[:, None]
     moment = np.einsum("ni,nij,nj->n", n, sample.inertia, n)
-    is_residual = ends.outcome == Outcome.RESIDUAL
-    value = np.where(is_residual, ends.omega_inf, np.nan)
+    value = np.where(ends.outcome == Outcome.RESIDUAL, ends.omega_inf, np.nan)
     ratio = np.abs(value) * moment / momenta(sample)
-    return Resolved(labels.outcome, value, ratio, ends.steps, energy)
+    return Resolved(labels.outcome, value, ratio, np.where(reached, energy, np.nan))
+
+
+def compared(sample: Starts, max_steps: int) -> tuple[Predicted, Resolved]:
+    """The predictions, and the same motions turn by turn."""
+    of = predicted(sample)
+    return of, resolved(sample, of.time, max_steps)
 
 
 def differences(of: Predicted, runs: Resolved) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,9 @@
 """The peers that can run here.
 
-A peer is `run(deltas, omegas, rtol) -> dict`: `labels` (integers of dipoletop.Outcome),
-`seconds` on the clock, `processor_seconds` (of all cores; steadier where others work too),
-`compile_seconds`, `steps` (lane steps made), `note`. A peer that is not installed is left out,
-with a line that says so. float64 must be on in jax before a jax peer runs, and heyoka starts
-processes: call from under `if __name__ == "__main__"`.
+A peer is `run(deltas, omegas, rtol) -> dict`: `labels` (integers of dipoletop.Outcome), both clocks
+of `measure` (the processor's is steadier where others work too), `compile_seconds`, `steps` (lane
+steps made). A peer that is not installed is left out, with a line that says so. float64 must be on
+in jax before a jax peer runs, and heyoka starts processes: call from under a `__main__` guard.
 """
 
 import importlib
@@ -12,23 +11,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from benchmarks.peers import with_diffrax
+
 Peer = Callable[..., dict[str, Any]]
 
 
 def available() -> tuple[dict[str, Peer], list[str]]:
     """The peers that can run here by name, and one line for each that cannot."""
     peers: dict[str, Peer] = {}
-    missing = []
+    for way in ("repacked", "chunked", "whole"):
+        peers[f"diffrax vmap {way}, tuple"] = partial(with_diffrax.run, as_tuple=True, way=way)
+        peers[f"diffrax vmap {way}, (3,)"] = partial(with_diffrax.run, as_tuple=False, way=way)
     try:
         peers["heyoka batch"] = importlib.import_module("benchmarks.peers.with_heyoka").run
     except ImportError as error:
-        missing.append(f"heyoka batch: left out ({error})")
-    try:
-        diffrax = importlib.import_module("benchmarks.peers.with_diffrax").run
-    except ImportError as error:
-        missing.append(f"diffrax: left out ({error})")
-    else:
-        for way in ("repacked", "chunked", "whole"):
-            peers[f"diffrax vmap {way}, tuple"] = partial(diffrax, as_tuple=True, way=way)
-            peers[f"diffrax vmap {way}, (3,)"] = partial(diffrax, as_tuple=False, way=way)
-    return peers, missing
+        return peers, [f"heyoka batch: left out ({error})"]
+    return peers, []

@@ -10,7 +10,6 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from time import perf_counter, process_time
 from typing import Any
 
 import diffrax
@@ -20,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure
 
 
 def end_state(
@@ -68,11 +68,8 @@ def _solver(as_tuple: bool, max_steps: int) -> Callable:
 
 def _plan(way: str, lanes: int, most: int) -> list[tuple[int, int]]:
     """Widths and steps, widest first: a round takes the widest that the running starts fill."""
-    return {
-        "whole": [(lanes, most)],
-        "chunked": [(32, most)],
-        "repacked": [(512, 16), (128, 64), (32, 256), (8, most)],
-    }[way]
+    repacked = [(512, 16), (128, 64), (32, 256), (8, most)]
+    return {"whole": [(lanes, most)], "chunked": [(32, most)], "repacked": repacked}[way]
 
 
 def _classify(
@@ -123,19 +120,13 @@ def run(
     """Labels of all starts by diffrax; the state a tuple of scalars or a vector (3,)."""
     undecided = mixed_basin.certificate(deltas, omegas.T) == mixed_basin.UNDECIDED
     plan = _plan(way, int(undecided.sum()), max_steps)
-    begin = perf_counter()
     solvers = {steps: _solver(as_tuple, steps) for _, steps in plan}
-    for width, steps in plan:  # a start that stops at once, so that only compilation is timed
-        start = np.tile([[0.1, 0.0, 0.0]], (width, 1))
-        jax.block_until_ready(solvers[steps](np.full(width, 0.1), start, rtol, np.ones(width)))
-    ready, spent = perf_counter(), process_time()
-    labels, made = _classify(deltas, omegas, rtol, plan, solvers)
-    return {
-        "labels": labels,
-        "seconds": perf_counter() - ready,
-        "processor_seconds": process_time() - spent,
-        "compile_seconds": ready - begin,
-        "steps": made,
-        "note": f"diffrax {diffrax.__version__}, {way}, state "
-        f"{'a tuple of scalars' if as_tuple else 'of shape (3,)'}, {os.cpu_count()} threads",
-    }
+
+    def compiled() -> None:
+        for width, steps in plan:  # a start that stops at once, so that it only compiles
+            start = np.tile([[0.1, 0.0, 0.0]], (width, 1))
+            jax.block_until_ready(solvers[steps](np.full(width, 0.1), start, rtol, np.ones(width)))
+
+    _, first = measure.timed(compiled)
+    (labels, made), clocks = measure.timed(_classify, deltas, omegas, rtol, plan, solvers)
+    return clocks | {"labels": labels, "compile_seconds": first["seconds"], "steps": made}

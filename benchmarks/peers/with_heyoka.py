@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure
 
 FOREVER = 1e200  # a time s that no run reaches; the number of steps is the limit
 
@@ -54,14 +55,9 @@ def _prepare(rtol: float) -> None:
     """Compile this process's integrator."""
     global _integrator
     width = heyoka.recommended_simd_size()
-    _integrator = heyoka.taylor_adaptive_batch(
-        _system(),
-        np.zeros((3, width)),
-        pars=np.zeros((6, width)),
-        tol=rtol,
-        compact_mode=False,
-        fast_math=True,
-    )
+    settings = {"pars": np.zeros((6, width)), "compact_mode": False, "fast_math": True}
+    start = np.zeros((3, width))
+    _integrator = heyoka.taylor_adaptive_batch(_system(), start, tol=rtol, **settings)
 
 
 def _rounds() -> list[int]:
@@ -133,18 +129,14 @@ def run(
             return [answer.get() for answer in pending]
 
         everywhere()  # everybody is measured warm
-        ready = perf_counter()
-        answers = everywhere()
-        seconds = perf_counter() - ready
+        compiled = perf_counter() - begin
+        answers, clocks = measure.timed(everywhere)
     labels = np.empty(len(deltas), dtype=np.int64)
     for part, (part_labels, *_) in zip(parts, answers, strict=True):
         labels[part] = part_labels
-    return {
+    return clocks | {
         "labels": labels,
-        "seconds": seconds,
         "processor_seconds": sum(spent for *_, spent in answers),
-        "compile_seconds": ready - begin,
+        "compile_seconds": compiled,
         "steps": sum(made for _, made, _ in answers),
-        "note": f"heyoka {heyoka.__version__}, batch {heyoka.recommended_simd_size()}, "
-        f"{cores} processes (their start and a first run are in compile_seconds)",
     }

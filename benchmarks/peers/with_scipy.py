@@ -1,14 +1,13 @@
 """scipy's DOP853, one start after another: the labels to compare with."""
 
-from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 from scipy.integrate import DOP853
 
 from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure
 
 
 def _label(delta: float, omega: Float[np.ndarray, "3"], rtol: float) -> tuple[int, int]:
@@ -38,16 +37,8 @@ def run(
 ) -> dict[str, Any]:
     """Labels of all starts; the certificate is tested after every step."""
     labels = mixed_basin.certificate(deltas, omegas.T)
-    made = 0
-    begin, spent = perf_counter(), process_time()
-    for i in np.flatnonzero(labels == mixed_basin.UNDECIDED):
-        labels[i], steps = _label(deltas[i], omegas[i], rtol)
-        made += steps
-    return {
-        "labels": labels,
-        "seconds": perf_counter() - begin,
-        "processor_seconds": process_time() - spent,
-        "compile_seconds": 0.0,
-        "steps": made,
-        "note": f"scipy {scipy.__version__} DOP853, one core",
-    }
+    live = np.flatnonzero(labels == mixed_basin.UNDECIDED)
+    found, clocks = measure.timed(lambda: [_label(deltas[i], omegas[i], rtol) for i in live])
+    labels[live] = [label for label, _ in found]
+    made = sum(steps for _, steps in found)
+    return clocks | {"labels": labels, "compile_seconds": 0.0, "steps": made}

@@ -1,6 +1,7 @@
 """Problems to differentiate, as rows of numbers: tops and bodies at every level."""
 
 from collections.abc import Callable
+from datetime import date
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ from jaxtyping import Float
 
 import dipoletop as dt
 from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure
 from dipoletop import Level, equation_at
 
 TRUTH = 1e-13  # relative tolerance of the values that are subtracted
@@ -56,6 +58,14 @@ class Family(NamedTuple):
     def directions(self) -> Float[np.ndarray, "d k"]:
         """The unit vector in a row that each derivative varies."""
         return np.eye(len(self.columns))[[self.columns.index(name) for name in self.by]]
+
+
+def merged(old: list[dict[str, Any]], new: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of results, the new ones in the place of older ones of the same kind."""
+    run = {"run": f"`{measure.command()}`, {date.today()}, {measure.cores()} cores"}
+    kinds = [(row["of"], row.get("what"), row.get("place")) for row in [*old, *new]]
+    rows = dict(zip(kinds, [*old, *(row | run for row in new)], strict=True))
+    return sorted(rows.values(), key=lambda row: NAMES.index(row["of"]))
 
 
 def family(name: str) -> Family:

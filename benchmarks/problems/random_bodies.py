@@ -21,6 +21,12 @@ class Starts(NamedTuple):
     omega: np.ndarray  # (N, 3)
 
 
+def of_one(body: dt.Body, omegas: np.ndarray) -> Starts:
+    """The same body with each of N starts, shape (N, 3)."""
+    parts = np.asarray(body.inertia), np.asarray(body.dipole)
+    return Starts(*(np.stack([part] * len(omegas)) for part in parts), omegas)
+
+
 @functools.cache
 def _builder(order: int | None):
     def equation(inertia, dipole):
@@ -36,6 +42,12 @@ def equations(level: str, inertia, dipole, *, closed: bool = False):
         return _builder(LEVELS[level])(jnp.asarray(inertia), jnp.asarray(dipole))
     delta, order = jnp.asarray(1 - inertia[:, 2, 2]), LEVELS[level]
     return dt.TransverseSemi(delta) if order is None else dt.TransverseReduced(delta, order)
+
+
+def directions(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Isotropic unit vectors, shape (n, 3)."""
+    ways = rng.normal(size=(n, 3))
+    return ways / np.linalg.norm(ways, axis=1)[:, None]
 
 
 def moments(rng, n: int) -> np.ndarray:
@@ -83,8 +95,7 @@ def starts(family: str, level: str, n: int, seed: int | tuple[int, int] = 0) -> 
     reach = np.sum(axis**2, axis=1) * np.sqrt(np.sum(1 / j**2, axis=1))
     top = 1.0 if level in ("1", "semi") else 0.2
     speed = 10 ** rng.uniform(-2, np.log10(top), n) / reach
-    omega = rng.normal(size=(n, 3))
-    omega *= (speed / np.linalg.norm(omega, axis=1))[:, None]
+    omega = speed[:, None] * directions(n, rng)
     inertia = np.einsum("nij,nj,nkj->nik", rotation, j, rotation)
     inertia = (inertia + inertia.transpose(0, 2, 1)) / 2
     dipole, omega = np.einsum("nij,knj->kni", rotation, np.stack([axis, omega]))

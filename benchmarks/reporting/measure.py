@@ -1,9 +1,15 @@
-"""Clocks, interleaved repeats, fresh processes, and the provenance of a measurement."""
+"""Clocks, memory, interleaved repeats, fresh processes, and the provenance of a measurement.
+
+python -m benchmarks.reporting.measure MODULE FUNCTION '[1, "native"]'     its result in JSON
+"""
 
 import contextlib
+import importlib
 import json
 import os
 import platform
+import re
+import resource
 import shlex
 import statistics
 import subprocess
@@ -15,24 +21,22 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
-import diffrax
-
+# Fresh processes begin here: no import that takes long, or much memory.
 ROOT = Path(__file__).parents[2]  # the repository
 Record = dict[str, Any]
 """One run: `seconds`, `processor_seconds` (of all cores) and its results."""
 
+CLOCKS = "seconds", "processor_seconds"
 PACKAGES = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox")
-PACKAGES += ("numpy", "numba", "llvmlite", "scipy", "heyoka")
+PACKAGES += ("numpy", "llvmlite", "scipy", "heyoka")
+OURS_ONLY = "DIPOLETOP_CACHE", "JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"  # not set by users
 
 
-def timed(task: Callable[[], Any]) -> tuple[Any, Record]:
+def timed(task: Callable[..., Any], *given: Any, **settings: Any) -> tuple[Any, Record]:
     """The task's result and its cost; the task must finish all its work before it returns."""
     begin, spent = perf_counter(), process_time()
-    result = task()
-    return result, {
-        "seconds": perf_counter() - begin,
-        "processor_seconds": process_time() - spent,
-    }
+    result = task(*given, **settings)
+    return result, dict(zip(CLOCKS, (perf_counter() - begin, process_time() - spent), strict=True))
 
 
 def interleaved(
@@ -50,14 +54,13 @@ def interleaved(
     return records
 
 
-def evaluations(steps: float, starts: float, solver: Any = None) -> float:
-    """Right-hand sides of so many steps, and two for each start to choose its first step.
-
-    All methods here reuse the last stage of a step (FSAL), accepted or not.
-    """
-    tableau = (diffrax.Dopri8() if solver is None else solver).tableau
-    assert tableau.fsal
-    return steps * len(tableau.c) + 2 * starts
+def summary(records: list[Record]) -> Record:
+    """Minimum and median of both clocks."""
+    costs: Record = {"repeats": len(records)}
+    for clock in CLOCKS:
+        values = [record[clock] for record in records]
+        costs[clock] = {"min": min(values), "median": statistics.median(values)}
+    return costs
 
 
 @contextlib.contextmanager
@@ -74,15 +77,6 @@ def confined(count: int) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def summary(records: list[Record]) -> Record:
-    """Minimum and median of both clocks."""
-    costs: Record = {"repeats": len(records)}
-    for clock in ("seconds", "processor_seconds"):
-        values = [record[clock] for record in records]
-        costs[clock] = {"min": min(values), "median": statistics.median(values)}
-    return costs
-
-
 def cores() -> int:
     """Cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -90,15 +84,49 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+def peak_memory(*, children: bool = False) -> int:
+    """The largest resident memory of this process, or of its largest child that has ended; bytes.
+
+    Linux's own counter first: getrusage counts the process that started this one, too.
+    """
+    status = Path("/proc/self/status")
+    if not children and status.exists():
+        found = re.search(r"VmHWM:\s*(\d+)", status.read_text())
+        if found:
+            return 1024 * int(found[1])
+    who = resource.RUSAGE_CHILDREN if children else resource.RUSAGE_SELF
+    return (1 if sys.platform == "darwin" else 1024) * resource.getrusage(who).ru_maxrss
+
+
+def load() -> float:
+    """The load average over the last minute: how many processes want a core."""
+    return os.getloadavg()[0]
+
+
 def machine() -> Record:
     """Processor, cores, versions and date."""
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
     return {
         "date": date.today().isoformat(),
         "processor": _processor(),
         "cores": cores(),
         "system": f"{platform.system()} {platform.machine()}",
-        "versions": {"python": platform.python_version()} | _versions(),
+        "versions": versions,
     }
+
+
+def _processor() -> str:
+    """The model of the processor, and its widest vector instructions."""
+    place = Path("/proc/cpuinfo")
+    text = place.read_text() if place.exists() else ""
+    model = re.search(r"model name\s*:\s*(.*)", text)
+    vectors = next((name for name in ("avx512f", "avx2") if name in text), "")
+    return ", ".join(filter(None, (model[1] if model else platform.processor(), vectors)))
 
 
 def command() -> str:
@@ -109,41 +137,27 @@ def command() -> str:
     return shlex.join(["python", *name, *options])
 
 
-def this_run() -> str:
-    """Command, date and number of cores of this run."""
-    return f"`{command()}`, {date.today().isoformat()}, {cores()} cores"
+def run_fresh(*line: str, cache: Any = None, cwd: Path = ROOT, quiet: bool = False) -> str:
+    """What Python prints in a process of its own, with float64; `cache`: a user's, with it."""
+    environment = os.environ | {"JAX_ENABLE_X64": "1"}
+    if cache is not None:
+        for name in OURS_ONLY:
+            environment.pop(name, None)
+        environment |= {"XDG_CACHE_HOME": str(cache), "LOCALAPPDATA": str(cache)}
+    settings: Any = {"check": True, "text": True, "cwd": cwd, "env": environment}
+    settings |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE if quiet else None}
+    return subprocess.run([sys.executable, *line], **settings).stdout
 
 
-def in_fresh_process(module: str, *arguments: Any) -> Any:
-    """The JSON that a module prints when it is run in a process of its own."""
-    line = [sys.executable, "-m", module, *map(str, arguments)]
-    run = subprocess.run(line, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    return json.loads(run.stdout)
+def in_fresh_process(function: Callable[..., Any], *arguments: Any, cache: Any = None) -> Any:
+    """What a function gives in a process of its own; all of it is made of JSON."""
+    module = function.__module__
+    if module == "__main__":
+        module = sys.modules["__main__"].__spec__.name
+    given = function.__name__, json.dumps(arguments)
+    return json.loads(run_fresh("-m", __name__, module, *given, cache=cache))
 
 
-def load() -> float | None:
-    """The load average over the last minute: how many processes want a core."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
-
-
-def _processor() -> str:
-    """The model of the processor, and its widest vector instructions."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    pairs = (line.partition(":") for line in lines)
-    about = {key.strip(): value.strip() for key, _, value in pairs}
-    flags = about.get("flags", "").split()
-    vectors = next((name for name in ("avx512f", "avx2") if name in flags), "")
-    return ", ".join(part for part in (about.get("model name", ""), vectors) if part)
+if __name__ == "__main__":
+    called = getattr(importlib.import_module(sys.argv[1]), sys.argv[2])
+    print(json.dumps(called(*json.loads(sys.argv[3]))))

@@ -1,104 +1,109 @@
-"""The results: numbers in results/*.json, and the pages that are made of them in results/*.md.
+"""The results: numbers in results/*.json, and the pages that show them.
 
-    python -m benchmarks.reporting.pages     write all pages and the table in README.md again
+    python -m benchmarks.reporting.pages     write the tables of all pages and of README.md again
 
-A page is the docstring of its module here, and below it the tables that its `body` makes.
+The text of a page is written by hand. Within it, comments hold templates (`render.py`), and behind
+each of them stands what it gives with the numbers:
+
+    <!-- numbers
+    {n} labels
+    -->
+
+    200 labels
+
+    <!-- end of numbers -->
 """
 
 import argparse
-import inspect
 import json
-from types import ModuleType
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from benchmarks.reporting import (
-    derivative_costs,
-    derivatives,
-    directions,
-    explorer,
-    faults,
-    label_precision,
-    labels,
-    precision,
-    residual,
-    savings,
-    scaling,
-    slow_flow,
-    speed,
-    stress,
-    summary,
-    surveys,
-)
-from benchmarks.reporting.measure import ROOT
+import jax
 
-HERE = ROOT / "benchmarks"
+from benchmarks.reporting import figures, measure, views
+from benchmarks.reporting.render import prepared, render
+
+HERE = measure.ROOT / "benchmarks"
 RESULTS = HERE / "results"
-PAGES: dict[str, tuple[ModuleType, ...]] = {
-    "speed": (speed, precision, scaling, derivative_costs, savings),
-    "labels": (labels,),
-    "label_precision": (label_precision,),
-    "residual": (residual,),
-    "derivatives": (derivatives,),
-    "directions": (directions,),
-    "stress": (stress,),
-    "slow_flow": (slow_flow,),
-    "faults": (faults,),
-    "surveys": (surveys,),
-    "explorer": (explorer,),
-}
-"""For each file of numbers the modules that make its pages."""
-BEGIN, END = "<!-- summary -->", "<!-- end of summary -->"
+NAMES = tuple(sorted(path.stem for path in RESULTS.glob("*.json")))
+OF_SPEED = "precision", "scaling", "derivative_costs", "savings"
+"""Pages of speed.json, beside the one with its name."""
+BLOCK = re.compile(r"(<!-- numbers\n(.*?)\n-->\n).*?(<!-- end of numbers -->)", re.DOTALL)
+FIGURES = {"speed": figures.work_precision, "label_precision": figures.label_precision}
 
 
 def read(name: str) -> Any:
-    """The numbers that were kept before; none: an empty list."""
-    path = RESULTS / f"{name}.json"
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    """The numbers that were kept before."""
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def show(name: str, numbers: Any, *, keep: bool) -> None:
+def shown(name: str, numbers: Any = None) -> dict[str, Any]:
+    """Numbers, by default those that were kept, with all that a page shows of them."""
+    numbers = read(name) if numbers is None else json.loads(json.dumps(numbers))
+    return views.of(name, prepared(numbers))
+
+
+def pages(name: str) -> list[Path]:
+    """The pages of some numbers."""
+    return [RESULTS / f"{page}.md" for page in (name, *(OF_SPEED if name == "speed" else ()))]
+
+
+def renewed(page: Path, numbers: dict[str, Any]) -> str:
+    """The text of a page, with these numbers."""
+
+    def block(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{render(match[2], numbers)}\n\n{match[3]}"
+
+    return BLOCK.sub(block, page.read_text(encoding="utf-8"))
+
+
+def show(name: str, numbers: Any, *, keep: bool = False) -> None:
     """Print the tables of these numbers; `keep` writes the numbers and the pages."""
-    for module in PAGES[name]:
-        print(module.body(numbers), end="\n\n", flush=True)
+    found = shown(name, numbers)
+    for page in pages(name):
+        for _, template, _ in BLOCK.findall(page.read_text(encoding="utf-8")):
+            print(render(template, found), end="\n\n", flush=True)
     if keep:
-        save(name, numbers)
-
-
-def save(name: str, numbers: Any) -> None:
-    """Write the numbers, their pages, and the table of the README."""
-    text = json.dumps(numbers, indent=1, ensure_ascii=False)
-    (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-    if name == "speed":
-        precision.figure(numbers["precision"], RESULTS / "work_precision.png")
-    if name == "label_precision":
-        label_precision.figure(numbers, RESULTS / "label_precision.png")
-    write(name)
-
-
-def write(name: str) -> None:
-    """Write the pages of the numbers that were kept, and the table of the README."""
-    for module in PAGES[name]:
-        path = RESULTS / f"{module.__name__.rpartition('.')[2]}.md"
-        path.write_text(page(module, read(name)), encoding="utf-8")
-    readme = HERE / "README.md"
-    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
-    table = summary.body({name: read(name) for name in PAGES})
-    after = rest.split(END)[1]
-    readme.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")
-
-
-def page(module: ModuleType, numbers: Any) -> str:
-    """A page: the title and the text of the module, then its tables."""
-    title, _, text = inspect.cleandoc(module.__doc__ or "").partition("\n")
-    return f"# {title.rstrip('.')}\n{text}\n\n{module.body(numbers)}\n"
-
-
-def main() -> None:
-    """Write all pages again."""
-    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
-    for name in PAGES:
+        text = json.dumps(numbers, indent=1, ensure_ascii=False)
+        (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+        if name in FIGURES:
+            FIGURES[name](shown(name), RESULTS)
         write(name)
 
 
+def write(*names: str) -> None:
+    """Write the pages of the numbers that were kept, and the summary of README.md."""
+    numbers = {name: shown(name) for name in NAMES}
+    todo = [(page, numbers[name]) for name in names for page in pages(name)]
+    for page, found in [*todo, (HERE / "README.md", views.summary(numbers))]:
+        page.write_text(renewed(page, found), encoding="utf-8")
+
+
+def command(name: str, measured: Callable[..., Any], names: Any = (), check: Any = id) -> None:
+    """The command of a benchmark: what is `measured` is shown, kept if asked, and checked.
+
+    `measured` is told whether it shall be small, and what of `names` is asked for if it has some.
+    """
+    parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--small", action="store_true", help="small sizes: does everything work?")
+    parser.add_argument("--write", action="store_true", help="keep the results")
+    if names:
+        parser.add_argument("names", nargs="*", help=f"of: {'; '.join(names)}. Default: all")
+    args = parser.parse_args()
+    if args.small and args.write:
+        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
+    jax.config.update("jax_enable_x64", True)
+    numbers = measured(args.small, *([args.names] if names else []))
+    if not names:  # or else each row tells how it was measured
+        numbers = {"command": measure.command(), **measure.machine(), **numbers}
+    show(name, numbers, keep=args.write)
+    check(numbers)
+
+
 if __name__ == "__main__":
-    main()
+    write(*NAMES)

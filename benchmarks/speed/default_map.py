@@ -1,12 +1,6 @@
-"""The default map: time, memory, compilations. Each in a fresh process, because of the memory.
+"""The default map: time, memory, compilations. Each in a fresh process, because of the memory."""
 
-python -m benchmarks.speed.default_map order-1 512 native     one line of JSON
-python -m benchmarks.speed.default_map memory 512 native 0    memory of one sweep only (1: its
-                                                              result goes to the disk)
-"""
-
-import argparse
-import json
+import itertools
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,29 +12,29 @@ import jax.numpy as jnp
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.reporting import measure
-from benchmarks.reporting.memory import peak_memory
 
 LEVELS = ("order-1", "semi")
 REPEATS = 3
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
-def measured(*arguments: Any) -> dict[str, Any]:
-    """The result of `report`, or after "memory" of `memory`, in a fresh process."""
-    return measure.in_fresh_process(__name__, *arguments)
+def compare(points: int) -> list[dict[str, Any]]:
+    """`report` for each level and engine."""
+    cases = itertools.product(LEVELS, engines.NAMES)
+    return [measure.in_fresh_process(report, level, points, engine) for level, engine in cases]
 
 
 def report(level: str, points: int, engine: str) -> dict[str, Any]:
     """The first and later sweeps over points × points starts, and compilations at other values."""
-    before = peak_memory()
+    before = measure.peak_memory()
     grid = dt.symmetry_cell(points, points)
-    basin, first = measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))
+    basin, first = measure.timed(sweep, level, grid, -0.2, 1e-8, engine)
 
     def again() -> measure.Record:
-        return measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))[1]
+        return measure.timed(sweep, level, grid, -0.2, 1e-8, engine)[1]
 
     later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
-    peak = peak_memory()
+    peak = measure.peak_memory()
     return {
         "level": basin.level,
         "engine": basin.attrs["engine"],
@@ -49,7 +43,6 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
         "later": later,
         "starts_per_second": points**2 / later["seconds"]["median"],
         "steps": float(basin.steps.mean()),
-        "fractions": {name: share.share for name, share in basin.fractions().items()},
         "peak_bytes": peak,
         "import_bytes": before,
         "compilations": _compilations(level, grid, engine),
@@ -58,13 +51,13 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
 
 def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
     """Memory of the first sweep with value, order 1, its result in memory or on the disk."""
-    before = peak_memory()
+    before = measure.peak_memory()
     grid = dt.symmetry_cell(points, points)
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "basin" if stored else None
-        _, clocks = measure.timed(lambda: sweep("order-1", grid, -0.2, 1e-8, engine, store))
+        _, clocks = measure.timed(sweep, "order-1", grid, -0.2, 1e-8, engine, store)
     about = {"points": points, "engine": engine, "stored": stored}
-    return about | clocks | {"import_bytes": before, "peak_bytes": peak_memory()}
+    return about | clocks | {"import_bytes": before, "peak_bytes": measure.peak_memory()}
 
 
 def tops(level: str, delta: float) -> Callable[..., Any]:
@@ -118,17 +111,3 @@ def _compiled(task: Callable[[], Any]) -> int:
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
     return seen.count(COMPILED) + seen.count(engines.COMPILING)
-
-
-if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("scene", choices=(*LEVELS, "memory"), help="a level, or memory only")
-    parser.add_argument("points", type=int, help="on each axis")
-    parser.add_argument("engine", choices=engines.NAMES)
-    parser.add_argument("stored", type=int, nargs="?", default=0, help="1: the result to the disk")
-    args = parser.parse_args()
-    if args.scene == "memory":
-        print(json.dumps(memory(args.points, args.engine, bool(args.stored))))
-    else:
-        print(json.dumps(report(args.scene, args.points, args.engine)))

@@ -6,7 +6,7 @@ start through JAX. They are compared with differences.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import jax
@@ -17,113 +17,62 @@ from jaxtyping import Float
 import dipoletop as dt
 from benchmarks.accuracy.differences import differences
 from benchmarks.problems import mixed_basin
-from benchmarks.problems.families import TRUTH, body, top
+from benchmarks.problems.families import TRUTH, top
 from benchmarks.reporting import measure
 from benchmarks.speed.outcomes import RTOL
 
 NAMES = ("delta", "w3", "w1")  # a sweep differentiates by the first, the first two, all
 POINT = np.append(-0.2, dt.cylindrical(0.2, 0.15, 0.1))  # δ and ω₀ of the single start
-BODY = np.array([0.7, 1.1, 0.9, 0.0, 0.9, 0.2, 0.02, 0.1])  # a row of `families.body`
 CALLS = 20  # of a program for one start, timed together
 TIME = 1000.0  # of the end states that are differentiated
 HIGHER = ("order-2", "order-3", "order-4")
 SMALLER = 0.25  # factor of the amplitudes at these levels, which run away at larger ones
+TWICE = ("order-1", "semi")  # levels of the second derivatives, which take long to compile
 LENGTHS = (0.3, 0.03, 0.003)  # |ω₀| of runs of different length, δ = 0.3
-LONG = (1.3, 0.8, 1.0)  # principal moments of the body of long runs, |ω₀| = 1
-TURNING, PATIENCE = 16, 4_000_000  # the number of such runs, and of their steps at most
+WEAK = (0.1, 0.01, 0.001)  # |d|² of bodies that rotate ever more often before they are slow
+LONG = (1.3, 0.8, 1.0)  # principal moments of these bodies, |ω₀| = 1
+TURNING, PATIENCE = 16, 4_000_000  # how many there are, and their steps at most
+TOGETHER = 256  # starts whose end states are differentiated under one vmap
+FORWARDS = diffrax.ForwardMode()
+Row = dict[str, Any]
 
 
-class Sizes(NamedTuple):
-    """How much is measured."""
-
-    starts: int = 32768
-    levels: tuple[str, ...] = ("order-1", "semi", *HIGHER)
-    names: int = len(NAMES)
-    engines: tuple[str, ...] = ("native", "jax")
-    """Orders 3 and 4 only with the native one: JAX takes long to compile them."""
-    single: tuple[str, ...] = ("order-1", "order-2", "semi", "full")
-    """Levels at which one start is differentiated."""
-    by_start: bool = True
-    """… by its ω₀, too."""
-    twice: tuple[str, ...] = ("order-1", "semi")
-    """… and differentiated twice, which takes long to compile."""
-    body: bool = False
-    """Whether a general body is among them, whose gradient takes minutes to compile."""
-    weak: tuple[float, ...] = (0.1, 0.01, 0.001)
-    """|d|² of bodies that rotate ever more often before they are slow."""
-    budgets: tuple[int, ...] = (1_000, 100_000)
-    """Largest numbers of steps of the programs whose memory is compared."""
-    together: int = 256
-    """Starts whose end states are differentiated under one vmap; 0 for none."""
-    backwards: bool = True
-    """Whether gradients are taken backwards through `simulate`, which takes long to compile."""
-    repeats: int = 5
-
-
-FEW = Sizes(
-    starts=64,
-    levels=("order-1",),
-    names=1,
-    engines=("native",),
-    single=("order-1",),
-    by_start=False,
-    twice=(),
-    weak=(0.1,),
-    budgets=(1_000,),
-    together=0,
-    backwards=False,
-    repeats=1,
-)
-
-
-def _sweep(level: str, rows: Float[np.ndarray, "n 4"], rtol: float, **settings: Any) -> dt.Basin:
-    return top(level).sweep(rows, rtol, **settings)
-
-
-def _slopes(basin: dt.Basin) -> Float[np.ndarray, "n m"]:
-    return np.stack([basin.derivative(name) for name in basin.attrs["derivatives"]], axis=-1)
-
-
-def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
+def in_sweeps(small: bool) -> list[Row]:
     """The mixed basin with residual values, without and with derivatives."""
-    deltas, omegas = mixed_basin.sample(sizes.starts)
-    rows = np.column_stack([deltas, omegas])
+    rows, most = np.column_stack(mixed_basin.sample(64 if small else 32768)), 1 if small else 3
     table = []
-    for level in sizes.levels:
-        names, at = NAMES[: sizes.names], rows
-        if level in HIGHER:
-            at = np.column_stack([deltas, SMALLER * omegas])
-        precise = _sweep(level, at, TRUTH, derivatives=names)
-        for engine in sizes.engines:
-            if engine == "native" or level not in HIGHER[1:]:
-                table += _with_and_without(level, at, engine, precise, sizes)
+    for level in ("order-1",) if small else ("order-1", "semi", *HIGHER):
+        at = rows * ([1] + 3 * [SMALLER]) if level in HIGHER else rows
+        precise = top(level).sweep(at, TRUTH, derivatives=NAMES[:most])
+        # JAX takes long to compile orders 3 and 4.
+        for engine in ("native",) if small or level in HIGHER[1:] else ("native", "jax"):
+            table += _with_and_without(level, at, engine, precise, most, 1 if small else 5)
     return table
 
 
 def _with_and_without(
-    level: str, rows: np.ndarray, engine: str, precise: dt.Basin, sizes: Sizes
-) -> list[dict[str, Any]]:
+    level: str, rows: np.ndarray, engine: str, precise: dt.Basin, most: int, repeats: int
+) -> list[Row]:
     """A row for each number of derivatives, 0 first."""
 
-    def case(m: int) -> Callable[[], dict[str, Any]]:
+    def case(m: int) -> Callable[[], Row]:
         settings = {"engine": engine, "max_steps": mixed_basin.MAX_STEPS, "derivatives": NAMES[:m]}
         settings["slow_flow"] = False  # derivatives are never predicted, so nor are values here
-        sweep = partial(_sweep, level, rows, RTOL, **settings)
+        sweep = partial(top(level).sweep, rows, RTOL, **settings)
         _, first = measure.timed(sweep)
 
-        def call() -> dict[str, Any]:
+        def call() -> Row:
             basin, clocks = measure.timed(sweep)
             return clocks | {"basin": basin, "first": first["seconds"]}
 
         return call
 
-    records = measure.interleaved({m: case(m) for m in range(sizes.names + 1)}, sizes.repeats)
+    records = measure.interleaved({m: case(m) for m in range(most + 1)}, repeats)
     plain, base = records[0][0]["basin"], measure.summary(records[0])
     table = []
     for m, runs in records.items():
         basin, costs = runs[0]["basin"], measure.summary(runs)
-        clocks = ("seconds", "processor_seconds")
-        over = {clock: costs[clock]["median"] / base[clock]["median"] for clock in clocks}
+        over = {clock: costs[clock]["median"] / base[clock]["median"] for clock in measure.CLOCKS}
         steps = basin.steps.sum() / plain.steps.sum()
         decided = (basin.outcome > 0) & (plain.outcome > 0)
         table.append(
@@ -134,17 +83,20 @@ def _with_and_without(
             | {"step_over_plain": over["processor_seconds"] / steps}
             | {"undecided": int(np.sum(basin.outcome == 0))}
             | {"differ": int(np.sum(decided & (basin.outcome != plain.outcome)))}
-            | _errors(basin, precise, plain, m)
+            | _errors(basin, precise, plain, NAMES[:m])
         )
     return table
 
 
-def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, m: int) -> dict[str, Any]:
-    """Relative errors of the first m derivatives (0: of ω∞) at residual starts; starts without."""
+def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, by: tuple[str, ...]) -> Row:
+    """Relative errors of the derivatives (none: of ω∞) at residual starts; starts without."""
     residual = plain.outcome == dt.Outcome.RESIDUAL
-    values, exact = (
-        (_slopes(b)[:, :m] if m else b.omega_inf[:, None])[residual] for b in (basin, precise)
-    )
+
+    def found(of: dt.Basin) -> Float[np.ndarray, "n m"]:
+        columns = [of.derivative(name) for name in by] or [of.omega_inf]
+        return np.stack(columns, axis=-1)[residual]
+
+    values, exact = found(basin), found(precise)
     known = np.isfinite(values) & np.isfinite(exact) & (exact != 0)
     off = np.abs(values[known] / exact[known] - 1)
     return {
@@ -160,45 +112,8 @@ def _program(function: Callable[..., Any], point: tuple[Any, ...]) -> tuple[Any,
     return compiled, clocks["seconds"]
 
 
-def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any]]:
-    """A row for each case (function, its point, the exact result), the plain value first."""
-
-    def called(program: Any, point: Any) -> dict[str, Any]:
-        def task() -> Any:
-            for _ in range(CALLS):
-                result = jax.block_until_ready(program(*point))
-            return result
-
-        result, clocks = measure.timed(task)
-        return {clock: spent / CALLS for clock, spent in clocks.items()} | {"result": result}
-
-    programs = {name: _program(case[0], case[1]) for name, case in cases.items()}
-    calls = {name: partial(called, programs[name][0], cases[name][1]) for name in cases}
-    for call in calls.values():
-        call()
-    records = measure.interleaved(calls, sizes.repeats)
-    plain = measure.summary(next(iter(records.values())))["processor_seconds"]["median"]
-    rows = []
-    for name, runs in records.items():
-        leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(runs[0]["result"])]
-        values, exact = np.concatenate(leaves), np.ravel(cases[name][2])
-        row = measure.summary(runs) | {"of": what, "name": name}
-        row |= {"compile_seconds": programs[name][1], "starts": 1}
-        row |= {"over_plain": row["processor_seconds"]["median"] / plain}
-        rows.append(row | {"error": float(np.max(np.abs(values - exact)) / np.max(np.abs(exact)))})
-    return rows
-
-
-def of_one_start(sizes: Sizes) -> list[dict[str, Any]]:
-    """ω∞ of one start and its derivatives, jitted, at rtol 1e-10."""
-    rows = []
-    for level in sizes.single:
-        rows += _costs(level, _of_a_top(level, sizes), sizes)
-    return rows + (_costs("general body, order 1", _of_a_body(), sizes) if sizes.body else [])
-
-
-def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
-    """Functions of δ and ω₀, and their exact results."""
+def of_one_start(level: str, small: bool) -> list[Row]:
+    """ω∞ of one start and its derivatives by δ and ω₀, jitted, at rtol 1e-10."""
 
     def value(delta: Any, omega: Any) -> Any:
         return dt.residual_rotation(dt.equation_at(level, delta), omega)
@@ -206,40 +121,42 @@ def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
     family, row = top(level), POINT[None]
     point = jnp.asarray(POINT[0]), jnp.asarray(POINT[1:])
     slopes = differences(family.values, row, family.directions)[0][0, :, 0]
-    cases = {
+    cases: Row = {
         "ω∞": (value, point, family.values(row)),
         "by δ": (jax.grad(value), point, slopes[:1]),
     }
-    if sizes.by_start:
+    if not small:
         cases["by δ and ω₀"] = (jax.grad(value, (0, 1)), point, slopes)
-    if level in sizes.twice:
-        second = differences(family.slopes, row, family.directions)[0][0]
-        hessian = jax.hessian(lambda x: value(x[0], x[1:]))
-        cases["twice by δ and ω₀"] = (hessian, (jnp.asarray(POINT),), second)
-    return cases
+        if level in TWICE:
+            second = differences(family.slopes, row, family.directions)[0][0]
+            hessian = jax.hessian(lambda x: value(x[0], x[1:]))
+            cases["twice by δ and ω₀"] = (hessian, (jnp.asarray(POINT),), second)
+    programs = {name: _program(*case[:2]) for name, case in cases.items()}
+
+    def called(name: str) -> Row:
+        def task() -> Any:
+            for _ in range(CALLS):
+                result = jax.block_until_ready(programs[name][0](*cases[name][1]))
+            return result
+
+        result, clocks = measure.timed(task)
+        return {clock: spent / CALLS for clock, spent in clocks.items()} | {"result": result}
+
+    calls = {name: partial(called, name) for name in cases}
+    measure.interleaved(calls, 1)
+    rows: list[Row] = []
+    for name, runs in measure.interleaved(calls, 1 if small else 5).items():
+        leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(runs[0]["result"])]
+        off = np.abs(np.concatenate(leaves) - np.ravel(cases[name][2]))
+        row = measure.summary(runs) | {"of": level, "name": name, "starts": 1}
+        plain = (rows or [row])[0]["processor_seconds"]["median"]
+        row |= {"over_plain": row["processor_seconds"]["median"] / plain}
+        row |= {"compile_seconds": programs[name][1]}
+        rows.append(row | {"error": float(np.max(off) / np.max(np.abs(cases[name][2])))})
+    return rows
 
 
-def _of_a_body() -> dict[str, Any]:
-    """Functions of inertia, dipole and start, and their exact results."""
-    family, row = body("body, order 1"), BODY[None]
-
-    def value(moments: Any, dipole: Any, omega: Any) -> Any:
-        axis = jnp.array([1.0, 0.0, 0.0])
-        equation = dt.Reduced(dt.Body(jnp.diag(moments), dipole * axis))
-        return dt.residual_rotation(equation, omega)
-
-    parts = jnp.asarray(BODY[:3]), jnp.asarray(BODY[4]), jnp.asarray(BODY[5:])
-    moments, _, dipole, start = np.split(
-        differences(family.values, row, family.directions)[0][0, :, 0], [3, 4, 5]
-    )
-    cases = {"ω∞": (value, parts, family.values(row))}
-    wanted = {"its moments": moments, "its dipole": dipole, "the start": start}
-    for k, name in enumerate(wanted):
-        cases[f"by {name}"] = (jax.grad(value, k), parts, wanted[name])
-    return cases
-
-
-def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
+def over_many_turns(small: bool) -> list[Row]:
     """Errors of general bodies that radiate weakly, at order 1.
 
     A unit of time shorter by 1 + a makes ω₀ (1 + a) times as large, |d|² as small, and ω∞ as
@@ -255,7 +172,7 @@ def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
     way[:, 0] = abs(way[:, 0])
     omegas = dict(zip(("w1", "w2", "w3"), way.T / np.linalg.norm(way, axis=1), strict=True))
     rows = []
-    for strength in sizes.weak:
+    for strength in WEAK[:1] if small else WEAK:
         points = dt.Points(a=np.zeros(TURNING), strength=np.full(TURNING, strength), **omegas)
         sweep = partial(dt.sweep, made, points, max_steps=PATIENCE, progress=False)
         exact = sweep(rtol=TRUTH).omega_inf
@@ -271,12 +188,12 @@ def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
+def in_memory(small: bool) -> list[Row]:
     """Temporary memory of compiled gradients by δ, and the lengths of run that they can do."""
     adjoint = diffrax.RecursiveCheckpointAdjoint()
     way = POINT[1:] / np.linalg.norm(POINT[1:])
     starts = np.array([np.append(0.3, size * way) for size in LENGTHS])
-    basin = _sweep("order-1", starts, 1e-10, derivatives="delta")  # to know their steps
+    basin = top("order-1").sweep(starts, 1e-10, derivatives="delta")  # to know their steps
 
     def limit(delta: Any, omega: Any, max_steps: int) -> Any:
         value = dt.residual_rotation(dt.TransverseReduced(delta), omega, max_steps=max_steps)
@@ -285,16 +202,16 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
     def end(delta: Any, omega: Any, max_steps: int) -> Any:
         # As long as the run to ω∞: a few braking times.
         ts = jnp.stack([jnp.zeros(()), 5 / jnp.sum(omega**2)])
-        options: dict[str, Any] = {"adjoint": adjoint, "throw": False, "max_steps": max_steps}
+        options: Row = {"adjoint": adjoint, "throw": False, "max_steps": max_steps}
         run = dt.simulate(dt.TransverseReduced(delta), omega, ts, **options)
         return run.omega[-1, 0], run.stats["num_steps"]
 
     functions = {"ω∞": limit}
-    if sizes.backwards:
+    if not small:
         functions["end state, `simulate`, `RecursiveCheckpointAdjoint`"] = end
     rows = []
     for name, function in functions.items():
-        for budget in sizes.budgets:
+        for budget in (1_000,) if small else (1_000, 100_000):
             gradient = jax.grad(partial(function, max_steps=budget), has_aux=True)
             points = [(jnp.asarray(row[0]), jnp.asarray(row[1:])) for row in starts]
             program, seconds = _program(gradient, points[0])
@@ -308,75 +225,53 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
     return rows
 
 
-def _end(delta: Any, omega: Any, adjoint: Any) -> Any:
-    """ω₁ at the end of a run of `simulate`."""
-    ts = jnp.array([0.0, TIME])
-    top = dt.TransverseReduced(delta)
-    return dt.simulate(top, omega, ts, adjoint=adjoint, throw=False).omega[-1, 0]
+def of_end_states(small: bool, starts: int = 1) -> list[Row]:
+    """`simulate` with and without derivatives, without compilation, at rtol 1e-10."""
+    point: Any = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
+    if starts > 1:
+        point = jnp.full(starts, -0.2), jnp.asarray(mixed_basin.isotropic(starts, 0.2))
 
-
-PLAIN = "end state"
-
-
-def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
-    """The end state alone; with one derivative (by δ); with all four (by δ and ω₀)."""
-    reverse, forward = diffrax.RecursiveCheckpointAdjoint(), diffrax.ForwardMode()
+    def end(delta: Any, omega: Any, adjoint: Any = FORWARDS) -> Any:
+        ts, equation = jnp.array([0.0, TIME]), dt.TransverseReduced(delta)
+        return dt.simulate(equation, omega, ts, adjoint=adjoint, throw=False).omega[-1, 0]
 
     def tangent(delta: Any, omega: Any) -> Any:
-        ones = (jnp.ones_like(delta),)
-        return jax.jvp(lambda d: _end(d, omega, forward), (delta,), ones)
+        return jax.jvp(lambda d: end(d, omega), (delta,), (jnp.ones_like(delta),))
 
-    functions: dict[str, Callable[..., Any]] = {
-        PLAIN: lambda delta, omega: (_end(delta, omega, forward),),
-        "and its derivative by δ, forwards": tangent,
-    }
-    if backwards:
-        gradient = jax.value_and_grad(partial(_end, adjoint=reverse), (0, 1))
-        functions["and all four, backwards"] = gradient
-    return functions
-
-
-def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
-    """`simulate` with and without derivatives, without compilation, at rtol 1e-10."""
-    delta, omega = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
-    rows = _end_states((delta, omega), lambda function: function, sizes)
-    if sizes.together:
-        n = sizes.together
-        many = jnp.full(n, delta), jnp.asarray(mixed_basin.isotropic(n, 0.2))
-        rows += _end_states(many, jax.vmap, sizes)
-    return rows
-
-
-def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[dict[str, Any]]:
-    """A row for each of `_derivatives`, and the distance of those by δ."""
+    functions: Row = {"end state": lambda delta, omega: (end(delta, omega),)}
+    functions["and its derivative by δ, forwards"] = tangent
+    if not small:
+        reverse = partial(end, adjoint=diffrax.RecursiveCheckpointAdjoint())
+        functions["and all four, backwards"] = jax.value_and_grad(reverse, (0, 1))
     cases, first = {}, {}
-    for name, function in _derivatives(sizes.backwards).items():
-        program = jax.jit(batched(function))
+    for name, function in functions.items():
+        program = jax.jit(jax.vmap(function) if starts > 1 else function)
 
-        def call(program: Any = program) -> dict[str, Any]:
+        def call(program: Any = program) -> Row:
             result, clocks = measure.timed(lambda: jax.block_until_ready(program(*point)))
             return clocks | {"result": jax.tree.leaves(result)}
 
         first[name], cases[name] = call()["seconds"], call
-    records = measure.interleaved(cases, 2 * sizes.repeats)
-    plain = measure.summary(records[PLAIN])["seconds"]["median"]
-    by_delta = [runs[0]["result"][1] for name, runs in records.items() if name != PLAIN]
-    rows = []
+    records = measure.interleaved(cases, 2 if small else 10)
+    rows: list[Row] = []
     for name, runs in records.items():
-        row = measure.summary(runs) | {"name": name, "starts": np.size(point[0])}
+        row = measure.summary(runs) | {"name": name, "starts": starts}
+        plain = (rows or [row])[0]["seconds"]["median"]
         times = {"first_seconds": first[name], "over_plain": row["seconds"]["median"] / plain}
         rows.append(row | times)
+    by_delta = [runs[0]["result"][1] for name, runs in records.items() if name != "end state"]
     apart = jnp.max(jnp.abs(by_delta[0] - by_delta[-1])) / jnp.max(jnp.abs(by_delta[0]))
     return [row | {"apart": float(apart)} for row in rows]
 
 
-def compare(sizes: Sizes) -> dict[str, Any]:
+def compare(small: bool) -> Row:
     """All scenes."""
+    levels = ("order-1",) if small else ("order-1", "order-2", "semi", "full")
     return {
         "rtol": RTOL,
-        "sweeps": in_sweeps(sizes),
-        "single": of_one_start(sizes),
-        "turns": over_many_turns(sizes),
-        "memory": in_memory(sizes),
-        "end": of_end_states(sizes),
+        "sweeps": in_sweeps(small),
+        "single": [row for level in levels for row in of_one_start(level, small)],
+        "turns": over_many_turns(small),
+        "memory": in_memory(small),
+        "end": of_end_states(small) + ([] if small else of_end_states(small, TOGETHER)),
     }

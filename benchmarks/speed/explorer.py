@@ -7,7 +7,6 @@
 It needs Chromium and playwright (`pip install -e '.[test]'`).
 """
 
-import argparse
 import itertools
 import statistics
 from typing import Any
@@ -19,8 +18,6 @@ WHOLE = "whole plane", ""
 PART = "part of it", "&phi=0.2..2.8&w3=-0.1..0.5"
 TWO = "whole plane, two levels", "&level=order-1&level=semi"
 CASES = [(*view, size) for view in (WHOLE, PART, TWO) for size in (256, 512)]
-FULL = {"steps": 60, "seconds": 10.0}
-FEW = {"steps": 5, "seconds": 1.0}
 SLIDER = "delta"
 Record = dict[str, Any]
 
@@ -45,25 +42,22 @@ WATCH = """
 """
 
 
-def measured(sizes: Record) -> Record:
+def measured(small: bool) -> Record:
     """All cases, one after the other, at one server."""
-    rows = []
+    if browsing.BROWSER is None:
+        print("No Chromium on this machine, so nothing is measured.")
+        raise SystemExit
+    steps, seconds, rows = 5 if small else 60, 1.0 if small else 10.0, []
     with browsing.served() as (url, _), browsing.browser() as chromium:
-        version = chromium.version
         for name, query, size in CASES:
             visit = browsing.Visit.of(chromium, f"{url}?size={size}{query}")
             visit.final()
             visit.page.evaluate(WATCH, {"slider": f"dt-slider-{SLIDER}", "picture": "picture-0"})
             row = {"name": name, "size": size, "load": measure.load()}
-            rows.append(row | single(visit, size, sizes["steps"]) | moving(visit, sizes["seconds"]))
+            rows.append(row | single(visit, size, steps) | moving(visit, seconds))
             assert visit.complaints == [], visit.complaints
             visit.close()
-    return {
-        "rows": rows,
-        "browser": f"Chromium {version}",
-        "command": measure.command(),
-        **measure.machine(),
-    }
+        return {"rows": rows, "browser": f"Chromium {chromium.version}"}
 
 
 def single(visit: browsing.Visit, size: int, steps: int) -> Record:
@@ -131,17 +125,5 @@ def shares(milliseconds: list[float]) -> Record:
     return {"median": statistics.median(ordered), "95%": last, "count": len(ordered)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--small", action="store_true", help="few moves: does everything work?")
-    parser.add_argument("--write", action="store_true", help="keep the results")
-    args = parser.parse_args()
-    if args.small and args.write:
-        parser.error("--small measures nothing that is worth keeping, so it takes no --write")
-    if browsing.BROWSER is None:
-        parser.exit(message="No Chromium on this machine, so nothing is measured.\n")
-    pages.show("explorer", measured(FEW if args.small else FULL), keep=args.write)
-
-
 if __name__ == "__main__":
-    main()
+    pages.command("explorer", measured)

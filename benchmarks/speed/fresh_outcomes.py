@@ -2,19 +2,17 @@
 
 Imports, compilation and a few starts of the mixed basin are in the time; what an integrator keeps
 on the disk is missing the first time and there later.
-
-    python -m benchmarks.speed.fresh_outcomes heyoka 4096     one process: its memory in JSON
 """
 
+import importlib
 import importlib.util
-import json
 import os
-import subprocess
-import sys
 import tempfile
 from functools import partial
-from pathlib import Path
 from typing import Any
+
+from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure
 
 # Each process shall import what its integrator needs, so imports are in the functions.
 RTOL = 1e-8
@@ -23,64 +21,37 @@ WAYS = ("native", "jax", "heyoka", "diffrax")
 
 def compare(n: int, repeats: int) -> dict[str, Any]:
     """For each way that can run here the first process, the later ones, and the largest memory."""
-    from benchmarks.reporting import measure
-
-    rows = []
+    ways = [way for way in WAYS if way != "heyoka" or importlib.util.find_spec("heyoka")]
     with tempfile.TemporaryDirectory() as folder:
-        cases: dict[Any, Any] = {way: partial(_process, way, n, Path(folder)) for way in WAYS}
-        cases = {way: case for way, case in cases.items() if _runs_here(way)}
+        cases: dict[Any, Any] = {way: partial(_process, way, n, folder) for way in ways}
         first = measure.interleaved(cases, 1)
         later = measure.interleaved(cases, repeats)
-    for way, runs in later.items():
-        peaks = [run["peak_bytes"] for run in runs if run["peak_bytes"] is not None]
-        row = {"name": way, "first_seconds": first[way][0]["seconds"], **measure.summary(runs)}
-        rows.append(row | {"peak_bytes": max(peaks, default=None)})
+    rows = [
+        {"name": way, "first_seconds": first[way][0]["seconds"], **measure.summary(runs)}
+        | {"peak_bytes": max(run["peak_bytes"] for run in runs)}
+        for way, runs in later.items()
+    ]
     return {"starts": n, "rtol": RTOL, "rows": rows}
 
 
-def _runs_here(way: str) -> bool:
-    return way != "heyoka" or importlib.util.find_spec("heyoka") is not None
-
-
-def _process(way: str, n: int, cache: Path) -> dict[str, Any]:
+def _process(way: str, n: int, cache: str) -> measure.Record:
     """One process whose caches are in a folder; its clocks and its memory."""
-    from benchmarks.reporting import measure
-
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache), "LOCALAPPDATA": str(cache)}
-    environment.pop("DIPOLETOP_CACHE", None)
-    line = [sys.executable, "-m", __name__, way, str(n)]
-    settings: Any = {"check": True, "stdout": subprocess.PIPE, "text": True, "env": environment}
-    run, clocks = measure.timed(lambda: subprocess.run(line, cwd=measure.ROOT, **settings))
-    return clocks | json.loads(run.stdout)
+    found, clocks = measure.timed(measure.in_fresh_process, report, way, n, cache=cache)
+    return clocks | found
 
 
 def report(way: str, n: int) -> dict[str, Any]:
     """Label n starts in this process: its memory, and its processor seconds."""
-    from benchmarks.problems import mixed_basin
-    from benchmarks.reporting.memory import peak_memory, peak_memory_of_children
-
     deltas, omegas = mixed_basin.sample(n)
     if way in ("native", "jax"):
-        jax = importlib.import_module("jax")
-        jax.config.update("jax_enable_x64", True)
         import dipoletop as dt
 
-        equations = dt.TransverseReduced(jax.numpy.asarray(deltas))
         settings: Any = {"rtol": RTOL, "max_steps": mixed_basin.MAX_STEPS, "engine": way}
-        dt.classify_many(equations, omegas, value=False, **settings)
-    elif way == "heyoka":
-        importlib.import_module("benchmarks.peers.with_heyoka").run(deltas, omegas, RTOL)
+        dt.classify_many(dt.TransverseReduced(deltas), omegas, value=False, **settings)
     else:
-        importlib.import_module("jax").config.update("jax_enable_x64", True)
-        importlib.import_module("benchmarks.peers.with_diffrax").run(deltas, omegas, RTOL)
-    own, child = peak_memory(), peak_memory_of_children()
+        importlib.import_module(f"benchmarks.peers.with_{way}").run(deltas, omegas, RTOL)
     # heyoka's processes are as many as there are cores. (JAX starts small ones of the system.)
-    helpers = (os.cpu_count() or 1) * (child or 0) if way == "heyoka" else 0
-    return {
-        "peak_bytes": None if own is None or child is None else own + helpers,
-        "processor_seconds": sum(os.times()[:4]),  # its children's too
-    }
-
-
-if __name__ == "__main__":
-    print(json.dumps(report(sys.argv[1], int(sys.argv[2]))))
+    helpers = (os.cpu_count() or 1) * (way == "heyoka")
+    peak = measure.peak_memory() + helpers * measure.peak_memory(children=True)
+    # its children's processor seconds, too
+    return {"peak_bytes": peak, "processor_seconds": sum(os.times()[:4])}

@@ -1,49 +1,30 @@
 """Fresh processes: importing, and the first map, beside the import of what they stand on."""
 
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from benchmarks.reporting import measure
-from benchmarks.reporting.speed import BASE, COLD_BASE, FIRST_MAP, LATER_MAP
 
 OURS = "import dipoletop; dipoletop.sweep"  # names are loaded when they are used
+BASE = "import jax, diffrax, equinox"
+COLD_BASE = "import jax, diffrax, equinox, matplotlib.pyplot, xarray, zarr"
+FIRST_MAP, LATER_MAP = "dipoletop map, the first time ever", "dipoletop map, later"
 MAP = "import sys; from dipoletop.cli import main; main(sys.argv[1:], standalone_mode=False)"
 
 
-def _fresh(
-    statement: str, *arguments: str, cwd: Path | None = None, cache: Path | None = None
-) -> measure.Record:
-    begin = perf_counter()
+def _fresh(statement: str, *arguments: str, **where: Any) -> measure.Record:
     # The process itself prints the processor time that it spent, its start included.
     code = f"{statement}\nimport time; print(time.process_time())"
-    environment = dict(os.environ)
-    if cache is not None:
-        environment |= {"XDG_CACHE_HOME": str(cache), "LOCALAPPDATA": str(cache)}
-        environment.pop("DIPOLETOP_CACHE", None)
-    answer = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        check=True,
-        capture_output=True,
-        text=True,
-        env=environment,
-        cwd=cwd,
-    )
-    seconds = perf_counter() - begin
-    return {"seconds": seconds, "processor_seconds": float(answer.stdout.split()[-1])}
+    printed, clocks = measure.timed(measure.run_fresh, "-c", code, *arguments, quiet=True, **where)
+    return clocks | {"processor_seconds": float(printed.split()[-1])}
 
 
-def _map(size: int, cache: Path | None = None) -> measure.Record:
+def _map(size: int, cache: str | None = None) -> measure.Record:
     """`dipoletop map` in a new folder; with an empty cache of machine code unless one is given."""
-    with tempfile.TemporaryDirectory() as folder:
-        empty = Path(folder) / "cache"
-        empty.mkdir()
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as empty:
         return _fresh(MAP, "map", f"--size={size}", cwd=Path(folder), cache=cache or empty)
 
 
@@ -51,15 +32,17 @@ def _compared(cases: dict[str, Any], base: str, repeats: int) -> dict[str, Any]:
     """The cases, and the medians of their ratios to `base` beside them."""
     measure.interleaved(cases, 1)  # the first time the files are read from the disk
     records = measure.interleaved(cases, repeats)
-    ratios = {}
-    for name in cases:
-        pairs = list(zip(records[name], records[base], strict=True))
-        ratios[name] = {
-            clock: statistics.median(ours[clock] / other[clock] for ours, other in pairs)
-            for clock in ("seconds", "processor_seconds")
+    ratios = {
+        name: {
+            clock: statistics.median(
+                ours[clock] / other[clock] for ours, other in zip(runs, records[base], strict=True)
+            )
+            for clock in measure.CLOCKS
         }
-    summaries = {name: measure.summary(runs) for name, runs in records.items()}
-    return summaries | {"ratio": {name: ratios[name] for name in cases if name != base}}
+        for name, runs in records.items()
+        if name != base
+    }
+    return {name: measure.summary(runs) for name, runs in records.items()} | {"ratio": ratios}
 
 
 def compare(repeats: int) -> dict[str, Any]:
@@ -69,7 +52,7 @@ def compare(repeats: int) -> dict[str, Any]:
     return found | {"ratio": found["ratio"][OURS]}
 
 
-def cold_start(repeats: int, size: int = 512) -> dict[str, Any]:
+def cold_start(repeats: int, size: int) -> dict[str, Any]:
     """The default map in fresh processes, with an empty cache of machine code and with a full one.
 
     `ratio` has, for each of the two, the medians of the ratios to neighbouring runs of `COLD_BASE`.
@@ -77,7 +60,7 @@ def cold_start(repeats: int, size: int = 512) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as cache:
         cases = {
             FIRST_MAP: partial(_map, size),
-            LATER_MAP: partial(_map, size, Path(cache)),
+            LATER_MAP: partial(_map, size, cache),
             COLD_BASE: partial(_fresh, COLD_BASE),
         }
         return _compared(cases, COLD_BASE, repeats) | {"points": size}

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,31 +15,13 @@ from benchmarks.peers import with_scipy
 from benchmarks.peers.available import available
 from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
-from benchmarks.reporting.speed import OURS
+from benchmarks.reporting.views import HEYOKA, IN_JAX, OURS, REPACKED
 
 RTOL = 1e-8
-IN_JAX = "dipoletop, JAX engine"
+CHUNKED = "diffrax vmap chunked, tuple"
 # One vmap over all starts is so slow that it gets fewer starts, once.
 SLOW = ("diffrax vmap whole, tuple", "diffrax vmap whole, (3,)")
-RIVALS = (
-    IN_JAX,
-    "heyoka batch",
-    "diffrax vmap repacked, tuple",
-    "diffrax vmap chunked, tuple",
-    *SLOW,
-)
-
-
-class Sizes(NamedTuple):
-    """How much is measured."""
-
-    starts: tuple[int, ...]
-    slow: int
-    """Starts for the slow ones."""
-    truth: int
-    """Starts that scipy labels."""
-    repeats: int
-    rivals: tuple[str, ...] = RIVALS
+RIVALS = (IN_JAX, HEYOKA, REPACKED, CHUNKED, *SLOW)
 
 
 def run(
@@ -63,9 +45,27 @@ def run(
         "labels": labels.outcome,
         "compile_seconds": first["seconds"],
         "steps": int(labels.steps.sum()),
-        "most_steps": int(labels.steps.max()),
-        "note": f"dipoletop {dt.__version__}, {engine}, {measure.cores()} threads",
     }
+
+
+def labelled(
+    cases: dict[Any, Callable[[], dict[str, Any]]], repeats: int, truth: Any = None
+) -> list[dict[str, Any]]:
+    """A row for each peer; labels are compared with the first one's, where both have them."""
+    records = measure.interleaved(cases, repeats, once=SLOW)
+    ours = next(iter(records.values()))[0]["labels"]
+    rows = []
+    for name, runs in records.items():
+        labels, steps = runs[0]["labels"], runs[0]["steps"]
+        row = measure.summary(runs) | {"name": name, "starts": (n := len(labels))}
+        row |= {"first_seconds": runs[0]["compile_seconds"], "steps": steps / n}
+        row |= {"evaluations": engines.evaluations(steps, n) / n}
+        row |= {"undecided": int(np.sum(labels <= mixed_basin.UNDECIDED))}
+        for who, others in (("ours", ours), ("truth", labels[:0] if truth is None else truth)):
+            both = min(n, len(others))
+            row[f"differ_from_{who}"] = int(np.sum(labels[:both] != others[:both]))
+        rows.append(row | {"truth_starts": both})
+    return rows
 
 
 def lane_efficiency(
@@ -76,11 +76,7 @@ def lane_efficiency(
     widths = engines.block_widths(engine, len(parts[-1]))
     made, block_steps = 0, np.zeros(2, int)
     for part in parts:
-        y0 = jnp.asarray(omegas[part].T)
-        bounds = engines.limits(rtol, rtol * jnp.linalg.norm(y0, axis=0), mixed_basin.MAX_STEPS)
-        equation = dt.TransverseReduced(jnp.asarray(deltas[part]))
-        with jax.default_device(jax.devices()[0]):  # as in `classify_many`: compiled already
-            ends = engines.integrate(engine, equation, y0, bounds, until="outcome")
+        ends = engines.integrate_tops(deltas[part], omegas[part], "outcome", rtol, engine=engine)
         made += int(ends.steps.sum())
         block_steps += engines.block_steps(ends)
     return {
@@ -92,48 +88,30 @@ def lane_efficiency(
     }
 
 
-def compare(sizes: Sizes) -> dict[str, Any]:
+def compare(small: bool) -> dict[str, Any]:
     """All peers at all sizes, their labels compared with scipy's and with ours."""
+    sizes, slow, n, repeats = (
+        ((256,), 32, 16, 1) if small else ((4096, 32768, 262_144), 1024, 1024, 5)
+    )
     rivals, missing = available()
-    truth = with_scipy.run(*mixed_basin.sample(sizes.truth), rtol=1e-12)
     rivals[IN_JAX] = partial(run, engine="jax")
-    everybody = {OURS: run} | {name: rivals[name] for name in sizes.rivals if name in rivals}
+    truth = with_scipy.run(*mixed_basin.sample(n), rtol=1e-12)
     tables = {}
-    for size in sizes.starts:
-        cases: dict[Any, Callable[[], dict[str, Any]]] = {}
-        for name, peer in everybody.items():
-            starts = mixed_basin.sample(min(size, sizes.slow) if name in SLOW else size)
-            cases[name] = partial(peer, *starts, RTOL)
-        records = measure.interleaved(cases, sizes.repeats, once=SLOW)
-        ours = records[OURS][0]["labels"]
+    for size in sizes:
+        peers = {OURS: run} | {name: rivals[name] for name in RIVALS if name in rivals}
+        cases: dict[Any, Any] = {
+            name: partial(
+                peer, *mixed_basin.sample(min(size, slow) if name in SLOW else size), RTOL
+            )
+            for name, peer in peers.items()
+        }
         tables[size] = {
-            "rows": [_row(name, runs, ours, truth["labels"]) for name, runs in records.items()],
+            "rows": labelled(cases, repeats, truth["labels"]),
             "lanes": [
                 lane_efficiency(*mixed_basin.sample(size), RTOL, engine) for engine in engines.NAMES
             ],
         }
         jax.clear_caches()  # the next size compiles as if it were the first
-    scipy_row = {
-        "note": truth["note"],
-        "starts": sizes.truth,
-        "microseconds": 1e6 * truth["seconds"] / sizes.truth,
-        "steps": truth["steps"] / sizes.truth,
-    }
+    scipy_row = {"starts": n, "steps": truth["steps"] / n}
+    scipy_row |= {"microseconds": 1e6 * truth["seconds"] / n}
     return {"rtol": RTOL, "missing": missing, "truth": scipy_row, "tables": tables}
-
-
-def _row(name: str, records: list[dict[str, Any]], ours: Any, truth: Any) -> dict[str, Any]:
-    """One line of the table; labels are compared over the starts that both have."""
-    labels = records[0]["labels"]
-    both, known = min(len(labels), len(ours)), min(len(labels), len(truth))
-    return measure.summary(records) | {
-        "name": name,
-        "note": records[0]["note"],
-        "starts": len(labels),
-        "first_seconds": records[0]["compile_seconds"],
-        "steps": records[0]["steps"] / len(labels),
-        "undecided": int(np.sum(labels <= mixed_basin.UNDECIDED)),
-        "differ_from_ours": int(np.sum(labels[:both] != ours[:both])),
-        "differ_from_truth": int(np.sum(labels[:known] != truth[:known])),
-        "truth_starts": known,
-    }

@@ -3,29 +3,22 @@
 Isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The error is the largest
 component of the difference from a reference, over |ω₀|. Every method has one core, in a process
 that may use no other, because XLA counts the cores once.
-
-    python -m benchmarks.speed.precision 16384 7 1e-6 1e-9     starts, repeats, tolerances: JSON
 """
 
-import argparse
-import json
 from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
-import scipy
 
 from benchmarks.peers.end_states import AMPLITUDE, SCIPY, Starts, Task, methods, reference, starts
 from benchmarks.reporting import measure
 
-TOLERANCES = tuple(10.0**-k for k in range(6, 13))
 
-
-def alone(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
+def alone(small: bool) -> dict[str, Any]:
     """`compare` in a process with one core."""
+    few, many = (64, 2, (1e-6, 1e-9)), (16384, 7, [10.0**-k for k in range(6, 13)])
     with measure.confined(1):
-        return measure.in_fresh_process(__name__, n, repeats, *tolerances)
+        return measure.in_fresh_process(compare, *(few if small else many))
 
 
 def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, Any]:
@@ -48,7 +41,7 @@ def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, An
         for (name, rtol), runs in records.items()
     ]
     about = {"starts": n, "repeats": repeats, "reference": about, "missing": missing}
-    return about | {"scipy": scipy.__version__, "first_seconds": first, "rows": rows}
+    return about | {"first_seconds": first, "rows": rows}
 
 
 def _warm(task: Task) -> Task:
@@ -66,13 +59,3 @@ def errors(ends: Starts, truth: Starts) -> dict[str, float]:
     both = min(len(ends), len(truth))
     error = np.max(np.abs(ends[:both] - truth[:both]), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}
-
-
-if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("starts", type=int)
-    parser.add_argument("repeats", type=int)
-    parser.add_argument("tolerances", type=float, nargs="*", default=TOLERANCES)
-    args = parser.parse_args()
-    print(json.dumps(compare(args.starts, args.repeats, tuple(args.tolerances))))

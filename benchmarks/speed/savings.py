@@ -4,7 +4,7 @@ One seeded sample, the mixed basin, unless a row says otherwise. Every tried ste
 right-hand side is one call for one start.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import jax
@@ -16,14 +16,12 @@ import dipoletop as dt
 from benchmarks import engines
 from benchmarks.peers import end_states
 from benchmarks.problems import mixed_basin
-from benchmarks.reporting import measure
 from benchmarks.speed import default_map, precision
 from dipoletop import adaptive
 
 RTOL = 1e-8
 LATE = (0.9, 0.99)  # shares of the runs that have their value by the late times
 SOLVERS = (diffrax.Bosh3(), diffrax.Tsit5(), diffrax.Dopri5(), diffrax.Dopri8())
-TOLERANCES = tuple(10.0**-k for k in range(3, 13))
 ERRORS = tuple(10.0**-k for k in range(4, 13, 2))
 BUDGET = 10_000_000  # steps of a run with a method of low order
 
@@ -31,60 +29,13 @@ Deltas = Float[np.ndarray, " n"]
 Omegas = Float[np.ndarray, "n 3"]
 
 
-class Sizes(NamedTuple):
-    """How much is counted."""
-
-    starts: int = 32768
-    points: int = 128
-    """Points on each axis of the map's symmetry cell."""
-    fine: int = 4096
-    """Points on each axis of the map that is refined."""
-    precise: int = 256
-    """Starts of the comparison of methods."""
-    tolerances: tuple[float, ...] = TOLERANCES
-    solvers: tuple[Any, ...] = SOLVERS
-    engines: tuple[str, ...] = engines.NAMES
-    dense: bool = True
-
-
-FEW = Sizes(
-    starts=64,
-    points=8,
-    fine=512,
-    precise=16,
-    tolerances=(1e-3, 1e-6),
-    solvers=(diffrax.Tsit5(), diffrax.Dopri8()),
-    engines=("native",),
-    dense=False,
-)
-
-
-def integrate(
-    deltas: Deltas,
-    omegas: Omegas,
-    until: str,
-    *,
-    rtol: float = RTOL,
-    t1: float = np.inf,
-    engine: str = "native",
-    max_steps: int = mixed_basin.MAX_STEPS,
-    **settings: Any,
-) -> engines.EndStates:
-    """Integrate the starts in one queue of an engine."""
-    y0 = jnp.asarray(omegas.T)
-    atol, last = rtol * jnp.linalg.norm(y0, axis=0), jnp.full(len(omegas), t1)
-    bounds = engines.limits(rtol, atol, max_steps, last)
-    equation = dt.TransverseReduced(jnp.asarray(deltas))
-    return engines.integrate(engine, equation, y0, bounds, until=until, **settings)
-
-
 def _row(name: str, saved: Any, plain: Any, starts: tuple[int, int], note: str) -> dict[str, Any]:
     """Steps and right-hand sides with the saving and without it."""
-    counts = {}
+    row: dict[str, Any] = {"name": name, "note": note}
     for which, steps, many in zip(("with", "without"), (saved, plain), starts, strict=True):
         made = int(np.sum(steps))
-        counts[which] = {"steps": made, "evaluations": int(measure.evaluations(made, many))}
-    return {"name": name, "note": note} | counts
+        row[which] = {"steps": made, "evaluations": int(engines.evaluations(made, many))}
+    return row
 
 
 def by_symmetry(points: int) -> dict[str, Any]:
@@ -115,24 +66,24 @@ def by_refinement(points: int) -> dict[str, Any]:
 
 def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
     """Runs that end when something is certain, or at one late time for all."""
-    n = len(omegas)
-    soon, later = (integrate(deltas, omegas, until) for until in ("outcome", "value"))
+    n, verdicts = len(omegas), dt.TransverseReduced(jnp.asarray(deltas))
+    soon, later = (engines.integrate_tops(deltas, omegas, u, RTOL) for u in ("outcome", "value"))
     finished = np.asarray(later.status) == engines.FINISHED
     steps, valued = np.asarray(soon.steps), np.asarray(later.steps)
-    at_once = steps == 0
-    many = int(np.sum(at_once)), int(np.sum(at_once))
+    at_once, many = steps == 0, int(np.sum(steps == 0))
     rows = []
     for share in LATE:
         late = float(np.quantile(np.asarray(later.t)[finished], share))
-        fixed = integrate(deltas, omegas, "time", t1=late)
-        plain, open_ = np.asarray(fixed.steps), _undecided(deltas, fixed)
+        fixed = engines.integrate_tops(deltas, omegas, "time", RTOL, t1=late)
+        plain = np.asarray(fixed.steps)
+        left = int(np.sum(np.asarray(verdicts.verdict(fixed.y).outcome) == dt.Outcome.UNDECIDED))
         when = f"all to τ = {late:.3g}, by when {share:.0%} have their value"
-        left = f"{open_} undecided there, with certain ends {int(np.sum(~finished))}"
-        inside = f"{many[0]} of {n} starts are in a region already"
+        open_ = f"{when}; {left} undecided there, with certain ends {int(np.sum(~finished))}"
+        inside = f"{many} of {n} starts are in a region already; {when}"
         rows += [
-            _row("end when the outcome is certain", steps, plain, (n, n), f"{when}; {left}"),
+            _row("end when the outcome is certain", steps, plain, (n, n), open_),
             _row("end when ω∞ is known to 1e-8", valued, plain, (n, n), when),
-            _row("no step if decided", steps[at_once], plain[at_once], many, f"{inside}; {when}"),
+            _row("no step if decided", steps[at_once], plain[at_once], (many, many), inside),
         ]
         if share == LATE[0]:
             rows.append(_exact_sets(late))
@@ -140,27 +91,21 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
     return [*rows, _row("outcomes only, no ω∞", steps, valued, (n, n), note)]
 
 
-def _undecided(deltas: Deltas, ends: engines.EndStates) -> int:
-    """How many end states are undecided."""
-    verdict = dt.TransverseReduced(jnp.asarray(deltas)).verdict(ends.y)
-    return int(np.sum(np.asarray(verdict.outcome) == dt.Outcome.UNDECIDED))
-
-
 def _exact_sets(late: float, n: int = 128) -> dict[str, Any]:
     """Starts on the invariant sets, which have measure zero, so that the sample has none."""
     deltas, omegas = mixed_basin.sample(2 * n)
     omegas[:n, 2] = 0.0  # keeps ω₁
     omegas[n:, :2] = 0.0  # the axis
-    known, plain = integrate(deltas, omegas, "value"), integrate(deltas, omegas, "time", t1=late)
+    known = engines.integrate_tops(deltas, omegas, "value", RTOL)
+    plain = engines.integrate_tops(deltas, omegas, "time", RTOL, t1=late)
     note = f"{n} starts with ω₃ = 0 and {n} along axis 3; all to τ = {late:.3g}"
-    name = "exact values on invariant sets"
-    return _row(name, known.steps, plain.steps, (2 * n, 2 * n), note)
+    return _row("exact values on invariant sets", known.steps, plain.steps, (2 * n, 2 * n), note)
 
 
 def by_refill(deltas: Deltas, omegas: Omegas, engine: str) -> list[dict[str, Any]]:
     """Lane steps paid for, idle lanes included: refilled lanes against lockstep blocks."""
     n = len(omegas)
-    ends = integrate(deltas, omegas, "outcome", engine=engine)
+    ends = engines.integrate_tops(deltas, omegas, "outcome", RTOL, engine=engine)
     steps, widths = np.asarray(ends.steps), engines.block_widths(engine, n)
     paid = int(engines.block_steps(ends) @ widths)
     sorted_ = steps[np.argsort(np.linalg.norm(omegas, axis=1))]
@@ -181,10 +126,9 @@ def lockstep(steps: Int[np.ndarray, " n"], width: int) -> int:
 
 def by_dense_output() -> dict[str, Any]:
     """Calls of the right-hand side that diffrax makes, without and with dense output."""
-    start = end_states.starts(1)[0]
     calls: list[int] = []
-    counts = {}
-    controller = diffrax.PIDController(RTOL, RTOL * end_states.AMPLITUDE)
+    note = "diffrax's Dopri8, one start to τ = 1000, calls counted: its interpolation needs no more"
+    row: dict[str, Any] = {"name": "no dense output", "note": note}
 
     def field(t: Any, y: Any, args: Any) -> Any:
         jax.debug.callback(lambda: calls.append(1))
@@ -192,38 +136,32 @@ def by_dense_output() -> dict[str, Any]:
 
     ways = {"with": diffrax.SaveAt(t1=True), "without": diffrax.SaveAt(dense=True)}
     for name, saveat in ways.items():
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
-            diffrax.Dopri8(),
-            0.0,
-            end_states.TIME,
-            None,
-            jnp.asarray(start),
-            saveat=saveat,
-            stepsize_controller=controller,
-        )
+        start = jnp.asarray(end_states.starts(1)[0])
+        problem = diffrax.ODETerm(field), diffrax.Dopri8(), 0.0, end_states.TIME, None, start
+        control = diffrax.PIDController(RTOL, RTOL * end_states.AMPLITUDE)
+        solution = diffrax.diffeqsolve(*problem, saveat=saveat, stepsize_controller=control)
         jax.effects_barrier()
-        counts[name] = {"steps": int(solution.stats["num_steps"]), "evaluations": len(calls)}
+        row[name] = {"steps": int(solution.stats["num_steps"]), "evaluations": len(calls)}
         calls.clear()
-    note = "diffrax's Dopri8, one start to τ = 1000, calls counted: its interpolation needs no more"
-    return {"name": "no dense output", "note": note} | counts
+    return row
 
 
-def by_method(n: int, tolerances: tuple[float, ...], solvers: tuple[Any, ...]) -> dict[str, Any]:
+def by_method(n: int, tolerances: list[float], solvers: tuple[Any, ...]) -> dict[str, Any]:
     """Right-hand sides for each start against the true error, at τ = 1000, for each method."""
-    omegas = end_states.starts(n)
+    omegas, rows, crossings = end_states.starts(n), [], {}
     truth, about = end_states.reference(omegas)
-    deltas, rows = np.full(n, end_states.DELTA), []
     settings: Any = {"t1": end_states.TIME, "max_steps": BUDGET}
     for solver in solvers:
+        mine = []
         for rtol in tolerances:
-            ends = integrate(deltas, omegas, "time", rtol=rtol, solver=solver, **settings)
+            deltas = np.full(n, end_states.DELTA)
+            ends = engines.integrate_tops(deltas, omegas, "time", rtol, solver=solver, **settings)
             made = float(np.mean(np.asarray(ends.steps)))
-            cost = {"steps": made, "evaluations": measure.evaluations(made, 1, solver)}
+            cost = {"steps": made, "evaluations": engines.evaluations(made, 1, solver)}
             error = precision.errors(np.asarray(ends.y.T), truth)
-            rows.append({"solver": type(solver).__name__, "rtol": rtol} | cost | error)
-    names = list(dict.fromkeys(row["solver"] for row in rows))
-    crossings = {name: _crossings([r for r in rows if r["solver"] == name]) for name in names}
+            mine.append({"solver": type(solver).__name__, "rtol": rtol} | cost | error)
+        crossings[type(solver).__name__] = _crossings(mine)
+        rows += mine
     about = {"starts": n, "reference": about, "errors": ERRORS}
     return about | {"rows": rows, "evaluations_at_error": crossings}
 
@@ -236,13 +174,14 @@ def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
     return [None if np.isnan(x) else float(np.exp(x)) for x in costs_at]
 
 
-def compare(sizes: Sizes) -> dict[str, Any]:
+def compare(small: bool) -> dict[str, Any]:
     """All savings, and which method is the cheapest."""
-    deltas, omegas = mixed_basin.sample(sizes.starts)
-    rows = [by_symmetry(sizes.points), by_refinement(sizes.fine), *by_ending(deltas, omegas)]
-    for engine in sizes.engines:
-        rows += by_refill(deltas, omegas, engine)
-    if sizes.dense:
-        rows.append(by_dense_output())
-    methods = by_method(sizes.precise, sizes.tolerances, sizes.solvers)
-    return {"starts": sizes.starts, "rtol": RTOL, "rows": rows, "methods": methods}
+    n, points, fine, precise = (64, 8, 512, 16) if small else (32768, 128, 4096, 256)
+    sample = mixed_basin.sample(n)
+    rows = [by_symmetry(points), by_refinement(fine), *by_ending(*sample)]
+    for engine in engines.NAMES[: 1 if small else 2]:
+        rows += by_refill(*sample, engine)
+    rows.append(by_dense_output())
+    tolerances = [1e-3, 1e-6] if small else [10.0**-k for k in range(3, 13)]
+    methods = by_method(precise, tolerances, SOLVERS[1::2] if small else SOLVERS)
+    return {"starts": n, "rtol": RTOL, "rows": rows, "methods": methods}

@@ -1,6 +1,6 @@
 """ω∞ and its estimated error, held to an integrator that shares nothing with the library.
 
-The values are those of `benchmarks.accuracy.residual --digits`: heyoka's Taylor method in long
+The values are those of `benchmarks.accuracy.taylor_truth.Truth`: heyoka's Taylor method in long
 double, with units that follow the motion.
 """
 

@@ -1,5 +1,7 @@
 """The benchmarks: their pages are those of the kept numbers, and their documented paths start."""
 
+import re
+import string
 import subprocess
 import sys
 
@@ -7,37 +9,65 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import label_doubt
-from benchmarks.reporting import pages, speed, summary
+from benchmarks.reporting import measure, pages, render, views
 from dipoletop._runs import blocks
 
 
-@pytest.mark.parametrize("name", pages.PAGES)
+@pytest.mark.parametrize("name", pages.NAMES)
 def test_pages_are_made_of_the_numbers(name):
-    for module in pages.PAGES[name]:
-        path = pages.RESULTS / f"{module.__name__.rpartition('.')[2]}.md"
-        assert path.read_text(encoding="utf-8") == pages.page(module, pages.read(name))
+    for page in pages.pages(name):
+        text = page.read_text(encoding="utf-8")
+        assert pages.BLOCK.search(text)
+        assert pages.renewed(page, pages.shown(name)) == text
 
 
 def test_readme_is_short_and_its_table_that_of_the_numbers():
-    text = (pages.HERE / "README.md").read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 120
-    assert summary.body({name: pages.read(name) for name in pages.PAGES}) in text
+    page = pages.HERE / "README.md"
+    text = page.read_text(encoding="utf-8")
+    assert len(re.sub("<!--.*?-->\n*", "", text, flags=re.DOTALL).splitlines()) <= 120
+    numbers = {name: pages.shown(name) for name in pages.NAMES}
+    assert pages.renewed(page, views.summary(numbers)) == text
 
 
-def test_older_numbers_and_those_of_fresh_processes_are_shown():
-    numbers = pages.read("speed")
+def fields(template):
+    return [name for _, name, *_ in string.Formatter().parse(template) if name]
+
+
+@pytest.mark.parametrize("name", pages.NAMES)
+def test_what_pages_ask_for_is_in_the_numbers(name):
+    numbers, find = pages.shown(name), render.Formatter().get_field
+    for page in pages.pages(name):
+        for _, template, _ in pages.BLOCK.findall(page.read_text(encoding="utf-8")):
+            for part in template.split("\n\n"):
+                rows = [numbers]
+                if part.startswith("@"):
+                    place, _, *lines = part[1:].split("\n")
+                    rows, part = find(place, (), numbers)[0], "\n".join(lines)
+                found = {
+                    field: any(
+                        find(field, (row,), row if isinstance(row, dict) else {})[0] is not None
+                        for row in rows
+                    )
+                    for field in fields(part)
+                }
+                assert all(found.values()), found
+
+
+def test_tables_have_sums_pairs_and_dashes():
     clock = {"min": 1.5, "median": 2.0}
-    clocks = {"first_seconds": 4.0, "seconds": clock, "processor_seconds": clock}
-    rows = [{"name": name, "peak_bytes": 3e8, **clocks} for name in ("native", "heyoka")]
-    rows[1] |= {"first_seconds": 10.0, "peak_bytes": 1.5e8}
-    numbers["fresh_outcomes"] = {"starts": 4096, "rows": rows}
-    others: dict = {name: [] for name in pages.PAGES}
-    lines = summary.body(others | {"speed": numbers}).splitlines()
-    assert any("4.00 / 2.00" in line and "2.50 / 1.00" in line for line in lines)
-    assert any("batches: 150" in line and "0.500" in line for line in lines)
-    assert "in fresh processes" in speed.body(numbers)
-    del numbers["fresh_outcomes"]
-    assert "A fresh process" not in summary.body(others | {"speed": numbers})
+    rows = [
+        {"name": "a", "n": 2, "starts": 1000, "seconds": clock, "processor_seconds": clock},
+        {"name": "b", "n": 3, "errors": [1e-3, float("nan")]},
+    ]
+    template = (
+        "{rows[sum][n]} of {rows[max][n]}; {none}\n\n@rows\n{rows[last][name]} | us | errors\n"
+    )
+    template += "{name} | {us:/n} | {errors:/.0e}"
+    text, table = render.render(template, render.prepared({"rows": rows})).split("\n\n")
+    assert text == "5 of 3; —"
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    assert lines[0] == ["b", "us", "errors"]
+    assert lines[2:] == [["a", "2000 / 2000", "—"], ["b", "—", "1e-03 / —"]]
 
 
 def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
@@ -59,7 +89,10 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     assert len(doubtless["lost_starts"]) == min(doubtless["lost"], label_doubt.SHOWN)
 
 
-@pytest.mark.parametrize("script", ["run.py", "bench_device.py"])
-def test_scripts_start_by_their_paths(script, tmp_path):
-    command = [sys.executable, str(pages.HERE / script), "--help"]
+def test_the_script_starts_by_its_path(tmp_path):
+    command = [sys.executable, str(pages.HERE / "run.py"), "--help"]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+
+
+def test_a_function_is_called_in_a_fresh_process():
+    assert measure.in_fresh_process(measure.cores) == measure.cores()
