@@ -155,6 +155,43 @@ def test_particles_are_predicted_in_si_units():
     assert "rad/s" in repr(predicted)
 
 
+def test_predictions_as_text():
+    """Three rotations of a sphere, of which one is a matter of chance."""
+    probability = np.zeros((3, 8))
+    probability[[0, 1, 1, 2], [0, 0, 1, 4]] = [1, 0.5, 0.5, 1]
+    ratio = np.array([0.5, 0.1, 0.0])
+    fields = (
+        np.array([1, 1, 2]),
+        probability,
+        np.array([7.0, np.nan, 0.0]),
+        ratio,
+        ratio[:, None] * [0.5, 0.75, 1, 1.25, 1.5],
+        np.array([7200.0, np.nan, 9.46728e8]),
+        np.array([1.0, 1.5, 2.0]),
+        np.array([np.inf, np.inf, 1e6]),
+        np.array([1, 1, 4]),
+        np.array([1e-9, 1e-3, 0.0]),
+        np.array([[1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 2, 0, 0.0]] * 3),
+    )
+    predictions = dt.Prediction(*map(jnp.asarray, fields), strength=RADIATION)
+    assert repr(predictions).splitlines() == [
+        "Prediction(3 starts: quantiles 0.1, 0.5, 0.9; 0.667 RESIDUAL, 0.333 STOP; "
+        "ends: 0.5 residual +, 0.167 residual -, 0.333 stop about axis 3; "
+        "0.667 SLOW_FLOW, 0.333 EXACT; error up to 0.001",
+        "           ratio=0.2 on average (0, 0.1, 0.625); omega_inf=0, 0, 7 (1 not known) rad/s",
+        "           half_time=7200 s (2 hours), 7200 s (2 hours), 9.467e+08 s (30 years) "
+        "(1 not known)",
+        "           lifetime=1e+06 s (11.6 days), inf s, inf s",
+        "           radiated_energy=1, 1.5, 2 J; 0.5, 0.75, 1 of E₀)",
+    ]
+    one = jax.tree.map(lambda leaf: leaf[1], predictions)
+    assert repr(one).splitlines()[:3] == [
+        "Prediction(RESIDUAL; ends: 0.5 residual +, 0.5 residual -; SLOW_FLOW",
+        "           ratio=0.1 ± 0.0001 (0.05, 0.1, 0.15); omega_inf=nan rad/s",
+        "           half_time=nan s",
+    ]
+
+
 @pytest.mark.parametrize(
     ("body", "omega", "words"),
     [

@@ -292,3 +292,16 @@ def test_thresholds():
 def test_refusals(equation, state, sentence):
     with pytest.raises(ValueError, match=sentence):
         spectrum(equation, jnp.array(state))
+
+
+def test_spectra_as_text():
+    slow, fast = jnp.array([0, -0.01 + 0.02j, -0.01 - 0.02j]), jnp.array([1 + 0j, 1.5])
+    across = jnp.array([[-0.01, 0.02], [-0.02, -0.01]])
+    assert repr(dt.stability.Spectrum(slow, fast, across)).splitlines() == [
+        "Spectrum(stable",
+        "         slow: 0, -0.01+0.02j, -0.01-0.02j",
+        "         fast: 1, 1.5",
+        "         return_time=100, reactivity=-0.01)",
+    ]
+    many = dt.stability.Spectrum(slow[None], fast[None, :0], across[None])
+    assert repr(many) == "Spectrum(slow: (1, 3), fast: (1, 0))"

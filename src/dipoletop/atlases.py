@@ -97,7 +97,7 @@ class Atlas:
         }
 
     def __repr__(self) -> str:
-        """The shares of the endings, and the range of L∞/L₀."""
+        """The shares of the endings, the range of L∞/L₀ and its mean."""
         counts = np.bincount(self.ending, minlength=len(Ending)) / self.ratio.size
         shares = ", ".join(
             f"{Ending(k).name} {share:.3g}" for k, share in enumerate(counts) if share
@@ -107,7 +107,8 @@ class Atlas:
             what = f"dipoles of J₁/J₃ = {j1:.4g}, J₂/J₃ = {j2:.4g}"
         else:
             what = f"bodies with the dipole on axis {self.dipole_axis}"
-        return f"Atlas({self.ratio.size} {what}; {shares}; ratio={span(self.ratio)})"
+        ratio = f"ratio={span(self.ratio)}, mean {np.mean(self.ratio):.3g}"
+        return f"Atlas({self.ratio.size} {what}; {shares}; {ratio})"
 
 
 def atlas(
@@ -138,7 +139,7 @@ def atlas(
     Example:
         >>> import dipoletop as dt
         >>> dt.atlas(3, n=2)
-        Atlas(4 bodies with the dipole on axis 3; RESIDUAL 1; ratio=0.465994 to 0.531225)
+        Atlas(4 bodies with the dipole on axis 3; RESIDUAL 1; ratio=0.465994 to 0.531225, mean 0.5)
     """
     if (dipole is None) == (body is None):
         refuse("dipole", "be given or else `body`", "neither is" if dipole is None else "both are")

@@ -20,11 +20,13 @@ Where the error of these laws exceeds 1 %, the semi-reduced equation is integrat
 that takes at most 50 000 steps; again only for a body and a start that are known.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
@@ -33,12 +35,15 @@ from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_foreca
 from ._averaging.histories import Values, best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
-from ._base.summaries import with_error
+from ._base.summaries import duration, with_error
 from ._base.types import Outcome, Real, Regime
 from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
 
+WEIGHTS = 0.15, 0.225, 0.25, 0.225, 0.15
+"""The share of chance that each of the `QUANTILES` .05, .25, .5, .75, .95 stands for: it reaches
+halfway to the next ones."""
 FASTEST_RIM = 0.1
 """The largest speed of a point of a particle, over that of light."""
 
@@ -124,22 +129,61 @@ class Prediction(eqx.Module):
         return History(given, *values)
 
     def __repr__(self) -> str:
-        """The numbers of a single prediction."""
-        if self.outcome.ndim or not concrete(self.outcome):
+        """The numbers of a single prediction, quantiles of many; shapes of what is traced."""
+        if not concrete(self):
             return eqx.tree_pformat(self)
-        unit = ("", "", "") if self.strength == 1.0 else (" rad/s", " s", " J")
-        ends = (f"{p:.3g} {end}" for p, end in zip(self.probability, ENDS, strict=True) if p > 0)
-        shown = [
-            Outcome(int(self.outcome)).name,
-            f"ends: {', '.join(ends)}",
-            f"ratio={with_error(float(self.ratio), float(self.error * self.ratio))}",
-            f"omega_inf={float(self.omega_inf):.6g}{unit[0]}",
-            f"half_time={float(self.half_time):.6g}{unit[1]}",
-            f"lifetime={float(self.lifetime):.6g}{unit[1]}",
-            f"radiated_energy={float(self.radiated_energy):.6g}{unit[2]}",
-            Regime(int(self.regime)).name,
+        n, many = self.outcome.size, self.outcome.ndim > 0
+        p = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(n, -1), self)
+        inertia, omega = p.variables[:, :9].reshape(-1, 3, 3), p.variables[:, 12:]
+        with np.errstate(all="ignore"):
+            lost = p.radiated_energy / (
+                np.einsum("ni,nij,nj->n", omega, inertia, omega)[:, None] / 2
+            )
+        mean, error = float(np.mean(p.ratio)), float(np.max(p.error))
+        ratio = f"{mean:.4g} on average" if many else with_error(mean, error * mean)
+        if len(set(np.ravel(p.ratio_quantiles))) > 1:
+            ratio += f" ({_quantiles(p.ratio_quantiles, WEIGHTS)})"
+        rate, time, energy = (" rad/s", duration, " J") if self.strength != 1 else ("", _plain, "")
+        first = [
+            f"{n} starts: quantiles 0.1, 0.5, 0.9" if many else "",
+            _shares((word.name, np.mean(p.outcome == word)) for word in Outcome),
+            f"ends: {_shares(zip(ENDS, np.mean(p.probability, axis=0), strict=True))}",
+            _shares((law.name, np.mean(p.regime == law)) for law in Regime),
+            f"error up to {error:.1g}" if many else "",
         ]
-        return f"Prediction({'; '.join(shown)})"
+        lines = [
+            "; ".join(filter(None, first)),
+            f"ratio={ratio}; omega_inf={_quantiles(p.omega_inf)}{rate}",
+            f"half_time={_quantiles(p.half_time, form=time)}",
+            f"lifetime={_quantiles(p.lifetime, form=time)}",
+            f"radiated_energy={_quantiles(p.radiated_energy)}{energy}; {_quantiles(lost)} of E₀",
+        ]
+        return "Prediction({})".format("\n           ".join(lines))
+
+
+def _shares(shares: Iterable[tuple[str, float]]) -> str:
+    """What occurs, with its share unless that is 1."""
+    return ", ".join(x if share == 1 else f"{share:.3g} {x}" for x, share in shares if share > 0)
+
+
+def _plain(number: float) -> str:
+    return f"{number:.6g}"
+
+
+def _quantiles(
+    values: Float[np.ndarray, "n m"],
+    weights: Sequence[float] = (1.0,),
+    form: Callable[[float], str] = _plain,
+) -> str:
+    """The quantiles 0.1, 0.5, 0.9 of the known values, one if all are the same."""
+    known = ~np.isnan(values)
+    if not known.any():
+        return form(np.nan)
+    weighted = np.broadcast_to(weights, values.shape)[known]
+    found = np.quantile(values[known], (0.1, 0.5, 0.9), weights=weighted, method="inverted_cdf")
+    texts = [form(x) for x in found]
+    unknown = "" if known.all() else f" ({np.sum(~known)} not known)"
+    return ", ".join(texts if len(set(texts)) > 1 else texts[:1]) + unknown
 
 
 def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:

@@ -19,7 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from ._base.checks import check_body, check_single, described, finite, or_nan, refuse, where_valid
+from ._base.checks import (
+    check_body,
+    check_single,
+    concrete,
+    described,
+    finite,
+    or_nan,
+    refuse,
+    where_valid,
+)
 from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
 from ._base.types import Equation
@@ -64,6 +73,18 @@ class Spectrum(NamedTuple):
     across: Float[Array, "*batch 2 2"]
     """S, the linear part of physical motions across the dipole, in the principal axes a, b."""
 
+    def __repr__(self) -> str:
+        """The numbers of a single spectrum."""
+        if not concrete(*self) or np.ndim(self.slow) > 1:
+            return f"Spectrum(slow: {np.shape(self.slow)}, fast: {np.shape(self.fast)})"
+        lines = [
+            "stable" if self.stable else "not stable",
+            f"slow: {_listed(self.slow)}",
+            f"fast: {_listed(self.fast)}",
+            f"return_time={self.return_time:.6g}, reactivity={self.reactivity:.6g}",
+        ]
+        return "Spectrum({})".format("\n         ".join(lines))
+
     @property
     def eigenvalues(self) -> Complex[Array, "*batch n"]:
         """All eigenvalues, the slow ones first."""
@@ -92,6 +113,12 @@ class Spectrum(NamedTuple):
         mean, half = (s[..., 0, 0] + s[..., 1, 1]) / 2, (s[..., 0, 0] - s[..., 1, 1]) / 2
         square = half**2 + ((s[..., 0, 1] + s[..., 1, 0]) / 2) ** 2
         return mean + safe_sqrt(square, otherwise=square)  # NaN stays NaN
+
+
+def _listed(eigenvalues: Complex[Array, "n"]) -> str:
+    """Numbers, with their imaginary parts where these are not 0."""
+    numbers = np.asarray(eigenvalues).tolist()
+    return ", ".join(f"{x if x.imag else x.real:.10g}" for x in numbers) or "none"
 
 
 def equilibria(equation: Any) -> Equilibria:

@@ -68,6 +68,12 @@ class Check(NamedTuple):
         """Whether the error is within the tolerance; False if it is NaN."""
         return self.error <= self.tolerance
 
+    def __str__(self) -> str:
+        verdict = "ok" if self.passed else "FAILED"
+        numbers = f"{self.found:.12g}, expected {self.expected:.12g}"
+        error = f"error {self.error:.1e}, allowed {self.tolerance:.1e}"
+        return f"{verdict:6}  {self.name}: {numbers}; {error}"
+
 
 def environment() -> str:
     """Versions of Python and packages, and JAX's devices, in one line."""

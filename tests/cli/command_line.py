@@ -1,6 +1,6 @@
-"""Runs a command in this process, and reads what it prints."""
+"""Runs a command in this process, and reads what it prints and writes."""
 
-import re
+import csv
 
 from click.testing import CliRunner
 
@@ -11,15 +11,22 @@ def invoke(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+def said(*arguments):
+    """What a command prints that ends well."""
+    result = invoke(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
 def refusal(*arguments):
     """The one line of a command that is refused."""
     result = invoke(*arguments)
-    assert result.exit_code == 2
+    assert result.exit_code == 2, result.output
     assert "Traceback" not in result.output
     (line,) = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
     return line.removeprefix("Error: ")
 
 
-def row(text, name):
-    (line,) = [line for line in text.splitlines() if line.startswith(f"{name}  ")]
-    return re.split(r"  +", line)[1:]
+def table(path):
+    with path.open() as lines:
+        return list(csv.DictReader(lines))

@@ -71,12 +71,12 @@ def test_without_panel_a_sentence_names_the_extra(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--delta", "3"], "Argument `delta` must lie in [-1, 1), but is 3."),
+        (["--delta", "3"], "--delta must lie in [-1, 1), but is 3."),
         (["--w3", "0.1", "--theta", "0.2"], "Argument `start` must be given by"),
-        (["--range", "delta", "0.5", "0.1"], "Argument `delta` must have a range that increases"),
-        (["--allow-origin", "*"], "Argument `origins` must be hosts such as example.org"),
-        (["--address", "::1"], "Argument `address` must be a host name or an IPv4 address"),
-        (["--level", "semi", "--level", "semi"], "Argument `level` must be one level, or two"),
+        (["--range", "delta", "0.5", "0.1"], "--delta must have a range that increases"),
+        (["--allow-origin", "*"], "--allow-origin must be hosts such as example.org"),
+        (["--address", "::1"], "--address must be a host name or an IPv4 address"),
+        (["--level", "semi", "--level", "semi"], "--level must be one level, or two"),
     ],
 )
 def test_the_command_refuses_in_one_line(options, sentence):

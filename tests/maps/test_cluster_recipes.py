@@ -18,7 +18,7 @@ import yaml
 
 from dask_processes import DASK, DIPOLETOP, Hold, Processes, files, until
 from dipoletop.cli import main
-from dipoletop.cli.parameters import Duration
+from dipoletop.cli.options import DURATION
 
 PAGE = Path(__file__).parents[2] / "notebooks/clusters.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -92,7 +92,7 @@ def test_an_array_job_goes_back_to_the_queue_until_the_map_is_complete(tmp_path,
     options = parsed(map_call[1:])
     assert options["store"]
     (walltime,) = re.findall(r"^#SBATCH --time=(.*)$", ARRAY, re.MULTILINE)
-    assert 60 <= Duration().convert(walltime, None, None) - options["time_limit"] <= 900
+    assert 60 <= DURATION.convert(walltime, None, None) - options["time_limit"] <= 900
     assert "#SBATCH --requeue\n" in ARRAY
 
 
@@ -135,7 +135,7 @@ def slurm_arguments():
 
 
 def seconds(text):
-    return Duration().convert(text, None, None)
+    return DURATION.convert(text, None, None)
 
 
 @pytest.mark.parametrize("cores", [1, 64])

@@ -369,8 +369,10 @@ def test_the_rim_of_batches():
 
 def test_a_particle_as_text():
     grain = Particle(1e-18, np.diag([4e-34, 2e-34, 3e-34]), [0, 100 * DEBYE, 0])
-    moments = "moments=(2e-34, 3e-34, 4e-34) kg m²"
+    moments = "moments=(4e-34, 2e-34, 3e-34) kg m²"  # about the body axes
     assert repr(grain) == f"Particle(mass=1e-18 kg, {moments}, dipole=100 D along (0, 1, 0))"
+    turned = Particle(1e-18, [[3e-34, 1e-34, 0], [1e-34, 3e-34, 0], [0, 0, 3e-34]], [0, 0, DEBYE])
+    assert "moments=(2e-34, 3e-34, 4e-34) kg m², dipole=1 D along (0, 0, 1)" in repr(turned)
     assert repr(CUBOID).endswith(", radius=1.87083e-08 m)")
     spheres = jax.vmap(lambda mass: Particle.sphere(1e-8, grain.dipole, mass=mass))
     assert repr(spheres(jnp.array([1e-20, 5e-20]))) == (

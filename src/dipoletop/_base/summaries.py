@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 FEW = 4  # numbers that are all shown
+UNITS = {"years": 365.25 * 86400, "days": 86400.0, "hours": 3600.0}
 
 
 def summary(result: Any, *omit: str, **errors: str) -> str:
@@ -34,6 +35,14 @@ def with_error(value: float, error: float) -> str:
     if error > 0 and value != 0 and math.isfinite(value):
         digits = max(2, min(16, math.ceil(math.log10(abs(value) / error)) + 1))
     return f"{value:.{digits}g} ± {error:.1g}"
+
+
+def duration(seconds: float) -> str:
+    """A time in seconds, and in years, days or hours where it is long."""
+    for name, length in UNITS.items():
+        if length <= seconds < math.inf:
+            return f"{seconds:.4g} s ({seconds / length:.3g} {name})"
+    return f"{seconds:.4g} s"
 
 
 def span(values: Any) -> str:

@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from .._base.checks import described, refuse
 from .._base.numerals import as_text
 from .._base.types import Equation
 from ..equations.coordinates import cylindrical
@@ -44,6 +46,30 @@ QUANTITIES = {
 }
 CYLINDRICAL, SPHERICAL = {"w_perp", "w3"}, {"amplitude", "theta"}
 """The two ways to give the size and the direction of ω₀; φ belongs to both."""
+
+
+def checked(name: str, value: Any, quantity: Quantity) -> float:
+    """A number that a quantity may have.
+
+    Raises:
+        ValueError: it is none, or lies out of bounds.
+    """
+    must = "be a finite number"
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        refuse(name, must, described(value))
+    number = float(value)
+    if not math.isfinite(number):
+        refuse(name, must, f"is {number}")
+    if not quantity.least <= number <= quantity.most:
+        refuse(name, _bounds(quantity), f"is {number:g}")
+    return number
+
+
+def _bounds(quantity: Quantity) -> str:
+    if math.isinf(quantity.most):
+        return f"be at least {quantity.least:g}"
+    end = ")" if quantity.most < round(quantity.most) else "]"  # δ < 1, by its last bit
+    return f"lie in [{quantity.least:g}, {quantity.most:.6g}{end}"
 
 
 def describe(values: Mapping[str, float]) -> str:

@@ -10,11 +10,10 @@ import click
 
 from .._base.checks import one_line
 from .._maps.cluster import await_worker
-from .refusals import Refusal
+from .running import Refusal
 
 CONNECT = 20.0  # seconds within which the scheduler must answer
 JOIN = 300.0  # seconds within which a worker must; they may just be starting
-OPTIONS = {"Argument `client`": "--scheduler", "Argument `store`": "--output"}
 
 
 @contextlib.contextmanager
@@ -23,6 +22,7 @@ def cluster_client(address: str | None, has_store: bool) -> Iterator[Any]:
 
     Raises:
         Refusal: the cluster cannot be used.
+        ValueError: the scheduler or the worker has no dipoletop.
     """
     if address is None:
         yield None
@@ -30,14 +30,13 @@ def cluster_client(address: str | None, has_store: bool) -> Iterator[Any]:
     if not has_store:
         raise Refusal("--scheduler needs a store, which its workers write: leave --no-store out.")
     with _connected(address) as client:
+        if not client.nthreads():
+            click.echo(f"{address} has no workers yet: waiting for one.", err=True)
         try:
-            _await_worker(client, address)
-            yield client
-        except ValueError as error:
-            for argument, option in OPTIONS.items():
-                if str(error).startswith(argument):
-                    raise Refusal(str(error).replace(argument, option)) from None
-            raise
+            await_worker(client, JOIN)
+        except TimeoutError:
+            raise Refusal(f"--scheduler {address}: no worker has answered in {JOIN:g} s.") from None
+        yield client
 
 
 def _connected(address: str) -> Any:
@@ -65,13 +64,3 @@ async def _greet(address: str) -> None:
 
     comm = await connect(address, timeout=CONNECT)
     await comm.close()
-
-
-def _await_worker(client: Any, address: str) -> None:
-    """Wait for the first worker, for some time."""
-    if not client.nthreads():
-        click.echo(f"{address} has no workers yet: waiting for one.", err=True)
-    try:
-        await_worker(client, JOIN)
-    except TimeoutError:
-        raise Refusal(f"--scheduler {address}: no worker has answered in {JOIN:g} s.") from None

@@ -1,14 +1,174 @@
-"""`dipoletop store`: verify the data of a sweep on disk, and recompute what is damaged."""
+"""`dipoletop info`, `plot`, `export` and `store`: what is in a store, and whether it is sound."""
 
-import sys
+from pathlib import Path
+from typing import Any
 
 import click
 
+from .._base.checks import refuse
+from .._base.summaries import duration
+from .._maps.basin import Basin
+from .._maps.columns import VERSION, without_versions
+from .._maps.grids import Grid, counted
 from .._maps.store.errors import StoreDamaged
 from .._maps.store.saved_basins import verify
-from . import maps
-from .interruption import interruptible
-from .refusals import computing
+from .._maps.store.status import status
+from .._maps.store.tiles import open_store
+from .._maps.tally_results import Tally
+from .._maps.top_parameters import CYLINDRICAL, SPHERICAL
+from ..equations.levels import Level
+from .map_command import run_level
+from .options import NUMBER, name_of, output_paths, picture_options, progress_option
+from .running import Refusal, computing, interruptible, say
+
+path_argument = click.argument("path")
+at_option = click.option(
+    "--at",
+    type=(str, NUMBER),
+    multiple=True,
+    metavar="AXIS VALUE",
+    help="Fix an axis at the value nearest to this; may be given for several axes.",
+)
+SHADE = """What shades the outcomes: omega_inf, omega_inf_error, time, steps, probability,
+certified, a derivative such as d_omega_inf_d_delta, or none."""
+
+
+@click.command("info", short_help="What is in a store, and how far its sweep is.")
+@path_argument
+@computing
+def info_command(path: str) -> None:
+    """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
+    found = status(path)
+    header, attrs = found.header, found.header["attrs"]
+    say(repr((Tally if "tally" in header else Basin).load(path, unfinished=True)))
+    plain = without_versions(attrs)
+    settings = (f"{name} {value}" for name, value in plain.items() if name != "level")
+    say(f"Settings  {', '.join(settings)}")
+    done = f"{found.starts_done} starts ({found.starts_done / found.starts:.1%})"
+    size = f"{found.bytes / 1e6:.3g} MB on disk"
+    say(f"Tiles     {found.finished} of {found.tiles} finished, {done}; {size}")
+    if found.rate:
+        left = f"; {duration(found.seconds_left or 0.0)} left at this rate"
+        unfinished = found.finished < found.tiles
+        pauses = f"over the last tiles, pauses included{left if unfinished else ''}"
+        say(f"Speed     {found.rate:,.0f} starts per second {pauses}")
+    say(f"Work      {'a process is at it' if found.at_work else 'no process is at it'}")
+    versions = (name.removeprefix(VERSION) for name in attrs if name not in plain)
+    say(f"Versions  {', '.join(f'{name} {attrs[VERSION + name]}' for name in versions)}")
+    for name, digest in header.get("programs", {}).items():
+        say(f"Digest    {digest} of the {name}")
+    say(f"Format    {header['format']}, {', '.join(header['columns'])}")
+
+
+@click.command("plot", short_help="A picture of the data in a store.")
+@path_argument
+@click.option("--x", metavar="AXIS", help="Horizontal axis.  [default: phi, or the last]")
+@click.option("--y", metavar="AXIS", help="Vertical axis.  [default: the other one]")
+@at_option
+@click.option("--panels", metavar="AXIS", help="Draw a panel for each value on this axis.")
+@click.option(
+    "--average", is_flag=True, help="Draw the share of residual rotations over all other axes."
+)
+@click.option("--shade", metavar="COLUMN", default="omega_inf", help=SHADE)
+@picture_options("plot")
+@computing
+def plot_command(path: str, **options: Any) -> None:
+    """Draw the basin in the store PATH over any two of its axes, while its sweep runs or after.
+
+    Other axes are fixed (--at), averaged (--average) or drawn as panels (--panels). What is not
+    computed yet is hatched.
+    """
+    from .. import plots
+
+    basin = _part(path, options["at"])
+    shade = None if options["shade"] == "none" else options["shade"]
+    x, y = (options[name] and name_of(options[name]) for name in ("x", "y"))
+    _, picture = output_paths(options, "plot")
+    if options["average"]:
+        if x is None or y is None:
+            raise Refusal("--average needs --x and --y, the axes that are not averaged over.")
+        drawn: Any = plots.shares(basin, x, y)
+    elif options["panels"]:
+        panels = name_of(options["panels"])
+        drawn = plots.basin(basin, shade=shade, x=x, y=y, panels=panels)[0]
+    elif not basin.coords:
+        drawn = plots.starts(basin, x or "phi", y or "cos_theta", shade=shade)
+    elif sum(n > 1 for n in basin.shape) == 1:
+        drawn = plots.line(basin, options["shade"])
+    else:
+        drawn = plots.basin(basin, shade=shade, x=x, y=y)
+    drawn.figure.savefig(picture, dpi=150)
+    say(f"Picture: {picture}")
+
+
+@click.command("export", short_help="Data of a store as NetCDF, Parquet or CSV.")
+@path_argument
+@click.argument("target")
+@at_option
+@click.option(
+    "--range",
+    "ranges",
+    type=(str, NUMBER, NUMBER),
+    multiple=True,
+    metavar="AXIS LOW HIGH",
+    help="Only values in this range; may be given for several axes.",
+)
+@click.option(
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="NAME",
+    help="Only this column; may be given several times.",
+)
+@computing
+def export_command(path: str, target: str, **options: Any) -> None:
+    """Write what is in the store PATH to the file TARGET: .nc (NetCDF), .parquet or .csv.
+
+    NetCDF keeps the grid, its labels and units. The tables have a row for each start.
+    """
+    suffix, formats = Path(target).suffix, (".nc", ".parquet", ".csv")
+    if suffix not in formats:
+        raise Refusal(f"{target} must end with {', '.join(formats)}, which tells the format.")
+    basin = _part(path, options["at"], options["ranges"])
+    data = basin.to_xarray()
+    names = [str(name) for name in data.data_vars]
+    if unknown := [name for name in options["columns"] if name not in names]:
+        raise Refusal(f"--column {unknown[0]}: the columns are {', '.join(names)}.")
+    kept = options["columns"] or names
+    data = data.drop_vars([name for name in names if name not in kept])
+    if suffix == ".nc":
+        data.to_netcdf(target, engine="scipy")
+    elif suffix == ".csv":
+        # 17 digits give every number back exactly.
+        _table(data, basin.dims).to_csv(target, index=False, float_format="%.17g")
+    else:
+        try:
+            _table(data, basin.dims).to_parquet(target)
+        except ImportError:
+            raise Refusal("Parquet needs pyarrow: pip install pyarrow.") from None
+    say(f"Data: {target} ({counted(basin.shape)}, {', '.join(kept)})")
+
+
+def _part(path: str, at: Any, ranges: Any = ()) -> Basin:
+    """What is chosen of the basin in a store, whether it is finished or not."""
+    basin = Basin.load(path, unfinished=True)
+    nearest: dict[str, Any] = {name_of(axis): value for axis, value in at}
+    within: dict[str, Any] = {name_of(axis): slice(*ends) for axis, *ends in ranges}
+    basin = basin.sel(method="nearest", **nearest) if nearest else basin
+    return basin.sel(**within) if within else basin
+
+
+def _table(data: Any, dims: tuple[str, ...]) -> Any:
+    """A row for each start; components have columns of their own."""
+    for name in [*data.data_vars, *data.coords]:
+        behind = [dim for dim in data[name].dims if dim not in dims]
+        if behind:
+            values = data[name].values
+            kept = data[name].dims[: -len(behind)]
+            flat = values.reshape(*values.shape[: len(kept)], -1)
+            parts = {f"{name}_{k + 1}": (kept, flat[..., k]) for k in range(flat.shape[-1])}
+            data = data.drop_vars(name).assign(parts)
+    return data.to_dataframe().reset_index()
 
 
 @click.group("store", short_help="Verify and repair the data of a sweep.")
@@ -17,7 +177,7 @@ def store() -> None:
 
 
 @store.command("verify", short_help="Check that the data are what was written.")
-@click.argument("path")
+@path_argument
 @computing
 def verify_command(path: str) -> None:
     """Read all data of the store PATH and list the tiles that are damaged.
@@ -28,20 +188,20 @@ def verify_command(path: str) -> None:
     try:
         report = verify(path)
     except StoreDamaged as error:
-        click.echo(str(error))
+        say(error)
         raise SystemExit(1) from None
     for tile, reason in report.damaged.items():
-        click.echo(f"tile {tile}: {reason}")
+        say(f"tile {tile}: {reason}")
     left = f", {len(report.unfinished)} not computed yet" if report.unfinished else ""
-    click.echo(f"{len(report.damaged)} of {report.tiles} tiles damaged{left}.")
+    say(f"{len(report.damaged)} of {report.tiles} tiles damaged{left}.")
     raise SystemExit(1 if report.damaged else 0)
 
 
 @store.command("repair", short_help="Recompute damaged tiles of a map.")
-@click.argument("path")
-@click.option("--progress/--quiet", default=None, help="Progress bar.  [default: on a terminal]")
+@path_argument
+@progress_option
 @computing
-def repair_command(path: str, progress: bool | None) -> None:
+def repair_command(path: str, progress: bool) -> None:
     """Recompute the damaged and the missing tiles of a map.
 
     PATH is the store of one level, as `dipoletop map` names it. If its metadata are sound, it holds
@@ -49,7 +209,18 @@ def repair_command(path: str, progress: bool | None) -> None:
     writes them anew. The store of another sweep is repaired by that sweep: dt.sweep(...,
     repair=True).
     """
-    show = sys.stderr.isatty() if progress is None else progress
     with interruptible(keeps_tiles=True):
-        run, computed = maps.repair(path, progress=show)
-    click.echo(f"{computed} starts computed again: {run.store} is as it was written.")
+        report, tiles = verify(path), open_store(path)
+        attrs, axes = tiles.header["attrs"], tiles.header["axes"]
+        level = next((level for level in Level if level.label == attrs["level"]), None)
+        maps = [{"delta", "phi", *ways} for ways in (CYLINDRICAL, SPHERICAL)]
+        if level is None or set(axes) not in maps:
+            must = "be the store of a `dipoletop map`"
+            refuse("path", must, f"{path} is of another sweep, which repairs it with `repair=True`")
+        settings = {name: attrs.get(name) for name in ("rtol", "max_steps", "confirm", "engine")}
+        settings |= {"slow_flow": attrs.get("slow_flow", False), "repair": True}
+        settings["progress"] = level.value if progress else False
+        grid = Grid(**{name: tiles.values(name) for name in axes})
+        run_level(level, grid, tiles.folder, **settings)
+    computed = sum(tiles.tiling.length(tile) for tile in (*report.unfinished, *report.damaged))
+    say(f"{computed} starts computed again: {tiles.folder} is as it was written.")

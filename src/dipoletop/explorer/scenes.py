@@ -8,10 +8,16 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from .._base.checks import check_single, check_verdict, described, instance, refuse
+from .._base.checks import check_single, check_verdict, instance, refuse
 from .._base.types import Equation
 from .._maps.problems import Problem, check_problem
-from .._maps.top_parameters import QUANTITIES, Quantity, initial_condition, problem_of_top
+from .._maps.top_parameters import (
+    QUANTITIES,
+    Quantity,
+    checked,
+    initial_condition,
+    problem_of_top,
+)
 from ..equations._families import RIGID, TRANSVERSE
 from ..equations.levels import Level
 from . import source_code
@@ -212,27 +218,3 @@ def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
         return usual._replace(low=value, high=value, default=value)
     low, high = min(usual.low, value), max(usual.high, value)
     return usual._replace(low=low, high=high, default=value)
-
-
-def checked(name: str, value: Any, quantity: Quantity) -> float:
-    """A number that a quantity may have.
-
-    Raises:
-        ValueError: it is none, or lies out of bounds.
-    """
-    must = "be a finite number"
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        refuse(name, must, described(value))
-    number = float(value)
-    if not math.isfinite(number):
-        refuse(name, must, f"is {number}")
-    if not quantity.least <= number <= quantity.most:
-        refuse(name, _bounds(quantity), f"is {number:g}")
-    return number
-
-
-def _bounds(quantity: Quantity) -> str:
-    if math.isinf(quantity.most):
-        return f"be at least {quantity.least:g}"
-    end = ")" if quantity.most < round(quantity.most) else "]"  # δ < 1, by its last bit
-    return f"lie in [{quantity.least:g}, {quantity.most:.6g}{end}"

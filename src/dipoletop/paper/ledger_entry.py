@@ -46,6 +46,12 @@ class Entry(NamedTuple):
             return "FAILED"
         return "corrected" if self.printed else "confirmed"
 
+    def __str__(self) -> str:
+        residual = f"residual {self.residual:.1e}, allowed {self.limit:.1e}"
+        text = f"{self.verdict:9}  {self.place}: {self.claim}; {residual}"
+        paper = f"the paper has {self.printed}; residual {self.printed_residual:.1e}"
+        return f"{text}\n{'':11}{paper}" if self.printed else text
+
 
 def gap(values: Values, expected: Values) -> float:
     """The largest difference over the largest expected number; NaN counts as infinite."""

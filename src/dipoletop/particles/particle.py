@@ -61,7 +61,7 @@ class Particle(eqx.Module):
         >>> from dipoletop.particles import DEBYE
         >>> grain = Particle.rod(100e-9, 10e-9, [2400 * DEBYE, 0, 0], density=2200)
         >>> grain  # doctest: +NORMALIZE_WHITESPACE
-        Particle(mass=6.9115e-20 kg, moments=(3.45575e-36, 5.93237e-35, 5.93237e-35) kg m²,
+        Particle(mass=6.9115e-20 kg, moments=(5.93237e-35, 5.93237e-35, 3.45575e-36) kg m²,
                  dipole=2400 D along (1, 0, 0), radius=5.09902e-08 m)
         >>> f"{grain.tau0():.3e}"  # seconds
         '2.402e-34'

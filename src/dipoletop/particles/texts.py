@@ -24,11 +24,13 @@ def text(particle: Any) -> str:
             f"dipole={span(size / DEBYE)} D",
         ]
     else:
-        along = _tuple(dipole / size)
+        diagonal = np.diag(particle.inertia)
+        if np.array_equal(particle.inertia, np.diag(diagonal)):
+            moments = diagonal  # about the body axes, as `along`
         shown = [
             mass,
             f"moments={_tuple(moments)} kg m²",
-            f"dipole={span(size / DEBYE)} D along {along}",
+            f"dipole={span(size / DEBYE)} D along {_tuple(dipole / size)}",
         ]
     if particle.radius is not None:
         shown.append(f"radius={span(particle.radius)} m")

@@ -1,22 +1,81 @@
-"""How long commands end when Ctrl-C, a batch system or a time limit stops them."""
+"""How every command runs and ends: in float64, with one line for an error, or stopped."""
 
 import contextlib
+import functools
+import io
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
+import jax
 
 from .._base.parallel import stop_requested, workers_are_busy
-from .refusals import Refusal
+from .._maps.store.errors import StoreDamaged
 
+Command = Callable[..., None]
+OPTIONS = {"client": "--scheduler", "store": "--output"}
+"""Options whose values have another name in the library."""
 NAMES = "SIGINT", "SIGTERM", "SIGHUP"
 SIGNALS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 TIME_IS_UP = 124  # exit status, as of `timeout`
 _status: list[int] = []  # the exit status of the first signal
+
+
+class Refusal(click.ClickException):
+    """An error of one line, with exit status 2: the arguments or files do not allow the command."""
+
+    exit_code = 2
+
+
+def computing(command: Command) -> Command:
+    """A command that computes in float64, draws to files, and reports a refusal in one line.
+
+    A refusal is an argument that the library does not take, or a file or store that cannot be used.
+    Any other error is one of the program, and keeps its traceback.
+    """
+
+    @functools.wraps(command)
+    def wrapped(**options: Any) -> None:
+        import matplotlib
+
+        jax.config.update("jax_enable_x64", True)
+        matplotlib.use("Agg")
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace")  # "?" for characters that a terminal lacks
+        try:
+            command(**options)
+        except OSError as error:
+            raise Refusal(_sentence(error)) from None
+        except ValueError as error:
+            text = str(error)
+            if not (isinstance(error, StoreDamaged) or text.startswith("Argument `")):
+                raise
+            context = click.get_current_context()
+            names = {x.name: x.get_error_hint(context) for x in context.command.params}
+            for argument, option in (names | OPTIONS).items():
+                text = text.replace(f"Argument `{argument}`", option.strip("'"))
+            raise Refusal(text) from None
+
+    return wrapped
+
+
+def _sentence(error: OSError) -> str:
+    """What the system refused, without its number."""
+    if error.strerror is None:
+        return str(error)
+    return f"{error.filename or 'A file'} cannot be used ({error.strerror.lower()})."
+
+
+def say(text: Any) -> None:
+    """Print a text or a result; once nobody reads the pipe any more, to nowhere."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextlib.contextmanager

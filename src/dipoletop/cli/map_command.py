@@ -1,0 +1,247 @@
+"""`dipoletop map`: which starts keep rotating and which stop."""
+
+import contextlib
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import jax
+import numpy as np
+
+from .._base.monitoring import COMPILING
+from .._base.types import Outcome, Regime
+from .._maps.basin import Basin
+from .._maps.grids import Grid
+from .._maps.store.errors import StoreMismatch
+from .._maps.store.saved_basins import starts_done
+from .._maps.sweep import sweep
+from .._maps.top_parameters import problem_of_top
+from .._maps.unfolded_basins import unfold
+from .._runs.slow_runs import SlowFlow
+from ..equations.levels import Level
+from .clusters import cluster_client
+from .options import (
+    AXIS,
+    DURATION,
+    MAP_LEVEL,
+    NUMBER,
+    RANGE,
+    SIZE,
+    TERMS,
+    grid_over,
+    levels_option,
+    name_of,
+    output_paths,
+    picture_options,
+    progress_option,
+    quantity_options,
+)
+from .running import Refusal, computing, interruptible, say
+
+SLOW_FLOW: dict[str, SlowFlow] = {"auto": "auto", "on": True, "off": False}
+SLOW = """Predict by the average over free rotation: runs beyond --max-steps (auto), all that the
+first state does not decide (on), none (off)."""
+ENGINE = """auto runs native (machine code; needs llvmlite) where it can, else jax. Machine code is
+kept in your cache folder, ~/.cache/dipoletop on Linux, unless DIPOLETOP_CACHE=off."""
+TIME_LIMIT = """Stop after this time, such as 90s, 30m, 2h or 1:30:00, with exit status 124;
+finished tiles are kept."""
+
+
+@click.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
+@levels_option(MAP_LEVEL, ("order-1", "semi"), "Level of the equation; give two to compare them.")
+@click.option("--x", type=AXIS, metavar="AXIS", default="phi", help="Horizontal axis.")
+@click.option("--y", type=AXIS, metavar="AXIS", default="w3", help="Vertical axis.")
+@click.option("--range", "ranges", **RANGE, help="Range of an axis; may be repeated.")
+@quantity_options
+@click.option("--size", type=SIZE, metavar="N[xM]", default="512", help="Starts on x [and on y].")
+@click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")
+@click.option("--max-steps", type=click.IntRange(1), default=50_000, help="Most steps of a run.")
+@click.option("--slow-flow", type=click.Choice(list(SLOW_FLOW)), default="auto", help=SLOW)
+@click.option(
+    "--confirm", type=NUMBER, metavar="RTOL", help="Run all again at this tolerance, and compare."
+)
+@click.option(
+    "--device", type=click.Choice(["cpu", "gpu"]), help="Kind of devices.  [default: all]"
+)
+@click.option("--engine", type=click.Choice(["auto", "jax", "native"]), default="auto", help=ENGINE)
+@picture_options("map")
+@click.option(
+    "--store/--no-store",
+    default=True,
+    help="Keep the data in OUTPUT-LEVEL.zarr; the same command resumes a stopped sweep.",
+)
+@click.option("--repair", is_flag=True, help="Recompute damaged data of the store.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Compute on the workers of a Dask scheduler, such as tcp://host:8786 (needs dask).",
+)
+@click.option("--time-limit", type=DURATION, help=TIME_LIMIT)
+@progress_option
+@computing
+def map_command(**options: Any) -> None:
+    """Map which starts keep rotating and which stop, over any two quantities.
+
+    Without options: outcome and ω∞ over φ and ω₃, at δ = -0.2 and ω⊥ = 0.2, by the paper's
+    equation (order 1) and by the semi-reduced one. Starts whose outcomes differ are hatched. A run
+    ends as soon as its outcome and ω∞ are certain.
+    """
+    from .. import plots
+
+    levels, keep = list(map(Level, options["level"])), options["store"]
+    if len(set(levels)) != len(levels) or len(levels) > 2:
+        raise Refusal("--level must be one level, or two different ones.")
+    axes = x, y = name_of(options["x"]), name_of(options["y"])
+    ranges = {name_of(word): ends for word, *ends in options["ranges"]}
+    grid, text = grid_over(axes, ranges, options["size"], options)
+    base, picture = output_paths(options, "map")
+    names = "rtol", "max_steps", "confirm", "engine", "repair"
+    settings = {name: options[name] for name in names}
+    settings["slow_flow"] = SLOW_FLOW[options["slow_flow"]]
+    settings["devices"] = _devices(options["device"])
+    say(f"{text}.")
+    runs = []
+    with (
+        interruptible(keeps_tiles=keep, time_limit=options["time_limit"]),
+        cluster_client(options["scheduler"], keep) as settings["client"],
+    ):
+        for level in levels:
+            place = base.with_name(f"{base.name}-{level}.zarr") if keep else None
+            shown = level.value if options["progress"] else False
+            runs.append(run_level(level, grid, place, progress=shown, **settings))
+    basins = [run.basin for run in runs]
+    if len(basins) == 2:
+        figure: Any = plots.compare(*basins, x=x, y=y)
+    else:
+        figure = plots.basin(basins[0], x=x, y=y).figure
+    figure.savefig(picture, dpi=150)
+    for run in runs:
+        say("\n  ".join(_lines(run)))
+    for line in _remarks(basins):
+        say(line)
+    if levels == [Level.ORDER_1]:
+        others = "outcomes may differ at the consistent levels (--level semi)"
+        say(f"{Level.ORDER_1.caveat}; {others}.")
+    say(f"Picture: {picture}")
+    for run in runs:
+        if run.store:
+            say(f"Data: {run.store} (dipoletop.Basin.load reads it)")
+
+
+def _devices(kind: str | None) -> list[Any] | None:
+    """JAX's devices of a kind; None means all."""
+    if kind is None:
+        return None
+    try:
+        return jax.devices(kind)
+    except RuntimeError:
+        raise Refusal(f"--device {kind}: JAX finds none on this machine.") from None
+
+
+class Run(NamedTuple):
+    """A sweep at one level, and what it cost."""
+
+    basin: Basin
+    store: Path | None
+    stored: int
+    """Starts that the store held already."""
+    compiling: float
+    """Seconds in which something was compiled."""
+
+
+def run_level(level: Level, grid: Grid, store: Path | None, **settings: Any) -> Run:
+    """Sweep the grid at one level; `settings` are those of `sweep`.
+
+    Raises:
+        ValueError: bad settings.
+        Refusal: a store with something else in it.
+    """
+    stored = 0 if store is None else starts_done(store, settings.get("repair", False))
+    try:
+        with measure_compile_time() as seconds:
+            basin = sweep(problem_of_top(level), grid, store=store, **settings)
+    except StoreMismatch as error:
+        reason = error.reason.replace("`slow_flow=False`", "--slow-flow off")
+        raise Refusal(f"{reason}; choose another --output, or remove it.") from None
+    return Run(basin, store, stored, seconds())
+
+
+@contextlib.contextmanager
+def measure_compile_time() -> Iterator[Callable[[], float]]:
+    """A function that returns for how many seconds any thread was tracing or compiling.
+
+    JAX reports the end and the duration of every such event. Threads may compile at the same time,
+    so the result is the length of the union of all these intervals.
+    """
+    intervals: list[tuple[float, float]] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event.startswith(("/jax/core/compile/", COMPILING)):
+            now = time.perf_counter()
+            intervals.append((now - duration_secs, now))
+
+    def length_of_union() -> float:
+        total, covered_until = 0.0, -math.inf
+        for begin, end in sorted(intervals):
+            total += max(0.0, end - max(begin, covered_until))
+            covered_until = max(covered_until, end)
+        return total
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield length_of_union
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def _lines(run: Run) -> Iterator[str]:
+    """What a sweep gave, what it cost, and what it did not have to do."""
+    basin = run.basin
+    outcome, time, steps, regime = basin.outcome, basin.time, basin.steps, basin.regime
+    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    unknown = (outcome == Outcome.RESIDUAL) & np.isnan(basin.omega_inf)
+    resolved = regime == Regime.RESOLVED
+    chance = basin.probability[outcome == Outcome.UNDECIDED]
+    computed, seconds = steps.size - run.stored, basin.seconds - run.compiling
+    yield repr(basin)
+    if run.stored:
+        yield f"{run.stored} starts found in the store"
+    if computed:
+        speed = f"{seconds:.1f} s, {computed / seconds:,.0f} per second"
+        apart = f"{run.compiling:.1f} s of compilation apart"
+        yield f"{computed} starts computed in {speed}, engine {basin.attrs['engine']}; {apart}"
+    at_once = np.sum(decided & (time == 0))
+    mean, most = np.mean(steps), np.max(steps)
+    yield f"{mean:.1f} steps on average, at most {most}; {at_once} starts decided without a step"
+    if np.any(known := decided & ~np.isnan(time)):
+        median, last = np.median(time[known]), np.max(time[known])
+        yield f"certain at τ = {median:.3g} (median), at most {last:.3g}"
+    for law in Regime:
+        if law != Regime.RESOLVED and (count := np.sum(regime == law)):
+            yield f"{count} starts predicted: {law.name}"
+    if (chance := chance[np.isfinite(chance)]).size:
+        mean = f"residual with probability {np.mean(chance):.3f} on average"
+        yield f"{chance.size} starts undecided, a matter of chance: {mean}"
+    if count := np.sum(unknown & resolved):
+        yield f"{count} starts with ω∞ not known: its error may exceed it"
+    if count := np.sum(unknown & ~resolved):
+        yield f"{count} starts with ω∞ not known: its sign is a matter of chance"
+    if "changed" in basin.columns:
+        yield f"{np.sum(basin.changed)} starts changed at the second tolerance"
+
+
+def _remarks(basins: list[Basin]) -> Iterator[str]:
+    """How two levels differ, and what was not computed."""
+    first = basins[0]
+    size = math.prod(first.shape)
+    if len(basins) == 2:
+        differ = int(np.sum(first.outcome != basins[1].outcome))
+        yield f"Outcome differs between the levels: {differ} starts, {differ / size:.2%}."
+    whole = math.prod(unfold(dataclasses.replace(first, columns={})).shape)
+    if whole > size:
+        left = f"{whole - size} of {whole} starts of the whole plane ({1 - size / whole:.0%})"
+        yield f"Not computed: {left}, which follow by symmetry."

@@ -1,0 +1,234 @@
+"""`dipoletop predict` and `atlas`: how particles end, and bodies of every shape."""
+
+from typing import Any
+
+import click
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from .._base.directions import spread_directions
+from ..atlases import atlas
+from ..bodies import Body
+from ..particles import DEBYE, Particle, angular_speed, paper_particles, start
+from ..prediction import ENDS, Prediction, predict
+from .options import (
+    DIRECTION,
+    NUMBER,
+    NUMBERS,
+    lengths,
+    output_paths,
+    picture_options,
+    progress_option,
+    together,
+    write_table,
+)
+from .running import Refusal, computing, say
+
+OF_PAPER = click.Choice(["silica", "dast", "cellulose", "cdse", "cds"], case_sensitive=False)
+"""The first words of the names of `paper_particles`."""
+SHAPES = {
+    "box": (lengths(3, "100x60x40nm"), "Edges A x B x C along the body axes x, y, z."),
+    "rod": (lengths(2, "100x20nm"), "Length and diameter of a cylinder along the body axis z."),
+    "sphere": (lengths(1, "100nm"), "Diameter."),
+    "ellipsoid": (lengths(3, "100x60x40nm"), "Diameters along the body axes x, y, z."),
+}
+HISTORY = "seconds", "energy_J", "angular_momentum_Js", "h_per_kg_m2", "speed_rad_per_s"
+COLUMNS = "outcome", "ratio", "omega_inf", "half_time", "lifetime", "radiated_energy", "error"
+
+NOTES = """\b
+Examples:
+  dipoletop predict --particle cellulose
+  dipoletop predict --box 100x60x40nm --density 2000 --dipole 2400 --along z --momentum 1,1,1
+
+\b
+The moments of inertia J₁ ≤ J₂ ≤ J₃ belong to the principal axes 1, 2 and 3.
+ends             residual rotation along (+) or against (-) the dipole; a stop about an
+                 axis; a stop while tumbling about axis 3 (low) or 1 (high); wobbling
+                 about the middle axis of a needle; each with its probability
+ratio            the angular momentum that is left at the end, over that of the start
+omega_inf        the last angular velocity, along the dipole
+half_time        after which the energy has fallen halfway to its last value
+lifetime         of the last rotation, which decays as L² ∝ 1/(1 + t/lifetime); inf if it
+                 is residual. A dipole at a small angle from an axis has a long one
+radiated_energy  the energy that is lost, also as a share of that of the start
+nan              not known: a matter of chance
+Of many starts, the quantiles 0.1, 0.5 and 0.9 are shown.
+
+\b
+The law that decided: SLOW_FLOW, the average over free rotation; AVERAGED, the same for two
+equal moments; UNFOLDED, capture of a body with two nearly equal moments; EXACT, a solution
+in closed form; RESOLVED, integration turn by turn."""
+
+
+particle_options = together(
+    click.option("--particle", type=OF_PAPER, help="A particle of the paper."),
+    *(
+        click.option(f"--{shape}", type=kind, metavar=kind.name, help=meaning)
+        for shape, (kind, meaning) in SHAPES.items()
+    ),
+    click.option("--density", type=NUMBER, help="Density of a solid, kg/m³."),
+    click.option("--dipole", type=NUMBER, help="Dipole moment, debye."),
+    click.option("--along", type=DIRECTION, help="Direction of the dipole: x, y, z or 1,0,0.01."),
+)
+
+
+@click.command("predict", epilog=NOTES, short_help="How the rotation of a real particle ends.")
+@particle_options
+@click.option("--spin", default="1 GHz", help="L·Ω/|L|: 1GHz, 3000rpm or 6e9rad/s.")
+@click.option("--momentum", type=DIRECTION, help="Direction of L: x, y, z or 1,2,3.")
+@click.option("--axis", type=DIRECTION, help="Direction of Ω, in place of --momentum.")
+@click.option(
+    "--directions",
+    type=click.IntRange(2),
+    default=200,
+    help="Number of directions of L, if none is given.",
+)
+@picture_options("prediction")
+@progress_option
+@computing
+def predict_command(**options: Any) -> None:
+    """Predict how the rotation of a particle ends, and how long that takes.
+
+    The particle is one of the paper's, or a homogeneous solid with a dipole. Without --momentum and
+    --axis it is predicted for directions of L spread evenly over the sphere; the picture then shows
+    the median and bands. x, y, z are body axes.
+    """
+    from .. import plots
+
+    if options["momentum"] and options["axis"]:
+        raise Refusal("--momentum and --axis cannot both be given.")
+    base, picture = output_paths(options, "prediction")
+    particle, spin = given_particle(options), options["spin"]
+    name, letter = ("axis", "Ω") if options["axis"] else ("momentum", "L")
+    single = options[name]
+    directions = np.asarray([single]) if single else spread_directions(options["directions"])
+    starts = start(particle, spin, **{name: jnp.asarray(directions)})
+    predictions = _predictions(particle, starts, options["progress"])
+    shown = jax.tree.map(lambda leaf: leaf[0], predictions) if single else predictions
+    plots.save(plots.history(shown), picture)
+    say(particle)
+    along = f"{letter} along {single}" if single else f"{len(starts)} isotropic directions of L"
+    say(f"L·Ω/|L| = {float(angular_speed(spin)):.4g} rad/s, {along}")
+    say(shown)
+    if single:
+        from ..plots.history_curves import times_for
+
+        times = jnp.asarray(times_for(predictions))
+        columns: dict[str, Any] = dict(zip(HISTORY, shown.history(times), strict=True))
+    else:
+        columns = {f"L_{axis}": directions[:, k] for k, axis in enumerate("xyz")}
+        columns |= {column: getattr(shown, column) for column in COLUMNS}
+        names = (end.replace(",", "").replace(" ", "_") for end in ENDS)
+        columns |= dict(zip(names, shown.probability.T, strict=True))
+    data = base.with_name(f"{base.name}.csv")
+    write_table(data, columns)
+    say(f"Picture: {picture}\nData: {data}")
+
+
+def _predictions(particle: Particle, starts: Any, show: bool) -> Prediction:
+    """The predictions for all starts, as a batch."""
+    # One by one: a batch by `vmap` would be compiled for minutes.
+    bar = tqdm(starts, desc="predict", disable=not show, leave=False)
+    each = [predict(particle, omega0) for omega0 in bar]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+
+
+def given_particle(options: dict[str, Any]) -> Particle:
+    """The particle that the options describe.
+
+    Raises:
+        Refusal: none or several of --particle and the shapes, or options that one needs are absent.
+        ValueError: values that no particle has.
+    """
+    given = [name for name in ("particle", *SHAPES) if options[name] is not None]
+    if len(given) != 1:
+        all_names = "--particle, --box, --rod, --sphere or --ellipsoid"
+        was = "none is given" if not given else f"--{' and --'.join(given)} are"
+        raise Refusal(f"One of {all_names} must be given, but {was}.")
+    shape, size = given[0], options[given[0]]
+    dipole, along, density = options["dipole"], options["along"], options["density"]
+    if shape == "particle":
+        if density is not None:
+            raise Refusal("--density is that of a solid; a --particle has its own.")
+        rotators = paper_particles()
+        found = next(x.particle for x in rotators if x.name.lower().split()[0] == size)
+        if dipole is None and along is None:
+            return found
+        length = jnp.linalg.norm(found.dipole) if dipole is None else dipole * DEBYE
+        vector = length * _unit(along or found.dipole)
+        return Particle(found.mass, found.inertia, vector, radius=found.radius)
+    for name in ("density", "dipole", "along"):
+        if options[name] is None:
+            raise Refusal(f"--{shape} needs --{name}, too.")
+    vector = dipole * DEBYE * _unit(along)
+    if shape == "box":
+        return Particle.cuboid(size, vector, density=density)
+    if shape == "rod":
+        return Particle.rod(size[0], size[1] / 2, vector, density=density)
+    if shape == "sphere":
+        return Particle.sphere(size[0] / 2, vector, density=density)
+    return Particle.ellipsoid([length / 2 for length in size], vector, density=density)
+
+
+def _unit(vector: Any) -> np.ndarray:
+    return np.asarray(vector) / np.linalg.norm(vector)
+
+
+ENDINGS = """\b
+How a body ends, over all directions of L; in the data, by these numbers:
+  0 RESIDUAL       residual rotation from every start
+  1 BOTH           residual rotation or a stop, by the start
+  2 SPIN_1         a stop while spinning about the axis of J₁
+  3 SPIN_3         a stop while spinning about the axis of J₃
+  4 TUMBLING_LOW   a stop while tumbling about the axis of J₃
+  5 TUMBLING_HIGH  a stop while tumbling about the axis of J₁
+  6 STOPS          one of two kinds of stop, by the start
+ratio is L∞/L₀, what is left of the angular momentum."""
+
+
+@click.command("atlas", epilog=ENDINGS, short_help="How bodies of every shape end.")
+@click.option(
+    "--dipole",
+    "dipoles",
+    type=click.Choice(["1", "2", "3"]),
+    multiple=True,
+    help="Principal axis with the dipole (J₁ ≤ J₂ ≤ J₃); may be repeated.  [default: 1 2 3]",
+)
+@click.option(
+    "--body",
+    type=NUMBERS,
+    metavar="J1,J2,J3",
+    help="Moments of inertia: map over all dipoles of this body instead.",
+)
+@click.option(
+    "--size", type=click.IntRange(2), default=40, help="Cells along an edge of each triangle."
+)
+@click.option("--particles/--no-particles", default=True, help="Mark the particles of the paper.")
+@picture_options("atlas")
+@progress_option
+@computing
+def atlas_command(**options: Any) -> None:
+    """Map how weakly radiating bodies end, over all ratios of moments of inertia.
+
+    Each map is one over a triangle, with the dipole on a principal axis; the needle, the disc and
+    the sphere are its corners. Directions of L are isotropic. With --body the map is over the
+    squares of the direction cosines of the dipole. This takes about two minutes.
+    """
+    from .. import plots
+
+    base, picture = output_paths(options, "atlas")
+    dipoles, moments = options["dipoles"], options["body"]
+    if moments and dipoles:
+        raise Refusal("--dipole and --body cannot both be given.")
+    settings = {"n": options["size"], "progress": options["progress"]}
+    if moments:
+        maps = [atlas(body=Body(np.diag(moments), [1.0, 0.0, 0.0]), **settings)]
+    else:
+        maps = [atlas(int(axis), **settings) for axis in dict.fromkeys(dipoles or "123")]
+    plots.save(plots.atlas(maps, particles=options["particles"]), picture)
+    data, columns = base.with_name(f"{base.name}.csv"), [each.columns() for each in maps]
+    write_table(data, {k: np.concatenate([each[k] for each in columns]) for k in columns[0]})
+    say("\n".join(map(repr, maps)))
+    say(f"Picture: {picture}\nData: {data}")
