@@ -153,7 +153,7 @@ def capture(delta: Scalar) -> Capture:
 
 
 def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
-    """Compute how a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
+    """Return how a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
 
     W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
     |ω₀|^{1+κ}. Errors are of the order |ω₀|. A start with q = 2δ|ω₃|/ω⊥² below `ENTRY` (1 + |a|) is

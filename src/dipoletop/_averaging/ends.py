@@ -104,7 +104,7 @@ def slow_probability(
 
 
 def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
-    """Compute how a pure spin about a principal axis ends, by its law L² = 1/(1 + rt)."""
+    """Return how a pure spin about a principal axis ends, by its law L² = 1/(1 + rt)."""
     moment, cosine = rotation.moments[axis], rotation.dipole[axis]
     r = rotation.spin_decay(axis)
     residual = r == 0

@@ -70,7 +70,7 @@ def largest_loss(motion: SlowMotion) -> Real:
 
 
 def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
-    """Return the error of a needle that is captured from its own phase.
+    """Return the error of a needle that is captured from a known phase.
 
     The plane of its motion neglects ω₃² beside ω⊥². While q = 2δ|ω₃|/ω⊥² falls to 1 the phase
     changes by about q.

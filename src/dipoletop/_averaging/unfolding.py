@@ -155,7 +155,7 @@ class PlanarMotion(NamedTuple):
         return self.settles(y) | stops & (y[2] < -HALF) | faded & (self.ratio == 0)
 
     def stays(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
-        """Compute whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
+        """Return whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
         return (jnp.abs(y[1]) < ON_AXIS) & (jnp.abs(jnp.cos(y[0])) < ON_AXIS) & (self.ratio == 0)
 
     def section(self, y: Float[Array, "3"], turn: Real) -> Float[Array, "3"]:

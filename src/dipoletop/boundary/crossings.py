@@ -101,7 +101,7 @@ class Crossings:
 def bisect(
     problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], **settings: Any
 ) -> Crossings:
-    """Return the boundary between the fates of a and b on the segments a + s(b − a), to rounding.
+    """Find the boundary between the fates of a and b on the segments a + s(b − a), to rounding.
 
     All segments are divided at once, each into many parts. The first part in which the fate changes
     is divided again. So the crossing is the one nearest to a, among the changes that the parts
