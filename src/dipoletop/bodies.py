@@ -1,9 +1,9 @@
 """Rigid bodies with an electric dipole: inertia tensor and dipole moment in body axes.
 
 All quantities are dimensionless with k = 1. Choose a unit of inertia I₁ and a unit of time τ₀.
-Units of mass M and of length ℓ give I₁ = Mℓ². The unit of dipole moment is then √(I₁τ₀/k), that of
-charge √(Mτ₀/k), and |d|² measures how strongly the body radiates. With I₁ the transverse moment of
-an axisymmetric top and τ₀ = k d²/I₁ the dipole has length 1.
+Units of mass M and of length ℓ give I₁ = Mℓ². The unit of dipole moment is then √(I₁τ₀/k), the unit
+of charge √(Mτ₀/k), and |d|² measures how strongly the body radiates. With I₁ the transverse moment
+of an axisymmetric top and τ₀ = k d²/I₁ the dipole has length 1.
 """
 
 import functools
@@ -68,7 +68,7 @@ class Body(eqx.Module):
 
 
 def axisymmetric(delta: Any, dipole: Any = "transverse") -> Body:
-    """The top I = diag(1, 1, 1−δ), |d| = 1, in units of I₁ and τ₀ = k d²/I₁.
+    """Return the top I = diag(1, 1, 1−δ), |d| = 1, in units of I₁ and τ₀ = k d²/I₁.
 
     Args:
         delta: shape parameter δ = 1 − I₃/I₁: 0 < δ < 1 prolate, 0 a sphere, −1 ≤ δ < 0 oblate, −1
@@ -99,7 +99,7 @@ def axisymmetric(delta: Any, dipole: Any = "transverse") -> Body:
 
 
 def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
-    """The homogeneous spheroid I = m/5 diag(a²+c², a²+c², 2a²), symmetric about the third axis.
+    """Return the homogeneous spheroid I = m/5 diag(a²+c², a²+c², 2a²) about the third axis.
 
     Args:
         mass: mass m, in units of M.
@@ -120,7 +120,7 @@ def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:
 
 
 def box(mass: Any, lengths: Any, dipole: Any) -> Body:
-    """The homogeneous cuboid I = m/12 diag(l₂²+l₃², l₃²+l₁², l₁²+l₂²).
+    """Return the homogeneous cuboid I = m/12 diag(l₂²+l₃², l₃²+l₁², l₁²+l₂²).
 
     Args:
         mass: mass m, in units of M.
@@ -143,12 +143,12 @@ def box(mass: Any, lengths: Any, dipole: Any) -> Body:
 
 
 def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
-    """The homogeneous cylinder I = m/12 diag(l²+3r², l²+3r², 6r²) about the third axis.
+    """Return the homogeneous cylinder I = m/12 diag(l²+3r², l²+3r², 6r²) about the third axis.
 
     Args:
         mass: mass m, in units of M.
         length: length l, in units of ℓ.
-        radius: radius r, in units of ℓ; not 0, else there is no inertia about the axis.
+        radius: radius r, in units of ℓ; not 0, as the moment about the axis must not vanish.
         dipole: dipole moment, shape (3,), in units of √(I₁τ₀/k).
 
     Raises:
@@ -164,12 +164,12 @@ def rod(mass: Any, length: Any, radius: Any, *, dipole: Any) -> Body:
 
 
 def from_charges(masses: Any, positions: Any, charges: Any) -> Body:
-    """Rigidly joined point charges: I = Σ m(ρ²1 − ρρᵀ), d = Σ qρ, ρ from the centre of mass.
+    """Return the body I = Σ m(ρ²1 − ρρᵀ), d = Σ qρ of point charges, ρ from the centre of mass.
 
-    The dipole of a neutral body is the same about every point. That of a charged body is not; it
-    is taken about the centre of mass here, as equation (3.3) requires for rotation about that
-    point. The recoil of a charged centre of mass, which acts back on the rotation at order k², is
-    neglected.
+    The charges are rigidly joined. The dipole of a neutral body is the same about every point. The
+    dipole of a charged body is taken about the centre of mass, as equation (3.3) requires for
+    rotation about that point. The recoil of a charged centre of mass, which acts back on the
+    rotation at order k², is neglected.
 
     Args:
         masses: masses, shape (n,), in units of M; none negative, not all zero.
@@ -203,8 +203,8 @@ def from_charges(masses: Any, positions: Any, charges: Any) -> Body:
 def _multipoles(
     masses: Float[Array, " n"], positions: Float[Array, "n 3"], charges: Float[Array, " n"]
 ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
-    """Inertia tensor and dipole moment about the centre of mass."""
-    # Sums, because accelerators round matrix products to fewer digits.
+    """Return inertia tensor and dipole moment about the centre of mass."""
+    # Sums, since accelerators round matrix products to fewer digits.
     centre = jnp.sum(masses[:, None] * positions, axis=0) / jnp.sum(masses)
     rho = positions - centre[None]
     second = jnp.sum(masses[:, None, None] * (rho[:, :, None] * rho[:, None, :]), axis=0)
@@ -213,7 +213,7 @@ def _multipoles(
 
 
 def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
-    """An inertia tensor that a body of positive masses can have, made exactly symmetric."""
+    """Check an inertia tensor, and return it exactly symmetric."""
     inertia = on_host(finite("inertia", value, (3, 3)))
     transposed = inertia.swapaxes(-1, -2)
     size = abs(inertia).max(axis=(-1, -2), keepdims=True)
@@ -227,7 +227,7 @@ def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
 
 
 def _where_moments(inertia: Inertia, valid: Any, must: str) -> Inertia:
-    """`where_valid` with a message that shows the principal moments."""
+    """Return `where_valid` with a message that shows the principal moments."""
     if concrete(inertia, valid) and not np.all(valid):
         moments = np.linalg.eigvalsh(np.asarray(inertia)[~np.asarray(valid)][0])
         refuse("inertia", must, "has " + ", ".join(f"{moment:.8g}" for moment in moments))
@@ -235,40 +235,40 @@ def _where_moments(inertia: Inertia, valid: Any, must: str) -> Inertia:
 
 
 def _rounding() -> float:
-    """The rounding error of a few operations, relative to the largest number among them."""
+    """Return the rounding error of a few operations, relative to the largest number among them."""
     return 16 * float(jnp.finfo(jnp.result_type(float)).eps)
 
 
 def _tolerance() -> float:
-    """The relative error that a symmetry or an equality of the user's numbers may have."""
+    """Return the relative error that a symmetry or an equality of the user's numbers may have."""
     return max(1e-12, _rounding())
 
 
 def _positive_moments(inertia: Inertia) -> Any:
-    """Tell whether every principal moment is positive beyond rounding."""
+    """Return whether every principal moment is positive beyond rounding."""
     return _positive_definite(inertia - _rounding() * _isotropic(_trace(inertia)))
 
 
 def _triangle_inequality(inertia: Inertia) -> Any:
-    """Tell whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
+    """Return whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
     return _positive_definite((0.5 + _tolerance()) * _isotropic(_trace(inertia)) - inertia)
 
 
 def _trace(inertia: Inertia) -> Any:
-    """The sum of the diagonal, of every tensor."""
+    """Return the trace of every tensor."""
     return inertia.trace(axis1=-2, axis2=-1)
 
 
 def _isotropic(moments: Any) -> Any:
-    """The tensors with three equal moments."""
+    """Return tensors with three equal moments."""
     return diagonal(moments, moments, moments)
 
 
 def _positive_definite(matrices: Any) -> Any:
-    """Tell whether all three pivots of Gaussian elimination are positive.
+    """Return whether all three pivots of Gaussian elimination are positive.
 
-    Rounding changes the pivots as an error of the matrix itself would, unlike the leading minors.
-    The test is therefore right for a matrix with two eigenvalues near zero, too.
+    Rounding changes the pivots like an error of the matrix itself, unlike the leading minors. The
+    test is therefore also right for a matrix with two eigenvalues near zero.
     """
     m = namespace(matrices).moveaxis(matrices, (-2, -1), (0, 1))
     with np.errstate(all="ignore"):  # a pivot of 0 gives NaN, which is not positive
@@ -280,27 +280,27 @@ def _positive_definite(matrices: Any) -> Any:
 
 
 def _nonzero_dipole(dipole: Any) -> Float[Array, "*batch 3"]:
-    """A dipole moment that is not zero."""
+    """Return a dipole moment; refuse zero."""
     vector = finite("dipole", dipole, (3,))
     return where_valid("dipole", vector, (on_host(vector) != 0).any(axis=-1), "not be zero")
 
 
 def _positive_numbers(**values: Any) -> list[Any]:
-    """Positive numbers, repeated to their common batch; in NumPy if they are known."""
+    """Return positive numbers, repeated to their common batch; in NumPy if they are known."""
     return _same_batch(
         **{name: (on_host(positive(name, value)), 0) for name, value in values.items()}
     )
 
 
 def diagonal(*moments: Any) -> Inertia:
-    """The inertia tensor whose principal axes are the body axes."""
+    """Return the inertia tensor whose principal axes are the body axes."""
     xp, zero = namespace(*moments), 0 * moments[0]
     rows = [[moment if i == j else zero for j in range(3)] for i, moment in enumerate(moments)]
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _same_batch(**fields: tuple[Any, int]) -> list[Any]:
-    """The arrays, each given with its natural rank, repeated to their common batch."""
+    """Return the arrays, each given with its natural rank, repeated to their common batch."""
     sizes = {name: array.shape[0] for name, (array, rank) in fields.items() if array.ndim > rank}
     if not sizes:
         return [array for array, _ in fields.values()]

@@ -1,9 +1,9 @@
-"""What a freely rotating dipole emits: the lines of its spectrum, and their polarisation.
+"""The emission of a freely rotating dipole: the lines of its spectrum, and their polarisation.
 
 The angular momentum L moves round an axis in the body with a period T, and the body turns about L
 meanwhile, at the mean rate Φ̇. So the dipole has the angular frequencies j·2π/T along L and
-Φ̇ + j·2π/T across L, with whole numbers j. Radiation changes them slowly: the lines are those of a
-time that is long beside T and short beside the braking time.
+Φ̇ + j·2π/T across L, with whole numbers j. Radiation changes them slowly: the lines belong to a
+time that is long compared with T and short compared with the braking time.
 """
 
 import math
@@ -25,8 +25,8 @@ from ._base.types import Real
 from .bodies import Body
 from .particles import RADIATION, Particle
 
-STRONGEST = 3  # lines that are shown
-UNSEEN = 1e-13  # share of the power that is taken for rounding
+STRONGEST = 3  # number of lines in the text
+UNSEEN = 1e-13  # share of the power that counts as rounding
 HARMONICS = 32
 
 Rotor = Body | Particle
@@ -36,9 +36,9 @@ Vector3 = Float[Array, "3"]
 class Lines(NamedTuple):
     """The lines that a rotating dipole emits, in a frame with axis 3 along L.
 
-    First the lines along L at j·2π/T, j = 1 … n, then those across L at |Φ̇ + j·2π/T|, j = −n … n.
-    At the time t the dipole is Re Σ aₖ exp(−iωₖt) and a constant along L. At t = 0 the angular
-    velocity is that given, and the dipole lies in the half plane of axes 3 and 1.
+    First the lines along L at j·2π/T, j = 1 … n, then the lines across L at |Φ̇ + j·2π/T|,
+    j = −n … n. At the time t the dipole is Re Σ aₖ exp(−iωₖt) plus a constant along L. At t = 0 the
+    angular velocity is `omega`, and the dipole lies in the half plane of axes 3 and 1.
     """
 
     frequency: Float[Array, "*batch m"]
@@ -49,7 +49,7 @@ class Lines(NamedTuple):
     """Amplitudes a of the dipole; C m for a particle. (1, i, 0) turns in the positive sense about
     L, (1, −i, 0) in the negative sense."""
     total: Float[Array, "*batch"]
-    """The mean power of all lines, also those left out, in closed form."""
+    """The mean power of all lines, neglected ones included, in closed form."""
     precession: Float[Array, "*batch"]
     """Φ̇."""
     libration: Float[Array, "*batch"]
@@ -57,7 +57,7 @@ class Lines(NamedTuple):
 
     @property
     def missing(self) -> Float[Array, "*batch"]:
-        """The share of the power that is left out, 1 − Σ power/total; 0 if nothing radiates."""
+        """The neglected share of the power, 1 − Σ power/total; 0 if nothing radiates."""
         shines = self.total > 0
         share = jnp.sum(self.power, axis=-1) / jnp.where(shines, self.total, 1.0)
         return jnp.where(shines, 1 - share, 0.0)
@@ -81,7 +81,7 @@ class Lines(NamedTuple):
 class Stokes(NamedTuple):
     """The Stokes parameters of the light of a rotating dipole towards one direction.
 
-    Of the field that the observer sees Q > 0 is linear along the projection of L on the sky, U > 0
+    For the observer, Q > 0 is linear polarisation along the projection of L on the sky, U > 0 is
     linear at 45° from it, counter-clockwise, and V > 0 turns counter-clockwise.
     """
 
@@ -90,7 +90,7 @@ class Stokes(NamedTuple):
     lines: Float[Array, "*batch m 4"]
     """I, Q, U, V of each line, power per unit solid angle; W/sr for a particle."""
     total: Float[Array, "*batch 4"]
-    """Their sums."""
+    """The sums over the lines."""
 
     def __repr__(self) -> str:
         if not concrete(*self) or np.ndim(self.total) > 1:
@@ -100,14 +100,14 @@ class Stokes(NamedTuple):
 
 
 def lines(body: Rotor, omega: Any, *, n: int = HARMONICS) -> Lines:
-    """The lines ω = j·2π/T and |Φ̇ + j·2π/T| of free rotation, with the powers P = ½ω⁴|a|².
+    """Compute the lines ω = j·2π/T and |Φ̇ + j·2π/T| of free rotation, with powers P = ½ω⁴|a|².
 
     The sum of all powers is the mean ⟨|d̈|²⟩ over the motion. The n-th harmonic is smaller than the
     dipole by about exp(−πnK′/2K), where K′/K falls to 0, slowly, towards the separatrix: `missing`
-    of the result shows whether more harmonics are needed. Of lines that are closer together than
-    the inverse of the time of observation only the sum can be observed.
+    of the result shows whether more harmonics are needed. Lines that are closer together than the
+    inverse of the time of observation cannot be resolved.
 
-    `jax.vmap` takes batches; derivatives are those by `body` and `omega` at fixed n.
+    `jax.vmap` takes batches; derivatives are taken by `body` and `omega` at fixed n.
 
     Args:
         body: a dimensionless body; or a particle, whose results are in SI units, with
@@ -120,7 +120,7 @@ def lines(body: Rotor, omega: Any, *, n: int = HARMONICS) -> Lines:
         3n + 1 lines.
 
     Raises:
-        ValueError: a `body` that is neither, or is a batch; a bad `omega`; an `n` that is no
+        ValueError: a `body` that is neither, or is a batch; a bad `omega`; an `n` that is not a
             positive whole number.
 
     Source: E. T. Whittaker, Analytical Dynamics, section 69.
@@ -141,7 +141,7 @@ def lines(body: Rotor, omega: Any, *, n: int = HARMONICS) -> Lines:
 def _lines(
     inertia: Float[Array, "3 3"], dipole: Vector3, omega: Vector3, k: float | Real, n: int
 ) -> Lines:
-    # All in units of order one: SI values would come near the smallest numbers.
+    # All in units of order one: SI values would be near the smallest floating-point numbers.
     largest = jnp.max(jnp.abs(dipole))
     moment = largest * jnp.linalg.norm(dipole / largest)
     speed = jnp.max(jnp.abs(omega))
@@ -153,7 +153,7 @@ def _lines(
     j = jnp.arange(1.0, n + 1, dtype=speed.dtype)
     rates = precession + libration * jnp.concatenate([-j[::-1], jnp.zeros((1,), j.dtype), j])
     frequency = speed * jnp.concatenate([jnp.abs(libration) * j, jnp.abs(rates)])
-    # Powers are without the phases, whose derivatives are large next to an axis.
+    # Powers do not use the phases, whose derivatives are large next to an axis.
     squares = jnp.concatenate([4 * _square(terms.along), 2 * _square(terms.across)])
     along, across = _from_now(terms, orbit.phase(steps))
     amplitude = _amplitudes(jnp.where(libration < 0, along, jnp.conj(along)), across, rates)
@@ -170,7 +170,7 @@ def _lines(
 def _of_unit_dipole(
     orbit: MomentumOrbit, steps: Descent, spin: Spin, n: int
 ) -> tuple[Real, Real, Real, Series]:
-    """Φ̇, the signed 2π/T, ⟨|d̈|²⟩ and the series of a dipole of length 1."""
+    """Return Φ̇, the signed 2π/T, ⟨|d̈|²⟩ and the series of a dipole of length 1."""
     precession, libration = orbit.rates(steps)
     along, across = series(orbit, steps, n)
     single = jnp.where(jnp.arange(-n, n + 1) == 0, spin.across, 0.0)
@@ -187,7 +187,7 @@ def _of_unit_dipole(
 
 
 def _from_now(terms: Series, phase: Real) -> Series:
-    """The series in θ − θ₀, with axis 1 in the plane of L and the dipole at θ = θ₀."""
+    """Return the series in θ − θ₀, with axis 1 in the plane of L and the dipole at θ = θ₀."""
     n = terms.along.size
     theta = phase * jnp.arange(-float(n), n + 1, dtype=phase.dtype)
     turns = jax.lax.complex(jnp.cos(theta), jnp.sin(theta))
@@ -200,20 +200,20 @@ def _from_now(terms: Series, phase: Real) -> Series:
 
 
 def _square(values: Complex[Array, "k"]) -> Float[Array, "k"]:
-    """The squares of the moduli, with derivatives at 0."""
+    """Return the squares of the moduli, with derivatives at 0."""
     return values.real**2 + values.imag**2
 
 
 def _amplitudes(
     along: Complex[Array, "n"], across: Complex[Array, "m"], rates: Float[Array, "m"]
 ) -> Complex[Array, "lines 3"]:
-    """The amplitudes a of a dipole with d₃ = Re Σ 2c exp(−iωt) and d₁ + id₂ = Σ w exp(iνt).
+    """Compute the amplitudes a of a dipole with d₃ = Re Σ 2c exp(−iωt) and d₁ + id₂ = Σ w exp(iνt).
 
     A line with ν < 0 has the frequency −ν and turns in the negative sense.
     """
     forwards = rates >= 0
     first = jnp.where(forwards, jnp.conj(across), across)
-    turned = jax.lax.complex(-first.imag, first.real)  # i times it
+    turned = jax.lax.complex(-first.imag, first.real)  # i · first
     second = jnp.where(forwards, turned, -turned)
     vectors = jnp.stack([first, second, jnp.zeros_like(first)], axis=-1)
     none = jnp.zeros_like(along)
@@ -221,7 +221,7 @@ def _amplitudes(
 
 
 def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> Stokes:
-    """I, Q, U, V of each line towards an observer, in power per unit solid angle.
+    """Compute I, Q, U, V of each line towards an observer, in power per unit solid angle.
 
     A line of amplitude a has the field E ∝ ω²(a − s(s·a)) towards the direction s, and emits
     I = (3/8π)·½ω⁴|a − s(s·a)|² per unit solid angle there; the integral of I over all directions
@@ -230,16 +230,16 @@ def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> St
 
         I = |E_N|² + |E_M|²,  Q = |E_N|² − |E_M|²,  U = 2Re(E_N* E_M),  V = 2Im(E_N* E_M),
 
-    for fields that vary as exp(−iωt). So V is positive if the field at the observer turns
-    counter-clockwise for him, as that of a dipole does whose L points at him. Seen across L the
-    light of that dipole is linear, along M. U = 0, since every line is symmetric about L. (V has
-    the sign that the International Astronomical Union fixed in 1973; angles count from N, not from
-    north.) Towards ±L itself N is axis 1. Different lines do not interfere.
+    for fields that vary as exp(−iωt). So V is positive if the field turns counter-clockwise for the
+    observer, as it does if the dipole rotates about an L that points at the observer. Seen across
+    L, the light of such a dipole is linear, along M. U = 0, since every line is symmetric about L.
+    (V has the sign that the International Astronomical Union fixed in 1973; angles count from N,
+    not from north.) Towards ±L itself N is axis 1. Different lines do not interfere.
 
     Args:
         body: a dimensionless body, or a particle, as for `lines`.
         omega: angular velocity Ω in body axes, shape (3,); rad/s for a particle.
-        direction: from the dipole to the observer, shape (3,), of any length except 0, in a frame
+        direction: the direction from the dipole to the observer, shape (3,), not 0, in a frame
             with axis 3 along L and the dipole at t = 0 in the half plane of axes 3 and 1. The
             parameters of a line depend only on its angle with L.
         n: number of harmonics, as for `lines`.
@@ -285,7 +285,7 @@ def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> St
 
 
 def _sky(s: Vector3) -> tuple[Vector3, Vector3]:
-    """The axes M = s×N and N of an observer in the direction s."""
+    """Return the axes M = s×N and N of an observer in the direction s."""
     across2 = s[0] ** 2 + s[1] ** 2
     tilted = across2 > 0
     across = jnp.sqrt(jnp.where(tilted, across2, 1.0))
@@ -296,7 +296,7 @@ def _sky(s: Vector3) -> tuple[Vector3, Vector3]:
 
 
 def _checked(body: Rotor, omega: Any) -> Vector3:
-    """The angular velocity of a single body."""
+    """Check and return the angular velocity of a single body."""
     instance("body", body, Rotor, "be a Body or a Particle")
     if body.inertia.ndim != 2:
         refuse("body", "be a single one (`jax.vmap` takes a batch)", "is a batch of them")

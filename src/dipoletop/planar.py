@@ -7,7 +7,7 @@ as u → 0, to an autonomous system in the plane (φ, z),
 
 with c = 0 at order 1 and c = 1 ("corrected") at the levels that hold every term of leading order:
 orders 2–4, the semi-reduced and the full equation (`Level.consistent`). The first equation is the
-limit of (4.11), the second that of z_σ = ω₃′/u² + 2z sin²φ, since u_σ = −2u sin²φ. So the outcome
+limit of (4.11), the second the limit of z_σ = ω₃′/u² + 2z sin²φ, as u_σ = −2u sin²φ. So the outcome
 at small amplitude depends on φ and z only. Symmetries: φ → φ + π, and (φ, z) → (−φ, −z).
 
 The manifolds of the saddle are integrated as graphs z(φ), dz/dφ = z_σ/φ_σ, up to the fold where
@@ -34,9 +34,9 @@ Point = Float[Array, "2 *#lanes"]
 """A state (φ, z): φ in radians, z = ω₃/ω⊥² in units of τ₀."""
 
 PRECISION = 512.0  # relative tolerance of the curves, in units of the last place
-LAST_STEP = 1e-6  # of Newton's method, relative; its error is then the square of that
-NEWTON_STEPS = 8  # for the cycle, whose z lies within 3 % of the first guess for every δ
-HALVINGS = 52  # for its largest swing
+LAST_STEP = 1e-6  # relative last step of Newton's method; the error is then about its square
+NEWTON_STEPS = 8  # steps to the cycle, whose z lies within 3 % of the first guess for every δ
+HALVINGS = 52  # halvings in search of its largest swing
 
 
 class Planar(eqx.Module):
@@ -47,7 +47,7 @@ class Planar(eqx.Module):
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
         corrected: True for the limit of orders 2–4, the semi-reduced and the full equation, False
-            for that of order 1: `Level.consistent` of the level.
+            for the limit of order 1: `Level.consistent` of the level.
 
     Raises:
         ValueError: δ outside [−1, 1).
@@ -69,7 +69,7 @@ class Planar(eqx.Module):
     corrected: bool = eqx.field(static=True, default=True)
 
     def __call__(self, t: Any, y: Point, args: Any = None) -> Point:
-        """d(φ, z)/dσ, shape (2,) or (2, B)."""
+        """Return d(φ, z)/dσ, shape (2,) or (2, B)."""
         return planar_rates(self.delta, 1.0 if self.corrected else 0.0, y)
 
     @property
@@ -84,7 +84,7 @@ class Saddle(NamedTuple):
     phi: Real
     """φ* in (0, π/2), radians."""
     z: Real
-    """z*, whose sign is that of −δ."""
+    """z*, with the sign of −δ."""
     unstable: Real
     """The positive eigenvalue, per unit of σ."""
     stable: Real
@@ -96,7 +96,7 @@ class Saddle(NamedTuple):
 
 
 def saddle(system: Planar) -> Saddle:
-    """The saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
+    """Compute the saddle z* = −sin 2φ*/(2δ), cos²φ* = (1+δ)/(2+δ); at order 1 cos²φ* = (1−δ)/(2+δ).
 
     There is one in 0 < φ < π/2; the others follow by φ → φ + π and (φ, z) → (−φ, −z).
 
@@ -141,7 +141,7 @@ def _saddle(system: Planar) -> Saddle:
 
 
 def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
-    """z_s(φ), the universal basin boundary: φ_σ z_s′ = z_σ along the saddle's stable manifold.
+    """Compute z_s(φ), the universal basin boundary, by φ_σ z_s′ = z_σ on a stable manifold.
 
     At small amplitude, starts at φ with ω₃ > z_s ω⊥² lead to a rotating stop, starts just below it
     to residual rotation. Further below, only starts in a narrow tongue between the fold (see below)
@@ -158,8 +158,8 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
         phi: φ, shape () or (n,), radians.
 
     Returns:
-        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. Corrected and for
-        δ < δ_c1 = −0.8598… (`critical_delta`) z_s separates the two senses of rotation only: the
+        z_s, of the shape of φ; NaN for δ ≥ 0, and for δ ≤ −1/2 at order 1. With `corrected` and
+        δ < δ_c1 = −0.8598… (`critical_delta`) z_s only separates the two senses of rotation: the
         basin of residual rotation is the inside of a cycle, and z_s is NaN between φ = π/2 and
         the fold.
 
@@ -188,21 +188,21 @@ def boundary(system: Planar, phi: Any) -> Float[Array, "*n"]:
 def _branches(
     system: Planar, stable: Bool[Array, "b"], side: Float[Array, "b"], phi: Float[Array, "b n"]
 ) -> Float[Array, "b n"]:
-    """Several branches of the manifolds at once, each at several angles: z."""
+    """Return z of several branches of the manifolds at once, each at several angles."""
     at_angles = jax.vmap(_branch, in_axes=(None, None, None, 0))
     return jax.vmap(at_angles, in_axes=(None, 0, 0, 0))(system, stable, side, phi)
 
 
 def _branch(system: Planar, stable: Bool[Array, ""], side: Scalar, phi: Scalar) -> Scalar:
-    """Where one half of a manifold of the saddle first reaches φ (modulo π): z.
+    """Return z at which one half of a manifold of the saddle first reaches φ (modulo π).
 
-    The curve is followed away from the saddle, backwards in σ if it is the stable manifold and
-    forwards if not: in this direction errors decay. NaN if there is a fold before φ.
+    The curve is followed away from the saddle, backwards in σ on the stable and forwards on the
+    unstable manifold, since errors decay in this direction. NaN if there is a fold before φ.
     """
     origin = _saddle(system)
     slope = jnp.where(stable, origin.stable_slope, origin.unstable_slope)
     heading = jnp.where(stable, -side, side)  # the sign of φ_σ
-    near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # so near, the curvature is below rounding
+    near = float(jnp.finfo(phi.dtype).eps) ** 0.5  # distance at which curvature is below rounding
 
     def rate(distance: Scalar, z: Scalar, args: Any) -> Scalar:
         phi_rate, z_rate = system(distance, jnp.stack([origin.phi + side * distance, z]))
@@ -217,7 +217,7 @@ def _branch(system: Planar, stable: Bool[Array, ""], side: Scalar, phi: Scalar) 
 
 
 def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: bool = False) -> Any:
-    """A curve as precise as its floating-point type allows; `step` is the first one."""
+    """Integrate a curve as precisely as its type allows; `step` is the first step."""
     eps = float(jnp.finfo(y0.dtype).eps)
     controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
     return diffrax.diffeqsolve(
@@ -250,7 +250,7 @@ class Wobble(NamedTuple):
 
 
 def wobble(delta: Any) -> Wobble:
-    """The limit cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, on which a needle wobbles to its stop.
+    """Compute the limit cycle of φ_σ = −δz − ½ sin 2φ, z_σ = …, the wobbling stop of a needle.
 
     Half a period maps (π/2, z) to (π/2, −P(z)). The cycle solves P(z) = z, by Newton's method with
     P′ = (z/P) exp ∫div dσ. Its basin ends at z_W, where the stable manifold of the saddle crosses
@@ -301,10 +301,10 @@ def _wobble(delta: Scalar, z_boundary: Scalar) -> Wobble:
 
 
 def _half_turn(system: Planar, z: Scalar) -> tuple[Scalar, ...]:
-    """From (π/2, z) to the other side (π/2, −|z|): this |z|, ∫dσ, ∫div dσ, the largest swing.
+    """Follow an orbit from (π/2, z) to (π/2, −|z|): this |z|, ∫dσ, ∫div dσ, the largest swing.
 
-    Integrated over the polar angle θ round (π/2, 0), with z stretched so that orbits near this
-    focus are circles: up to the saddles and their manifolds θ_σ > 0.
+    The integration is over the polar angle θ round (π/2, 0), with z stretched so that orbits near
+    this focus are circles. θ_σ > 0 up to the saddles and their manifolds.
     """
     d = system.delta
     stretch = jnp.sqrt(d * (1 - d) / 2)
@@ -338,9 +338,9 @@ def _half_turn(system: Planar, z: Scalar) -> tuple[Scalar, ...]:
 
 
 def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
-    """Where manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0): z of each.
+    """Return z at which manifolds of the saddle cross φ = π/2 (δ > 0) or φ = 0 (δ < 0).
 
-    `stable` says of each whether it is the stable or the unstable manifold.
+    `stable` chooses the stable or the unstable manifold for each.
     """
     prolate, each = system.delta > 0, jnp.ones(len(stable))
     sides = jnp.where(prolate, 1.0, -1.0) * each
@@ -349,11 +349,11 @@ def _crossings(system: Planar, *stable: bool) -> Float[Array, "b"]:
 
 
 def critical_delta(*, prolate: bool = True) -> float:
-    """δ_c2 = 0.7532… or δ_c1 = −0.8598…, where z_s + z_u = 0: a cycle is born from two saddles.
+    """Compute δ_c2 = 0.7532… or δ_c1 = −0.8598…, the heteroclinic bifurcation z_s + z_u = 0.
 
-    There the unstable manifold of the saddle meets the stable one of its mirror image. Above δ_c2
-    a stable cycle round (π/2, 0) is the wobbling stop. Below δ_c1 an unstable cycle round (0, 0)
-    bounds the basin of residual rotation. Order 1 has neither. Driven from the host: not traceable.
+    There the unstable manifold of the saddle meets the stable one of its mirror image, and a cycle
+    is born. Above δ_c2 a stable cycle round (π/2, 0) is the wobbling stop. Below δ_c1 an unstable
+    cycle round (0, 0) bounds the basin of residual rotation. Order 1 has neither. Not traceable.
 
     Args:
         prolate: True for δ_c2, False for δ_c1.

@@ -8,16 +8,16 @@ that does not depend on the amplitude.
 Errors: averaging neglects relative changes of E and L within one period, of the order of τ₀Ω over
 the relative difference of the moments. `Prediction.error` estimates it.
 
-Where two moments are so nearly equal that this is much, the dipole lies on the axis of one of the
-two, and the body rotates across its third axis, the limit of small amplitudes of a nearly
-axisymmetric body takes over (`_averaging.unfolding`): a needle is captured there, at a phase that
-is a matter of chance or its own. It takes the place of the slow flow where its error is smaller,
-and only for a body and a start that are known: it costs up to some seconds. With the dipole on the
-third axis the slow flow tells the end, however near the two moments are. An oblique dipole of such
-a body is covered by the slow flow only, as far as its error allows.
+If two moments are so nearly equal that this error is large, the dipole lies on the axis of one of
+the two, and the body rotates across its third axis, the limit of small amplitudes of a nearly
+axisymmetric body applies (`_averaging.unfolding`): a needle is captured there, at a random or a
+known phase. It replaces the slow flow where its error is smaller, and only for a concrete body and
+start: it costs up to some seconds. With the dipole on the third axis the slow flow gives the end,
+however near the two moments are. An oblique dipole of such a body is covered by the slow flow only,
+as far as its error allows.
 
 Where the error of these laws exceeds 1 %, the semi-reduced equation is integrated turn by turn, if
-that takes at most 50 000 steps; again only for a body and a start that are known.
+that takes at most 50 000 steps; again only for a concrete body and start.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -45,7 +45,7 @@ WEIGHTS = 0.15, 0.225, 0.25, 0.225, 0.15
 """The share of chance that each of the `QUANTILES` .05, .25, .5, .75, .95 stands for: it reaches
 halfway to the next ones."""
 FASTEST_RIM = 0.1
-"""The largest speed of a point of a particle, over that of light."""
+"""The largest speed of a point of a particle over the speed of light."""
 
 
 class History(NamedTuple):
@@ -68,23 +68,22 @@ class Prediction(eqx.Module):
     Quantities are dimensionless for a `Body`, and in SI units for a `Particle`.
 
     Attributes:
-        outcome: a member of `Outcome`: RESIDUAL or STOP, where the ends of that kind have together
-            a probability above 1 − 1e-6, else UNDECIDED, as where `error` exceeds 0.5; FAILED where
-            the argument is not a number.
-        probability: of each of the `ENDS`, shape (8,).
-        omega_inf: ω∞ along the dipole, signed; 0 for a stop, NaN where its sign is a matter of
-            chance or the outcome is undecided.
+        outcome: a member of `Outcome`: RESIDUAL or STOP if the ends of that kind together have a
+            probability above 1 − 1e-6, else UNDECIDED, also if `error` exceeds 0.5; FAILED if the
+            argument is not a number.
+        probability: the probability of each of the `ENDS`, shape (8,).
+        omega_inf: ω∞ along the dipole, signed; 0 for a stop, NaN if chance decides its sign or the
+            outcome is undecided.
         ratio: L∞/L₀, the mean over chance.
         ratio_quantiles: the `QUANTILES` of L∞/L₀, shape (5,).
         half_time: the time after which E − E∞ has fallen to one half; NaN for a needle whose
-            capture by chance begins before that, and where capture from a known phase is traced.
+            capture by chance begins earlier, and if capture from a known phase is traced.
         radiated_energy: E₀ − E∞.
-        lifetime: how long the last rotation lives: its late law is L² = L²ₚ/(1 + t/lifetime);
-            infinite for residual rotation, NaN where chance decides, a stop is UNFOLDED, or a
-            RESOLVED one has no plateau.
+        lifetime: the time scale of the late law L² = L²ₚ/(1 + t/lifetime); infinite for residual
+            rotation, NaN if chance decides, a stop is UNFOLDED, or a RESOLVED one has no plateau.
         regime: a member of `Regime`, the law that decided.
-        error: estimated relative error of `ratio` and of the times; 0.5 where starts within the
-            error end otherwise: they share the probability.
+        error: estimated relative error of `ratio` and of the times; 0.5 if starts within the error
+            have other ends, which then share the probability.
     """
 
     outcome: Int[Array, "*batch"]
@@ -103,16 +102,16 @@ class Prediction(eqx.Module):
     """The k of κ = k d²: 1 for a `Body`."""
 
     def history(self, times: ArrayLike) -> History:
-        """Energy, angular momentum and speed at given times.
+        """Return energy, angular momentum and speed at given times.
 
         Args:
             times: positive, shape (T,), in units of the body's time, or seconds for a `Particle`.
 
         Returns:
-            A `History`, each field of shape (T,). NaN for a needle from the time on at which its
-            capture begins, if that is a matter of chance. From a known phase of an UNFOLDED
-            rotation the values are not averaged, and NaN long after a stop has become certain. Nor
-            are E and |L| of a RESOLVED one, as long as it is integrated.
+            A `History`, each field of shape (T,). NaN for a needle after its capture begins, if
+            chance decides it. For an UNFOLDED rotation with a known phase the values are not
+            averaged, and NaN long after a stop has become certain. E and |L| of a RESOLVED
+            rotation are not averaged while it is integrated.
 
         Raises:
             ValueError: times that are not positive and finite.
@@ -129,7 +128,7 @@ class Prediction(eqx.Module):
         return History(given, *values)
 
     def __repr__(self) -> str:
-        """The numbers of a single prediction, quantiles of many; shapes of what is traced."""
+        """Return the numbers of a single prediction, quantiles of many, or shapes of a traced one."""
         if not concrete(self):
             return eqx.tree_pformat(self)
         n, many = self.outcome.size, self.outcome.ndim > 0
@@ -187,7 +186,7 @@ def _quantiles(
 
 
 def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
-    """How a rotation that radiates ends: the slow flow of E and L to its end, where it holds.
+    """Predict how a rotation that radiates ends, by the slow flow of E and L where it holds.
 
         dE/dt = −κ⟨|n₂|²⟩,   d(L²)/dt = −2κ⟨L·(n₁×n₂)⟩,   averaged over free rotation,
 
@@ -204,8 +203,8 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
 
     Raises:
         ValueError: bad arguments; float64 is off; a rotation that no law here describes, or whose
-            rim is relativistic. Where ω₀ is traced, the former is UNDECIDED, and the latter is not
-            looked for.
+            rim is relativistic. If ω₀ is traced, the former is UNDECIDED, and the latter is not
+            checked.
 
     Example:
         >>> import dipoletop as dt
@@ -237,7 +236,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
 
 
 def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> RunAverages:
-    """What averages over free rotation tell of a body."""
+    """Return the predictions by averages over free rotation of a body."""
     is_needle = _is_needle(inertia, dipole)
 
     def forecast(variables: Variables, strength: Real) -> Forecast:
@@ -261,16 +260,16 @@ def _check_rim(body: Body | Particle, omega: Array) -> None:
 
 
 def _check_error(error: float) -> None:
-    """Refuse a rotation of which no law says enough; one that is traced is UNDECIDED."""
+    """Refuse a concrete rotation for which no law is accurate enough."""
     if error > LARGEST_ERROR:
         must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
         refuse("omega0", must, f"makes it {error:.2g} (`classify` follows every turn)")
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:
-    """Whether chance may decide, see `needle_end`; None if the body is traced.
+    """Return whether a body is a needle (`needle_end`); None if the body is traced.
 
-    Where only derivatives are traced the body is known, and half as much has to be compiled.
+    If only derivatives are traced the body is concrete, which halves the compilation.
     """
     inertia, dipole = jax.lax.stop_gradient((inertia, dipole))
     if not concrete(inertia, dipole):

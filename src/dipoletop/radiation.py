@@ -19,7 +19,7 @@ from .bodies import Body
 
 
 def dipole_derivatives(body: Body, omega: Vector, omega_dot: Vector) -> tuple[Vector, Vector]:
-    """d₁ = Ω×d and d₂ = Ω×(Ω×d) + Ω̇×d, the lab-frame derivatives of the dipole in body axes.
+    """Compute d₁ = Ω×d and d₂ = Ω×(Ω×d) + Ω̇×d, the lab-frame derivatives in body axes.
 
     Args:
         body: the body.
@@ -35,7 +35,7 @@ def dipole_derivatives(body: Body, omega: Vector, omega_dot: Vector) -> tuple[Ve
 
 
 def angular_momentum(body: Body, omega: Vector) -> Vector:
-    """L = IΩ.
+    """Compute L = IΩ.
 
     Args:
         body: the body.
@@ -60,7 +60,7 @@ def _check(body: Body, **vectors: Vector) -> None:
 
 
 def kinetic_energy(body: Body, omega: Vector) -> Float[Array, "..."]:
-    """E = ½ Ω·IΩ.
+    """Compute E = ½ Ω·IΩ.
 
     Args:
         body: the body.
@@ -73,7 +73,7 @@ def kinetic_energy(body: Body, omega: Vector) -> Float[Array, "..."]:
 
 
 def gyroscopic_torque(body: Body, omega: Vector) -> Vector:
-    """N = Ω×IΩ, so that the lab-frame rate of angular momentum is IΩ̇ + N.
+    """Compute N = Ω×IΩ, so that the lab-frame rate of angular momentum is IΩ̇ + N.
 
     Args:
         body: the body.
@@ -86,7 +86,7 @@ def gyroscopic_torque(body: Body, omega: Vector) -> Vector:
 
 
 def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: Vector) -> Vector:
-    """T = d×{ d×(Ω²Ω − Ω̈) + (d·Ω̇)Ω + 2(d·Ω)Ω̇ }, which is d × d⃛.
+    """Compute T = d×{ d×(Ω²Ω − Ω̈) + (d·Ω̇)Ω + 2(d·Ω)Ω̇ } = d × d⃛, the radiation torque.
 
     Args:
         body: the body.
@@ -120,7 +120,7 @@ def radiation_torque(body: Body, omega: Vector, omega_dot: Vector, omega_ddot: V
 
 
 def radiated_power(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
-    """|d₂|², the radiated power (Larmor's formula).
+    """Compute |d₂|², the radiated power (Larmor's formula).
 
     Args:
         body: the body.
@@ -135,7 +135,7 @@ def radiated_power(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array,
 
 
 def schott_energy(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, "..."]:
-    """d₁·d₂, the Schott energy, stored in the near field: d/dt(E − d₁·d₂) = −|d₂|².
+    """Compute d₁·d₂, the Schott energy of the near field, with d/dt(E − d₁·d₂) = −|d₂|².
 
     Args:
         body: the body.
@@ -149,7 +149,7 @@ def schott_energy(body: Body, omega: Vector, omega_dot: Vector) -> Float[Array, 
 
 
 def schott_angular_momentum(body: Body, omega: Vector, omega_dot: Vector) -> Vector:
-    """d×d₂, stored in the near field: d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
+    """Compute d×d₂, the near field's part of L, with d/dt(L − d×d₂) = −d₁×d₂ in the lab frame.
 
     Args:
         body: the body.

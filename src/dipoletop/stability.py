@@ -1,4 +1,4 @@
-"""Equilibria and their spectra: which rotations last, and how perturbations of them decay.
+"""Equilibria and their spectra, which show how perturbations of a constant rotation decay.
 
 In the frame (n, a, b) of the dipole, n = d/|d| a principal axis, every level of the equation of
 motion, linearised at ω = w n, is
@@ -55,7 +55,7 @@ class Equilibria(NamedTuple):
     """n, a unit vector; NaN where rest is the only equilibrium."""
 
     def state(self, w: Any) -> Float[Array, "*batch 3"]:
-        """The angular velocity w n; NaN for w ≠ 0 where rest is the only equilibrium."""
+        """Return the angular velocity w n; NaN for w ≠ 0 where rest is the only equilibrium."""
         w = finite("w", w, batch=False)
         return jnp.where(w == 0, 0.0, w * self.direction)
 
@@ -67,9 +67,9 @@ class Spectrum(NamedTuple):
     """
 
     slow: Complex[Array, "*batch 3"]
-    """Those of physical motions: 0 along the dipole, then two, the larger real part first."""
+    """Eigenvalues of physical motions: 0 along the dipole, then two, the larger real part first."""
     fast: Complex[Array, "*batch runaways"]
-    """Those of the runaways: two for a full equation, none otherwise."""
+    """Eigenvalues of the runaways: two for a full equation, none otherwise."""
     across: Float[Array, "*batch 2 2"]
     """S, the linear part of physical motions across the dipole, in the principal axes a, b."""
 
@@ -122,7 +122,7 @@ def _listed(eigenvalues: Complex[Array, "n"]) -> str:
 
 
 def equilibria(equation: Any) -> Equilibria:
-    """Rest, and the line ω = w n along the dipole iff n × In = 0, n being a principal axis.
+    """Return the equilibria: rest, and the line ω = w n along the dipole iff n × In = 0.
 
     Args:
         equation: any equation with a `body`.
@@ -132,8 +132,8 @@ def equilibria(equation: Any) -> Equilibria:
         |n × In| ≤ 4096 eps tr I, which is 9e-13 tr I in float64.
 
     Raises:
-        ValueError: an equation without a body, or one that cannot keep rotation along the dipole:
-            that of the plane rotator, and the averaged one, whose motions all stop.
+        ValueError: an equation without a body, or one that cannot keep rotation along the dipole,
+            such as the plane rotator, and the averaged top, whose motions all stop.
 
     Source: section 4, for a transverse dipole; for any body N = n × In = 0 in (3.3).
 
@@ -151,14 +151,14 @@ def equilibria(equation: Any) -> Equilibria:
 
 
 def spectrum(equation: Any, state: Any) -> Spectrum:
-    """Eigenvalues at an equilibrium: λ = 0 along the dipole, the two of S, runaways of D − S.
+    """Compute the eigenvalues at an equilibrium: 0 along the dipole, two of S, two of D − S.
 
     The equation is linearised by automatic differentiation. The slow and the fast matrix are
-    separated before their eigenvalues are computed. If the principal axes are the body axes, the
-    error of each eigenvalue is that of rounding, below 1e-12 in the real and in the imaginary part,
-    however small w is. In other axes rounding moves the elements of S by about eps |w|: relative to
-    Re λ ~ w² this is eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis,
-    for which no digit is right below |w| = 1e-8.
+    separated before their eigenvalues are computed. If the principal axes are the body axes,
+    rounding leaves an error below 1e-12 in the real and in the imaginary part, however small w is.
+    In other axes rounding changes the elements of S by about eps |w|: relative to Re λ ~ w² this is
+    eps/|w|, and eps/w² for an axisymmetric body with its dipole across the axis, for which no digit
+    is right below |w| = 1e-8.
 
     Args:
         equation: any level; off the principal axes of the body, rest is the only equilibrium.
@@ -195,9 +195,10 @@ def spectrum(equation: Any, state: Any) -> Spectrum:
 
 
 def threshold(family: Callable[[float], Any], w: float, lower: float, upper: float) -> float:
-    """The δ between `lower` and `upper` at which growth(δ) = 0 on the line ω = w n, by Brent.
+    """Solve growth(δ) = 0 on the line ω = w n for δ between `lower` and `upper`.
 
-    Driven from the host. It compiles once if the equations differ only in their numbers.
+    Brent's method runs in Python, and is not traceable. It compiles once if the equations differ
+    only in their numbers.
 
     Args:
         family: a function from the parameter, δ or any other, to the equation.
@@ -206,14 +207,14 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
         upper: the other end.
 
     Returns:
-        δ to 1e-15 or rounding; NaN if the line is stable at both ends of the bracket, or at none.
+        δ to 1e-15 or rounding; NaN if the line is stable at both ends of the bracket or at neither.
 
     Raises:
         ValueError: as `spectrum`.
 
     Example:
-        At order 1 the threshold is δ = −1/2. At the consistent levels there is none (for orders
-        from 2 on, as long as |w| is well below 1 − δ).
+        At order 1 the threshold is δ = −1/2. The consistent levels have no threshold (orders from 2
+        on, as long as |w| is well below 1 − δ).
 
         >>> from dipoletop import TransverseReduced, TransverseSemi
         >>> from dipoletop.stability import threshold
@@ -240,7 +241,7 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
 
 
 def _body_on_line(equation: Any) -> Body:
-    """The body of an equation that can stay on the line along its dipole."""
+    """Return the body of an equation that can stay on the line along its dipole."""
     check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
     if isinstance(equation, TransverseAveraged | DrivenEquation) or not spatial:
@@ -257,8 +258,8 @@ def _direction(equation: Equation) -> Float[Array, "3"]:
 
 @eqx.filter_jit
 def _spectrum(equation: Equation, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
-    """The spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
-    # The components of the unit vectors are those of n, a and b.
+    """Return the spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
+    # The columns of the unit matrix give the components of n, a and b.
     frame = seen_from_dipole(_body_on_line(equation), jnp.column_stack([jnp.eye(3), omega]))
     components = jnp.stack([frame.w, frame.xa, frame.xb])
     axes, w, off_line = components[:, :3], components[0, 3], components[1:, 3]
@@ -275,22 +276,22 @@ def _spectrum(equation: Equation, omega: Float[Array, "3"]) -> tuple[Spectrum, B
 
 
 def _negligible(x: Float[Array, "*any"], size: Scalar) -> Bool[Array, "*any"]:
-    """Whether x is no more than rounding of numbers of that size."""
+    """Return whether x is at most the rounding of numbers of the given size."""
     return jnp.abs(x) <= rounding(x) * jnp.abs(size)
 
 
 def _vector_across(axes: Axes, x: Across) -> Float[Array, "3"]:
-    """The vector across the dipole with components x."""
+    """Return the vector across the dipole with components x."""
     return scale(x[0], axes[1]) + scale(x[1], axes[2])
 
 
 def _components_across(axes: Axes, vector: Float[Array, "3"]) -> Across:
-    """The components of a vector across the dipole."""
+    """Return the components of a vector across the dipole."""
     return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
 
 
 def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
-    """S of an equation without runaways, x′ = Sx, whatever its variables."""
+    """Compute S of an equation without runaways, x′ = Sx, whatever its variables."""
 
     def rate(x: Across) -> Across:
         y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
@@ -300,8 +301,8 @@ def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
 
 
 def _second_order(equation: Any, axes: Axes, w: Scalar) -> tuple[AcrossMatrix, AcrossMatrix]:
-    """C and D of a full equation, x″ = Cx + Dx′: its state is (ω, fast part of ω′)."""
-    a, b = equation.fast(axes[1]), equation.fast(axes[2])  # unit vectors, too
+    """Compute C and D of a full equation, x″ = Cx + Dx′: its state is (ω, fast part of ω′)."""
+    a, b = equation.fast(axes[1]), equation.fast(axes[2])  # also unit vectors
 
     def second_derivative(x: Across, c: Across) -> Across:
         omega = scale(w, axes[0]) + _vector_across(axes, x)
@@ -313,10 +314,10 @@ def _second_order(equation: Any, axes: Axes, w: Scalar) -> tuple[AcrossMatrix, A
 
 
 def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, AcrossMatrix]:
-    """S with S² = DS + C and small eigenvalues, and D − S; NaN if the iteration does not converge.
+    """Compute S with S² = DS + C and small eigenvalues, and D − S; NaN without convergence.
 
     Each iteration S ← −(D − S)⁻¹C damps the error by the ratio of slow to fast eigenvalues. No
-    element is a small difference of large numbers, so all of them, of different powers of w, are
+    element is a small difference of large numbers, so all elements, of different powers of w, are
     right to rounding.
     """
 
@@ -333,7 +334,7 @@ def _slow_and_fast(c: AcrossMatrix, d: AcrossMatrix) -> tuple[AcrossMatrix, Acro
 
 
 def _eigenvalues(m: AcrossMatrix) -> Complex[Array, "2"]:
-    """λ = (a+d)/2 ± √(((a−d)/2)² + bc); if both are real, the smaller is det/larger."""
+    """Compute λ = (a+d)/2 ± √(((a−d)/2)² + bc); if both are real, the smaller is det/larger."""
     (a, b), (c, d) = m
     mean, square = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
     size, complex_pair = jnp.abs(square), square < 0

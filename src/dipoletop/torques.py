@@ -1,7 +1,7 @@
 """Torques from outside: drag by a gas, a field on the dipole, any function of time and rotation.
 
-`with_torque` adds one to an equation of motion. Torques are in body axes, in units of I₁/τ₀², so
-that a torque M adds I⁻¹M to ω′.
+`with_torque` adds a torque to an equation of motion. Torques are in body axes, in units of I₁/τ₀²,
+so that a torque M adds I⁻¹M to ω′.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from .equations.torque_driven import Driven, DrivenFull, Torque, driven
 from .particles import Particle
 
 AIR = 28.97 * scipy.constants.atomic_mass
-"""Mean mass of the molecules of air, kg."""
+"""The mean mass of the molecules of air, kg."""
 
 
 def with_torque(
@@ -31,36 +31,36 @@ def with_torque(
     verdict: Callable[[State], Any] | None = None,
     attitude: ArrayLike | None = None,
 ) -> Driven | DrivenFull:
-    """IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): an equation of motion with a torque M from outside.
+    """Return the equation of motion IΩ̇ + N − M = T(Ω, Ω̇, Ω̈) with a torque M from outside.
 
-    M counts at every level as the gyroscopic torque N does: the Ω̇ and Ω̈ that a reduced level
-    inserts into the radiation torque T are those of the motion with M. A full equation is followed
-    along the physical branch that it has with M. M needs finite derivatives by τ, ω and q. A
-    reduced level is an expansion: it holds for Γ ≪ I² and E ≪ I³, with the moment I about the
-    axis of the motion; where Γ > I² a drag would spin the body up. Several torques are added one
-    after the other.
+    M is treated like the gyroscopic torque N at every level: the Ω̇ and Ω̈ that a reduced level
+    inserts into the radiation torque T include the effect of M. A full equation is followed along
+    its physical branch with M. M needs finite derivatives by τ, ω and q. A reduced level is an
+    expansion: it holds for Γ ≪ I² and E ≪ I³, with the moment I about the axis of the motion;
+    where Γ > I² a drag would spin the body up. Several torques are added by repeated calls.
 
     At the full level the physical branch ends where a torque drives ω at a rate of I²/4, or a field
-    E against the dipole reaches 4I³/27; runs near there fail at tight tolerances.
+    E against the dipole reaches 4I³/27; runs near these limits fail at tight tolerances.
 
     Args:
-        equation: any level of a rigid body, or what this function gave.
+        equation: any level of a rigid body, or a result of this function.
         torque: M, shape (3,), in body axes and units of I₁/τ₀²: a function of (τ, ω), or of
-            (τ, ω, q) if the attitude is followed, which is written for one top. A plain function
-            must not hold numbers that vary in a sweep or are differentiated by: make them fields
-            of an `equinox.Module`, or arguments by `jax.tree_util.Partial(function, number)`.
+            (τ, ω, q) if the attitude is followed, written for one top. A plain function must not
+            hold numbers that vary in a sweep, or with respect to which you differentiate: make
+            them fields of an `equinox.Module`, or arguments by
+            `jax.tree_util.Partial(function, number)`.
         verdict: how runs end, for `classify` and `sweep`: a function of the state (ω, or (ω, q),
-            lanes behind) that gives outcome, ω∞ and False, for not certified. The regions of
-            the equation itself decide nothing once there is another torque. Behind (ω, q) the
-            state of a full equation holds the part of Ω̇ that runs away. None: for `simulate` only.
+            lanes behind) that gives outcome, ω∞ and False, for not certified. The regions of the
+            equation itself do not hold with another torque. In the state of a full equation the
+            part of Ω̇ that runs away follows. None: for `simulate` only.
         attitude: the attitude at the start, a unit quaternion, shape (4,), scalar first, with
-            v_lab = q∘v∘q*; the state is (ω, q) then. None: it is not followed.
+            v_lab = q∘v∘q*; the state is then (ω, q). None: the attitude is not followed.
 
     Returns:
         An equation of motion; `simulate`, and with a verdict `classify` and `sweep`, take it.
 
     Raises:
-        ValueError: another equation, or what is no torque, verdict or attitude.
+        ValueError: another equation, or a bad torque, verdict or attitude.
 
     Example:
         >>> import jax.numpy as jnp, dipoletop as dt
@@ -77,20 +77,20 @@ def with_torque(
 
 
 class Drag(eqx.Module):
-    """M = −Γω, with Γ a number or a matrix in body axes."""
+    """The torque M = −Γω, with Γ a number or a matrix in body axes."""
 
     gamma: Float[Array, "*shape"]
 
     def __call__(self, t: Any, omega: Vector, *attitude: Quaternion) -> Vector:
-        """The torque, shape (3,)."""
+        """Return the torque, shape (3,)."""
         return -(self.gamma * omega if self.gamma.ndim == 0 else matvec(self.gamma, omega))
 
 
 def drag(gamma: NumberLike | ArrayLike) -> Drag:
-    """M = −Γω: the drag by a gas, in units of I₁/τ₀.
+    """Return the torque M = −Γω, the drag by a gas, with Γ in units of I₁/τ₀.
 
     Args:
-        gamma: Γ, a number, or a matrix of shape (3, 3) in body axes. Of a particle it is
+        gamma: Γ, a number, or a matrix of shape (3, 3) in body axes. For a particle it is
             `gas_drag(…) * particle.tau0() / particle.moment()`.
 
     Raises:
@@ -103,22 +103,24 @@ def drag(gamma: NumberLike | ArrayLike) -> Drag:
 
 
 class FieldOnDipole(eqx.Module):
-    """M = d × q*∘E∘q, with E constant in the laboratory."""
+    """The torque M = d × q*∘E∘q, with E constant in the laboratory."""
 
     dipole: Float[Array, "3"]
     field: Float[Array, "3"]
 
     def __call__(self, t: Any, omega: Vector, attitude: Quaternion) -> Vector:
-        """The torque, shape (3,)."""
+        """Return the torque, shape (3,)."""
         back = jnp.concatenate([attitude[:1], -attitude[1:]])
         return cross(self.dipole, rotate(back, self.field))
 
 
 def field_on_dipole(equation: Equation, field: ArrayLike) -> FieldOnDipole:
-    """M = d × E: a field that is constant in the laboratory; the attitude must be followed.
+    """Return the torque M = d × E of a field that is constant in the laboratory.
+
+    It needs an equation that follows the attitude.
 
     Args:
-        equation: an equation with a body, whose dipole it is.
+        equation: an equation with a body, which has the dipole d.
         field: E in the laboratory, shape (3,), in units of I₁/(τ₀²|d|) for a body of unit dipole.
 
     Raises:
@@ -146,17 +148,17 @@ def gas_drag(
     temperature: NumberLike | ArrayLike = 300.0,
     molecular_mass: NumberLike | ArrayLike = AIR,
 ) -> Float[Array, "..."]:
-    """Γ = (2π/3)R⁴p√(8m/(πk_BT)): the drag of a rarefied gas on a rotating sphere, N m s.
+    """Compute Γ = (2π/3)R⁴p√(8m/(πk_BT)), the drag of a rarefied gas on a rotating sphere, N m s.
 
-    Its torque is −ΓΩ. The gas is so thin that molecules seldom meet within a radius, and they leave
-    the surface in all directions, at its velocity: each takes away the momentum that the surface
-    had given it. Of other bodies with the largest radius R this is the order of magnitude.
+    The torque is −ΓΩ. The gas is so thin that the mean free path exceeds the radius, and molecules
+    leave the surface diffusely: each carries away the momentum that the surface has given it. For
+    other bodies with the largest radius R this is the order of magnitude.
 
     Args:
-        particle: with a known radius R.
+        particle: a particle with a known radius R.
         pressure: p in Pa.
         temperature: T in K.
-        molecular_mass: m in kg; that of air by default.
+        molecular_mass: m in kg; by default of air.
 
     Raises:
         ValueError: a particle without a radius, or a number that is not positive.

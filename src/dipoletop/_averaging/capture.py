@@ -6,19 +6,20 @@ falls, and where q = 2δ|z| is of order 1 the rotation is captured: it becomes r
 
     φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − sin 2φ/(1−δ),   (ln u)_σ = −2 sin²φ,
 
-tells which, by the phase. The phase is that of a very fast rotation, so it is random. Orbits come
-from z = ∞ one turn after the other (z = −∞ is the mirror image). Put a = −3δ/(2(1−δ)), θ = 2φ. On
+decides which, by the phase. The phase belongs to a very fast rotation, so it is random. Orbits come
+from z = ∞ turn by turn (z = −∞ is the mirror image). Put a = −3δ/(2(1−δ)), θ = 2φ. On
 the sections θ = 2πk an orbit obeys, as an expansion in 1/q whose odd terms vanish,
 
     dq/dθ = −a (1 + g₁/q² + g₂/q⁴ + …),   d ln u/d ln q = −(1/a)(1 + k₁/q² + k₂/q⁴ + …),
 
-without any oscillation, because the sections all have one phase. The expansion is made by
+without any oscillation, because the phase is the same on all sections. The expansion is made by
 substitution of q⁻¹ = E + ΣBₙ(θ)Eⁿ, Bₙ(0) = 0, order by order. So on a section
 
     N(q) = ∫dq/(2π dq/dθ)  is the number of turns, up to a constant of the orbit, and
-    W² = u q^{1/a} exp(−[k₁/(2q²) + k₂/(4q⁴) + …]/a)  is the constant that averaging keeps.
+    W² = u q^{1/a} exp(−[k₁/(2q²) + k₂/(4q⁴) + …]/a)  is the invariant of the averaged motion.
 
-A random phase means that N mod 1 is uniform: this, and no other measure, is kept from turn to turn.
+A random phase means that N mod 1 is uniform, which is the only distribution that is invariant
+from turn to turn.
 
 Residual orbits are those whose N lies between N_A and N_B (mod 1) of the orbits that end in the
 saddles. Below δ_c2 there is one such orbit, and all others are residual. X = |ω∞|/W vanishes like
@@ -42,12 +43,12 @@ from ..planar import Planar, saddle
 
 SMALLEST, LARGEST = 0.005, 0.995  # δ; beyond, the number of steps grows like 1/δ or 1/(1 − δ)
 ENTRY = 24.0  # q/(1 + |a|) where the expansion takes over; its error is then below 1e-6
-NEAR = 1e-8  # from a saddle, so near that the curvature of its stable manifold does not matter
-AMPLITUDE = 1e-6  # ω⊥ at which the regions of the semi-reduced level are those of the plane
-PRECISION = 1e-7  # of ω∞, relative, by its series
-NODES = 34  # in s, with the two ends, where X = 0
-FINE = 8000  # parts of s for the distribution
-PARTS = 512  # of equal probability
+NEAR = 1e-8  # distance from a saddle at which its stable manifold is straight
+AMPLITUDE = 1e-6  # ω⊥ at which the semi-reduced regions coincide with the regions of the plane
+PRECISION = 1e-7  # relative error of ω∞ by its series
+NODES = 34  # nodes in s, including the two ends, where X = 0
+FINE = 8000  # intervals of s for the distribution
+PARTS = 512  # parts of equal probability
 MAX_STEPS = 16384
 RTOL = 1e-10
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -60,18 +61,18 @@ class Capture(NamedTuple):
     """How the rotation of a given δ is captured: the distribution of X = |ω∞|/W."""
 
     residual: Real
-    """The probability of residual rotation, one half for either sense; the rest wobbles."""
+    """The probability of residual rotation, half of it for either sense; the rest wobbles."""
     log_mean: Real
     """The logarithm of the mean of X over residual rotations."""
     log_table: Float[Array, "*any k"]
     """ln X in k equally probable parts of the residual rotations, ascending."""
 
     def log_quantiles(self, levels: Any = LEVELS) -> Float[Array, "l"]:
-        """The logarithms of the quantiles of X over residual rotations."""
+        """Return the logarithms of the quantiles of X over residual rotations."""
         return _quantiles(self.log_table, jnp.asarray(levels))
 
     def log_quantiles_of_all(self, levels: Any = LEVELS) -> Float[Array, "l"]:
-        """The same with stops counted as X = 0, of which the logarithm is −∞."""
+        """Return the logarithms of the quantiles of X, where a stop counts as X = 0."""
         stop = 1 - self.residual
         within = (jnp.asarray(levels) - stop) / jnp.where(self.residual > 0, self.residual, 1.0)
         return jnp.where(within > 0, _quantiles(self.log_table, within), -jnp.inf)
@@ -89,15 +90,15 @@ class TopEnd(NamedTuple):
     symmetry_axis: Real
     """1 where the start is a spin about the symmetry axis, which stops; else 0."""
     across: Real
-    """1 where the start is a spin about the axis across both the dipole and it, which stops."""
+    """1 where the start is a spin across both the dipole and the symmetry axis, which stops."""
     log_scale: Real
     """ln W/|ω₀|."""
     capture: Capture
-    """With |ω∞|/|ω₀| in place of X; all alike where the phase at capture is known."""
+    """The distribution of |ω∞|/|ω₀|; a single value where the phase at capture is known."""
     log_time: Real
     """ln τ of the capture, τ = 1/W² up to a factor of order 1; −∞ where the start is captured."""
     random: Bool[Array, "*any"]
-    """Whether the start turns often before it is captured, so that chance decides."""
+    """Whether the start turns many times before it is captured, so that chance decides."""
 
 
 class Settled(NamedTuple):
@@ -112,7 +113,7 @@ class Settled(NamedTuple):
 
 
 def capture(delta: Scalar) -> Capture:
-    """The distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
+    """Compute the distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
 
     May be jitted, vmapped, and differentiated forwards.
 
@@ -144,15 +145,15 @@ def capture(delta: Scalar) -> Capture:
     weights = jnp.asarray(weights / np.sum(weights))
     order = jnp.argsort(x)
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
-    # Means over the parts, not values in them, have the derivatives of the quantiles: X takes a
-    # value at two s, and its derivative there is the mean of both.
+    # X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
+    # parts have this derivative; single values in the parts do not.
     sums = jnp.interp(np.arange(PARTS + 1) / PARTS, _from_zero(part), _from_zero(part * x))
     table = jnp.log(PARTS * jnp.diff(sums))
     return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
 
 
 def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
-    """How a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
+    """Return how a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
 
     W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
     |ω₀|^{1+κ}. Errors are of the order |ω₀|. A start with q = 2δ|ω₃|/ω⊥² below `ENTRY` (1 + |a|) is
@@ -208,7 +209,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
 
 
 def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
-    """The end of the orbit from a point of the plane, at the consistent levels; δ > 0."""
+    """Return the end of the orbit from a point of the plane, at the consistent levels; δ > 0."""
     plane = Planar(delta)
 
     def field(t: Any, y: Array, args: Any) -> Array:
@@ -228,13 +229,13 @@ def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
 
 
 def _verdict(delta: Scalar, y: Array) -> Any:
-    """The semi-reduced verdict on a point of the plane, and ω∞ for ω⊥ = `AMPLITUDE`."""
+    """Compute the semi-reduced verdict on a point of the plane, and ω∞ for ω⊥ = `AMPLITUDE`."""
     across = AMPLITUDE * jnp.stack([jnp.cos(y[0]), jnp.sin(y[0])])
     return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
 
 
 def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Array:
-    """The state of an autonomous system at the first step after which `ends` holds."""
+    """Return the state of an autonomous system at the first step after which `ends` holds."""
     ys: Any = solution_until(field, y0, ends, max_steps).ys
     return ys[-1]
 
@@ -242,7 +243,7 @@ def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Arra
 def solution_until(
     field: Any, y0: Array, ends: Any, max_steps: int, *, dense: bool = False
 ) -> diffrax.Solution:
-    """The solution up to there, with its interpolation if it is to be `dense`."""
+    """Return the solution up to the first step after which `ends` holds."""
     return diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri8(),
@@ -272,19 +273,19 @@ class Expansion(NamedTuple):
 
     @property
     def decay(self) -> tuple[Real, Real]:
-        """The coefficients k₁, k₂: those of d ln u/dθ = (1/q)(1 + h₁/q² + …) over those of q."""
+        """The coefficients k₁, k₂: the series d ln u/dθ = (1/q)(1 + h₁/q² + …) divided by dq/dθ."""
         a, (g1, g2) = self.a, self.turn
         h1 = (9 + a * (5 - 12 * a)) / 4
         h2 = 5 * (1125 + a * (1042 + a * (-4569 + a * (4656 * a - 2710)))) / 576
         return h1 - g1, h2 - g2 - g1 * (h1 - g1)
 
     def turns(self, q: Real) -> Real:
-        """The number of turns N, up to a constant."""
+        """Return the number of turns N, up to a constant."""
         g1, g2 = self.turn
         return (q + g1 / q + (g2 - g1**2) / (3 * q**3)) / (2 * jnp.pi * jnp.abs(self.a))
 
     def q(self, turns: Real) -> Real:
-        """The q after N turns."""
+        """Return the q after N turns."""
         g1, g2 = self.turn
         leading = q = 2 * jnp.pi * jnp.abs(self.a) * turns
         for _ in range(8):  # each gains a factor g₁/q²
@@ -292,16 +293,16 @@ class Expansion(NamedTuple):
         return q
 
     def log_w(self, q: Real) -> Real:
-        """The logarithm of W/√u."""
+        """Return the logarithm of W/√u."""
         k1, k2 = self.decay
         return (jnp.log(q) - k1 / (2 * q**2) - k2 / (4 * q**4)) / (2 * self.a)
 
 
 def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar]:
-    """The turns N in which orbits become residual: their first, and the width P of the interval.
+    """Return the interval of N in which orbits become residual: its lower end and its width P.
 
-    Orbits of z > 0 end in the saddle (−φ*, |z*|). Above δ_c2 others, that come over the wobbling
-    cycle, end in (φ*, −|z*|).
+    Orbits of z > 0 end in the saddle (−φ*, |z*|). Above δ_c2 other orbits cross the wobbling cycle
+    and end in (φ*, −|z*|).
     """
     plane, at = Planar(delta), saddle(Planar(delta))
     height = ENTRY * (1 - expansion.a) / (2 * delta)
@@ -338,17 +339,18 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
     wobbles = delta > transverse.WOBBLING_FROM
     sides = jnp.stack([jnp.ones_like(delta), jnp.where(wobbles, -1.0, 1.0)])
     turns, arrives = jax.vmap(arrival)(sides)
-    # Next to δ_c2 the second orbit may be lost, where the width of the gap is 0 but for rounding.
+    # Next to δ_c2, where the gap is 0 up to rounding, the second orbit may not arrive.
     gap = jnp.where(wobbles & arrives[1], turns[1] - turns[0], 0.0)
     gap = jnp.maximum(gap - jnp.floor(gap + 1e-6), 0.0)
     return or_nan(turns[0] + gap, arrives[0]), 1 - gap
 
 
 def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> Scalar:
-    """The ln W of a start of the averaged top, by (4.16) with ξ = ω⊥²/ω₃²; S = sgn ω₃ sin 2φ.
+    """Compute ln W of a start of the averaged top by (4.16), ξ = ω⊥²/ω₃², s = sgn ω₃ sin 2φ.
 
-    A start has oscillations about the averages. By (4.2)–(4.4) those of (ln u)′ and (ln v)′ are
-    (u + Mv) cos 2φ and −3δu cos 2φ/(1−δ), and φ′ = −δω₃. Their integrals are taken out of ln K.
+    A start oscillates about the averages. By (4.2)–(4.4) the oscillations of (ln u)′ and (ln v)′
+    are (u + Mv) cos 2φ and −3δu cos 2φ/(1−δ), and φ′ = −δω₃. Their integrals are subtracted from
+    ln K.
     """
     a, b = 1 + 2 * delta, 1 + delta**3
     p = delta * (1 - delta) * (3 + 3 * delta + delta**2) / (a * b)
@@ -364,7 +366,7 @@ def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> 
 
 
 def _share(certain: Bool[Array, ""]) -> Scalar:
-    """1 or 0."""
+    """Return 1 where the event is certain, else 0."""
     return jnp.where(certain, 1.0, 0.0)
 
 
@@ -373,10 +375,10 @@ def _quantiles(table: Float[Array, "k"], levels: Float[Array, "l"]) -> Float[Arr
 
 
 def _from_zero(values: Float[Array, "n"]) -> Float[Array, "m"]:
-    """The sums of the first 0, 1, 2, … values."""
+    """Return the sums of the first 0, 1, 2, … values."""
     return jnp.append(jnp.zeros(1, values.dtype), jnp.cumsum(values))
 
 
 def _middles(n: int) -> np.ndarray:
-    """The middles of n equal parts of the interval from 0 to 1."""
+    """Return the middles of n equal parts of the interval from 0 to 1."""
     return (np.arange(n) + 0.5) / n

@@ -57,17 +57,17 @@ class _Factors(NamedTuple):
 
 
 def series(orbit: MomentumOrbit, steps: Descent, n: int) -> Series:
-    """The Fourier coefficients up to the n-th harmonic."""
+    """Return the Fourier coefficients up to the n-th harmonic."""
     return Series(_along(orbit, steps, n), _across(orbit, steps, n))
 
 
 def _powers(q: Real, count: int) -> Terms:
-    """1, q, q², …, with derivatives at q = 0."""
+    """Compute 1, q, q², …, with derivatives at q = 0."""
     return jnp.cumprod(jnp.concatenate([jnp.ones((1,), q.dtype), jnp.repeat(q, count - 1)]))
 
 
 def _interleaved(odd: Array, even: Array, n: int) -> Array:
-    """The terms of j = 1, 2, …, n."""
+    """Return the terms of odd and even j, in the order j = 1, 2, …, n."""
     count = (n + 1) // 2
     both = zip((odd, even), (count, n // 2), strict=True)
     odd, even = (jnp.pad(terms[:length], (0, count - length)) for terms, length in both)
@@ -91,7 +91,7 @@ def _along(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "n"]:
 
 
 def _factors(orbit: MomentumOrbit, steps: Descent) -> _Factors:
-    """From whichever of α and η is the smaller at m = 0, where w is infinite."""
+    """Compute E and G from the one of α and η that is smaller at m = 0, where w is infinite."""
     x, q, g, root = orbit.x, orbit.q, orbit.g, steps.root
     c = jnp.sqrt(q / orbit.gaps[0])
     by_eta = g < 0.5

@@ -38,11 +38,11 @@ class SlowEnd(NamedTuple):
     """How a slow motion ends."""
 
     probability: Float[Array, "8"]
-    """Of each of the `ENDS`."""
+    """The probability of each of the `ENDS`."""
     log_ratio: Real
     """The logarithm of the mean of L∞/L₀; −∞ for a stop."""
     log_quantiles: Float[Array, "5"]
-    """Those of its `QUANTILES`."""
+    """The logarithms of the `QUANTILES` of L∞/L₀."""
     energy: Real
     """E₀."""
     last_energy: Real
@@ -53,13 +53,13 @@ class SlowEnd(NamedTuple):
     """The moment about the axis of the last rotation, if it is a pure spin."""
     decay: Real
     """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual, NaN
-    if that is a matter of chance."""
+    if chance decides that."""
     known_phase: Bool[Array, ""]
     """Whether the body is captured at once, from its own phase, so that nothing is averaged."""
 
 
 def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
-    """How a slow motion of a body ends."""
+    """Return how a slow motion of a body ends."""
     stage = motion.final
     limit = stage.limit
     r, _ = stage.interval.side.rates(limit.x, limit.rest)
@@ -85,7 +85,7 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
 def slow_probability(
     rotation: FreeRotation, crosses: Bool[Array, ""], ends_high: Bool[Array, ""], spins: Array
 ) -> Float[Array, "8"]:
-    """The probabilities of the `ENDS` of a slow motion.
+    """Return the probabilities of the `ENDS` of a slow motion.
 
     Args:
         rotation: where it begins.
@@ -104,7 +104,7 @@ def slow_probability(
 
 
 def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
-    """How a pure spin about a principal axis ends, by its law L² = 1/(1 + rt)."""
+    """Return how a pure spin about a principal axis ends, by its law L² = 1/(1 + rt)."""
     moment, cosine = rotation.moments[axis], rotation.dipole[axis]
     r = rotation.spin_decay(axis)
     residual = r == 0
@@ -120,10 +120,11 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
-    """How the rotation of a sphere ends: s = n·Ω is constant, and u = |Ω×n|² obeys u′ = −(s² + u)u.
+    """Return how the rotation of a sphere ends.
 
-    The solution u = u₀y/(1 + u₀(1 − y)/s²), y = exp(−s²t), is exact at order 1. A stop is counted
-    as one about axis 3.
+    s = n·Ω is constant, and u = |Ω×n|² obeys u′ = −(s² + u)u. The solution
+    u = u₀y/(1 + u₀(1 − y)/s²), y = exp(−s²t), is exact at order 1. A stop is counted as one about
+    axis 3.
     """
     cosine = rotation.dipole @ rotation.momentum
     square, stops = cosine**2, cosine == 0
@@ -143,9 +144,10 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
 
 
 def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> SlowEnd:
-    """How the rotation of a needle ends, an axisymmetric body with its dipole across its long axis.
+    """Return how the rotation of a needle ends.
 
-    The slow flow leads to rotation across the long axis, where the body is captured by chance.
+    A needle is an axisymmetric body with its dipole across its long axis. The slow flow leads to
+    rotation across the long axis, where chance decides how the body is captured.
 
     Args:
         rotation: its two larger moments are equal.
@@ -177,7 +179,7 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
 
 
 def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Array, "3"]]:
-    """The δ of a needle, and its ω₀ in units of 1/τ₀, dipole first and long axis last."""
+    """Return the δ of a needle, and its ω₀ in units of 1/τ₀, dipole first and long axis last."""
     long = jnp.array([1.0, 0.0, 0.0])
     frame = jnp.stack([rotation.dipole, jnp.cross(long, rotation.dipole), long])
     omega = frame @ (rotation.momentum / rotation.moments)
@@ -185,7 +187,7 @@ def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Ar
 
 
 def needle_chances(rotation: FreeRotation, end: TopEnd) -> tuple[Float[Array, "8"], Real]:
-    """The probabilities of the `ENDS` of a needle, and the logarithm of the mean L∞/L₀."""
+    """Return the probabilities of the `ENDS` of a needle, and the logarithm of the mean L∞/L₀."""
     residual = end.along + end.against
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + _log_speed(rotation)
     zero = jnp.zeros_like(residual)
@@ -194,14 +196,14 @@ def needle_chances(rotation: FreeRotation, end: TopEnd) -> tuple[Float[Array, "8
 
 
 def _log_speed(rotation: FreeRotation) -> Real:
-    """The logarithm of |ω₀|J₃/L₀ in units of J₃ and L₀; L∞/L₀ is |ω∞|/|ω₀| times that number."""
+    """Return the logarithm of |ω₀|J₃/L₀, the factor from |ω∞|/|ω₀| to L∞/L₀."""
     return jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
 
 
 def turns_fast(rotation: FreeRotation, point: Point, weakness: Real) -> Bool[Array, "*times"]:
-    """Whether a body with two equal moments turns fast about its symmetry axis, before capture.
+    """Return whether a body with two equal moments still turns fast about its symmetry axis.
 
-    So it does while q = 2|δω₃|/ω⊥² is large; then averaging over that turn holds.
+    It does before its capture, while q = 2|δω₃|/ω⊥² is large. Averages over that turn then hold.
     """
     axial = jnp.where(rotation.moments[1] == rotation.moments[2], 0, 2)
     delta = 1 - rotation.moments[axial] / rotation.moments[1]
@@ -213,30 +215,30 @@ def turns_fast(rotation: FreeRotation, point: Point, weakness: Real) -> Bool[Arr
 
 
 def _certain(log_ratio: Real) -> tuple[Real, Float[Array, "5"]]:
-    """The logarithm of a ratio that is not a matter of chance, and its quantiles."""
+    """Return the logarithm of a ratio that does not depend on chance, and its quantiles."""
     return log_ratio, jnp.broadcast_to(log_ratio, (len(QUANTILES),))
 
 
 def _residual_ends(sign: Real) -> Float[Array, "8"]:
-    """The probabilities of residual rotation along (1) or against (−1) the dipole; 0 for chance."""
+    """Return the probabilities if L∞ is along (1), against (−1) or as likely either way (0)."""
     return jnp.concatenate([jnp.stack([1 + sign, 1 - sign]) / 2, jnp.zeros(6, sign.dtype)])
 
 
 def shape(side: Side, x: Real, rest: Real) -> Real:
-    """The shape h = 2E/L² of the rotation at x."""
+    """Compute the shape h = 2E/L² of the rotation at x."""
     _, jb, jc = side.moments
     return rest / jc + x / jb
 
 
 def energies(stage: Stage) -> Float[Array, "K"]:
-    """The energies at the knots; 0 behind the last one."""
+    """Return the energies at the knots; 0 after the last one."""
     h = jax.vmap(lambda y: shape(stage.interval.side, *stage.interval.position(y)))(stage.knots)
     known = jnp.arange(stage.knots.size) <= stage.last
     return jnp.where(known, h * jnp.exp(stage.states.log) / 2, 0.0)
 
 
 def time_at(motion: SlowMotion, energy: Real) -> Real:
-    """The time at which the energy has fallen to a value."""
+    """Return the time at which the energy has fallen to a value."""
     second = motion.crosses & (energies(motion.stage(0))[motion.stage(0).last] > energy)
     stage = motion.stage(second.astype(int))
     above = jnp.sum(energies(stage) > energy)

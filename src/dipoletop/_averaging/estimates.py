@@ -11,17 +11,17 @@ from .principal_axes import FreeRotation
 from .slow_flow import Side, from_logit
 
 ERROR = 1.0
-"""The estimated error in units of the part of L² that is radiated within one period; measured."""
+"""The estimated error over the part of L² that is radiated within one period; measured."""
 QUADRATURE = 1e-12
 """The relative error of the quadratures."""
 LONGEST = 5.0
-"""The largest K that is taken: the separatrix is passed once, and L lingers there."""
+"""The largest K of an estimate: K is infinite on the separatrix, which is crossed only once."""
 SOME_KNOTS = 64
-"""At so many knots of a stage the estimate looks."""
+"""The number of knots of a stage at which the loss is evaluated."""
 
 
 def estimated_error(rotation: FreeRotation, on_path: Real, weakness: Real) -> Real:
-    """The largest part of L² that is radiated within one period, which averaging neglects.
+    """Return the largest part of L² that is radiated within one period, which averaging neglects.
 
     Periods are long next to the separatrix, above all if two moments are nearly equal. A needle
     leaves the slow flow before its periods become long.
@@ -36,11 +36,11 @@ def estimated_error(rotation: FreeRotation, on_path: Real, weakness: Real) -> Re
 
 
 def start_error(rotation: FreeRotation, weakness: Real) -> Real:
-    """The part of L² that is radiated within the first period.
+    """Return the part of L² that is radiated within the first period.
 
-    The mean rate of a dipole off the principal axes is r = Σnᵢ²rᵢ. But there are oscillations in
-    proportion to nᵢnⱼ, too, and means of their products, which change r by a part that does not
-    fall with r. So (Σ|nᵢ|√rᵢ)⁴/r stands for r.
+    The mean rate of a dipole off the principal axes is r = Σnᵢ²rᵢ. But there are also oscillations
+    in proportion to nᵢnⱼ, and the means of their products change r by an amount that does not
+    fall with r. So the estimate uses (Σ|nᵢ|√rᵢ)⁴/r in place of r.
     """
     high, z = rotation.place
     side = rotation.side(high)
@@ -51,13 +51,13 @@ def start_error(rotation: FreeRotation, weakness: Real) -> Real:
 
 
 def loss(side: Side, x: Real, rest: Real, log: Real) -> Real:
-    """The part of L² that is radiated within one period, over 2κL₀, at ln L²/L₀² = log."""
+    """Compute the part of L² that is radiated within one period, over 2κL₀, at ln L²/L₀² = log."""
     r, _ = side.rates(x, rest)
     return r * period(side.moments, x, rest, LONGEST) * jnp.exp(log / 2)
 
 
 def largest_loss(motion: SlowMotion) -> Real:
-    """The largest `loss` of a motion, at some of its knots."""
+    """Return the largest `loss` of a motion, at some of its knots."""
 
     def largest(stage: Stage) -> Real:
         some = jnp.arange(SOME_KNOTS) * stage.last // (SOME_KNOTS - 1)
@@ -70,7 +70,7 @@ def largest_loss(motion: SlowMotion) -> Real:
 
 
 def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
-    """The error of a needle that is captured from its own phase.
+    """Return the error of a needle that is captured from a known phase.
 
     The plane of its motion neglects ω₃² beside ω⊥². While q = 2δ|ω₃|/ω⊥² falls to 1 the phase
     changes by about q.

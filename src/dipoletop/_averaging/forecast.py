@@ -26,7 +26,7 @@ Variables = Float[Array, "15"]
 """Inertia, dipole and ω₀ in one vector."""
 
 LARGEST_ERROR = 0.5
-"""The estimated error beyond which the slow flow says nothing."""
+"""The estimated error beyond which the outcome is undecided."""
 CERTAIN = 1 - 1e-6
 """The probability from which an outcome counts as decided."""
 
@@ -48,12 +48,12 @@ class Forecast(NamedTuple):
 
 @compiled_soon
 def forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
-    """How the free rotation of a body ends; differentiable by its variables.
+    """Return how the free rotation of a body ends; differentiable by its variables.
 
     Args:
         variables: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
-        is_needle: whether chance may decide, see `needle_end`; None if that is not known.
+        is_needle: whether the body is a needle (`needle_end`); None if that is not known.
     """
     of_start = functools.partial(_values, is_needle)
     values = forward_differentiable(of_start, one_by_one=True)(variables, strength)
@@ -61,7 +61,7 @@ def forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Fo
 
 
 def _fields(values: Float[Array, "20"]) -> Forecast:
-    """A forecast from its numbers in one vector."""
+    """Return a forecast from its numbers in one vector."""
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
     outcome = decided_outcome(probability, error)
@@ -74,7 +74,7 @@ def _fields(values: Float[Array, "20"]) -> Forecast:
 
 
 def decided_outcome(probability: Float[Array, "*n 8"], error: Real) -> Int[Array, "*n"]:
-    """The outcome that has a probability above `CERTAIN`, where the error allows one at all."""
+    """Return the outcome with a probability above `CERTAIN`, if the error is not too large."""
     residual, stop = jnp.sum(probability[..., :2], -1), jnp.sum(probability[..., 2:], -1)
     outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
     outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
@@ -96,7 +96,7 @@ class Units(NamedTuple):
 
 
 def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation, Units]:
-    """The free rotation in units of J₃ and L₀, and these units."""
+    """Return the free rotation in units of J₃ and L₀, and these units."""
     inertia, dipole, omega = variables[:9].reshape(3, 3), variables[9:12], variables[12:]
     rotation = free_rotation(inertia, dipole, omega)
     moment = rotation.moments[2]
@@ -109,13 +109,13 @@ def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation,
 
 
 def slow_motion(rotation: FreeRotation) -> SlowMotion:
-    """The slow motion of a body with at least two different moments."""
+    """Return the slow motion of a body with at least two different moments."""
     high, z = rotation.place
     return motion_from(rotation.side(high), high, z)
 
 
 def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Float[Array, "20"]:
-    """The floating-point fields of a `Prediction`, and its regime."""
+    """Return the floating-point fields of a `Prediction`, and its regime."""
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
@@ -141,7 +141,7 @@ def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Flo
 
 
 def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
-    """The floating-point fields of a `Prediction`, with 0 in place of its regime."""
+    """Return the floating-point fields of a `Prediction`, with 0 in place of its regime."""
     ratio = jnp.exp(end.log_ratio)
     omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
     energy_unit = units.momentum**2 / units.moment
@@ -161,14 +161,14 @@ def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
 def speed_about_dipole(
     probability: Float[Array, "8"], ratio: Real, last_moment: Real, units: Units
 ) -> Real:
-    """ω∞: signed, 0 for a stop, NaN where its sign is a matter of chance."""
+    """Return ω∞: signed, 0 for a stop, NaN where chance decides its sign."""
     residual, sign = probability[0] + probability[1], probability[0] - probability[1]
     speed = units.momentum * ratio / (units.moment * last_moment)
     return jnp.where(residual == 0, 0.0, or_nan(sign * speed, jnp.abs(sign) == 1))
 
 
 def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
-    """The law for a body; a spin about a principal axis has that of its neighbours."""
+    """Return the regime of a body; a spin about a principal axis has that of its neighbours."""
     j1, j2, j3 = rotation.moments
     regime = jnp.where((j1 == j2) | (j2 == j3), Regime.AVERAGED, Regime.SLOW_FLOW)
     regime = jnp.where(rotation.is_needle, Regime.UNFOLDED, regime)
@@ -176,9 +176,9 @@ def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
 
 
 def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
-    """The forecast of the slow flow or of the unfolded system, whichever has the smaller error.
+    """Return the forecast by the slow flow or by the unfolded system, whose error is smaller.
 
-    The latter is looked at for values that are known only, since it takes many steps.
+    The unfolded system takes many steps, so it is considered for concrete values only.
     """
     slow = forecast(variables, strength, is_needle)
     if not concrete(slow) or _least_gap(variables) > slow.error:
@@ -186,7 +186,7 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
     turns, errors = coverage(variables, strength)
     place = int(jnp.argmin(errors))
     axial, turning = 2 * place, bool(turns[place])
-    if is_needle:  # its own law is as exact, but does not know the time
+    if is_needle:  # `needle_end` is as accurate, but gives no half time
         half_time = slow.half_time if turning else half_time_from(variables, strength, slow.ratio)
         return slow._replace(half_time=half_time)
     if not errors[place] < slow.error:
@@ -196,18 +196,18 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
 
 
 def _least_gap(variables: Variables) -> float:
-    """The smallest relative difference of moments; that of the unfolded system is larger."""
+    """Return the smallest relative gap of moments, below any error of the unfolded system."""
     moments = np.linalg.eigvalsh(np.asarray(variables[:9]).reshape(3, 3))
     return float(np.min(np.diff(moments)) / moments[2])
 
 
 @compiled_soon
 def coverage(variables: Variables, strength: Real) -> tuple[Bool[Array, "2"], Float[Array, "2"]]:
-    """Whether a body turns fast, and how well the unfolded system describes it.
+    """Return whether a body turns fast, and the error of the unfolded system for it.
 
     Returns:
         Both with axis 0 and with axis 2 as its symmetry axis. The error is infinite where the
-        system does not describe the body, and not known yet from fast rotation.
+        system does not apply. For fast rotation it is a lower bound: part of it is known later.
     """
     rotation, units = scaled_rotation(variables, strength)
     each = [_coverage(rotation, axial, units.weakness) for axial in (0, 2)]
@@ -232,7 +232,7 @@ def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[
 
 @compiled_soon
 def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
-    """The half time of a needle with a phase of its own, whose L∞/L₀ is known."""
+    """Return the half time of a needle whose phase and L∞/L₀ are known."""
     rotation, units = scaled_rotation(variables, strength)
     top = top_of(rotation, 0, units.weakness)
     energy = rotation.momentum**2 @ (0.5 / rotation.moments)
@@ -241,7 +241,7 @@ def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
 
 @compiled_soon
 def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: bool) -> Forecast:
-    """How a nearly axisymmetric body ends, by its unfolded system.
+    """Return how a nearly axisymmetric body ends, by its unfolded system.
 
     Args:
         variables: inertia, dipole and ω₀ in one vector.

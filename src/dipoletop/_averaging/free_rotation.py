@@ -1,9 +1,9 @@
 """Averages of what a dipole radiates over the free rotation of its body, in closed form.
 
 A body that radiates weakly turns freely for many periods. With pᵢ = 1/Jᵢ and yᵢ = Lᵢ²/L² its
-angular momentum L (body axes) keeps L² and h = 2E/L² = Σ pᵢyᵢ, and moves round one axis: that of
-the largest moment if h < p₂ (the low side), that of the smallest if h > p₂ (the high side). Call
-that axis c, the other extreme axis a and the middle one b, and write a, b, c for p_a, p_b, p_c.
+angular momentum L (body axes) keeps L² and h = 2E/L² = Σ pᵢyᵢ, and moves round one axis: the axis
+of the largest moment if h < p₂ (the low side), of the smallest if h > p₂ (the high side). Call it
+c, the other extreme axis a and the middle one b, and write a, b, c for p_a, p_b, p_c.
 With the differences Da = a − c, Db = b − c, Dab = a − b the orbit is
 
     y_a = x (Db/Da) cn²,   y_b = x sn²,   y_c = (q/Da) dn²,   q = Dab + (1 − x)Db,
@@ -29,9 +29,9 @@ x Db [q cn² + (1 − x)Db sn²]. Hence, with the sums over the two axes j ≠ i
     fᵢ = Σⱼ {−pⱼ²⟨yⱼ Var⟩ + ⟨yᵢyⱼ⟩(pᵢ − pⱼ) pₖ[(2pᵢ − h)pⱼ − pₖ(pᵢ − pⱼ)]}.
 
 Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. All
-means are of even powers of elliptic functions, each evaluated as a sum of positive terms, and
-differences are those of the moments themselves. So r and F have no cancellation but the one that
-makes F zero, also for nearly spherical and nearly axisymmetric bodies, on the axes and next to the
+means are of even powers of elliptic functions, each evaluated as a sum of positive terms, and all
+differences are differences of moments. So the only cancellation in r and F is the one that makes
+F zero, also for nearly spherical and nearly axisymmetric bodies, on the axes and next to the
 separatrix.
 """
 
@@ -66,7 +66,7 @@ class Path(NamedTuple):
 
 
 def path(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Path:
-    """The path of L; arguments as for `averages`."""
+    """Return the path of L; for the arguments see `averages`."""
     ja, jb, jc = moments
     to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
     q = a_to_b + rest * to_b
@@ -84,7 +84,7 @@ class Averages(NamedTuple):
 
 @jax.jit
 def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Averages:
-    """The rates r and F of a dipole along each principal axis.
+    """Return the rates r and F of a dipole along each principal axis.
 
     Args:
         moments: J_a, J_b, J_c: the axis that L moves round comes last, the middle one second.
@@ -133,7 +133,7 @@ def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Average
 
 
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
-    """⟨Ω²⟩/L² = h² + ⟨Var⟩; arguments as for `averages`."""
+    """Compute ⟨Ω²⟩/L² = h² + ⟨Var⟩; for the arguments see `averages`."""
     _, jb, jc = moments
     _, to_b, _, q, m, m1 = path(moments, x, rest)
     sn2, _ = elliptic_means(m, m1)
@@ -143,14 +143,14 @@ def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -
 def period(
     moments: Float[Array, "3 *#lanes"], x: Real, rest: Real, longest: float = math.inf
 ) -> Real:
-    """The period of L in the body, times L; arguments as for `averages`, and the largest K."""
+    """Return the period of L in the body, times L, with K ≤ `longest`; see `averages`."""
     _, to_b, _, q, _, m1 = path(moments, x, rest)
     quarter = jnp.minimum(quarter_period(m1), longest)
     return 4 * quarter / jnp.sqrt(to_b * q)  # the argument of sn is L t √(Db q)
 
 
 def quarter_period(m1: Any, xp: ModuleType = jnp) -> Any:
-    """K(m) of m = 1 − m1, by the arithmetic-geometric mean, in JAX or, with `xp=np`, in NumPy."""
+    """Compute K(1 − m1) by the arithmetic-geometric mean, in JAX or, with `xp=np`, in NumPy."""
     mean, geometric = xp.ones_like(m1), xp.sqrt(m1)
     for _ in range(AGM_STEPS):
         mean, geometric = (mean + geometric) / 2, xp.sqrt(mean * geometric)
@@ -158,7 +158,7 @@ def quarter_period(m1: Any, xp: ModuleType = jnp) -> Any:
 
 
 def elliptic_means(m: Real, m1: Real) -> tuple[Real, Real]:
-    """⟨sn²⟩ and ⟨sn⁴⟩ over a period, for a parameter m in [0, 1] and m1 = 1 − m.
+    """Compute ⟨sn²⟩ and ⟨sn⁴⟩ over a period, for a parameter m in [0, 1] and m1 = 1 − m.
 
     The arithmetic-geometric mean aₙ of 1 and √m1, with cₙ₊₁ = (aₙ − gₙ)/2, gives E/K: the sum
     k = Σ 2ⁿ(cₙ/m)², n ≥ 1, is ⟨sn²⟩ = ½ + mk/2. A reduction of sn⁴ gives ⟨sn⁴⟩ = k/3 + ⅔⟨sn²⟩. The

@@ -1,4 +1,4 @@
-"""The motion of a body at given times, by the law that tells its end."""
+"""The motion of a body at given times, by the law that predicts its end."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from .motion import HALVINGS
 from .unfolded_ends import orbit_of
 from .unfolding import entry_of, top_of
 
-FEWEST = 8  # times for which a program is compiled
+FEWEST = 8  # the smallest number of times for which a program is compiled
 
 Values = tuple[Float[Array, "T"], ...]
 """E, |L|, h and √⟨Ω²⟩ at given times."""
@@ -24,10 +24,10 @@ Values = tuple[Float[Array, "T"], ...]
 def best_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
 ) -> Values:
-    """The history by the law that decided: of the slow flow, or of the unfolded system."""
+    """Return the history by the law of the prediction: the slow flow or the unfolded system."""
     times, strength = constants
     size = times.size
-    # Programs are compiled for few numbers of times, powers of 2.
+    # Few programs are compiled: for numbers of times that are powers of 2.
     more = max(FEWEST, 1 << (size - 1).bit_length()) - size
     padded = jnp.pad(times, (0, more), constant_values=1.0)
     values = _history(variables, (padded, strength), regime)
@@ -49,7 +49,7 @@ def _history(
 
 @compiled_soon
 def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) -> Values:
-    """E, |L|, h and √⟨Ω²⟩ at given times."""
+    """Return E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
@@ -88,7 +88,7 @@ def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) 
 
 
 def in_units(units: Units, log: Real, h: Real, squared: Real) -> tuple[Real, ...]:
-    """E, |L|, h and √⟨Ω²⟩, from ln L²/L₀² and from h and ⟨Ω²⟩/L² in units of 1/J₃."""
+    """Return E, |L|, h and √⟨Ω²⟩, from ln L²/L₀² and from h and ⟨Ω²⟩/L² in units of 1/J₃."""
     momentum = units.momentum * jnp.exp(log / 2)
     energy = h * momentum * (momentum / units.moment) / 2
     return energy, momentum, h / units.moment, jnp.sqrt(squared) * momentum / units.moment
@@ -98,7 +98,7 @@ def in_units(units: Units, log: Real, h: Real, squared: Real) -> tuple[Real, ...
 def capture_follows(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Bool[Array, "T"]:
-    """Whether a needle of nearly equal moments has left the slow flow at given times."""
+    """Return whether a needle of nearly equal moments has left the slow flow at given times."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
     entry = entry_of(rotation, slow_motion(rotation), top_of(rotation, axial, units.weakness))
@@ -109,7 +109,7 @@ def capture_follows(
 def orbit_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Values:
-    """The history of a start that has a phase of its own, not averaged; NaN past its last state."""
+    """Return the history of a start with a known phase, not averaged; NaN past its last state."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
     orbit = orbit_of(top_of(rotation, axial, units.weakness))

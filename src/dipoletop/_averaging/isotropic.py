@@ -1,13 +1,14 @@
 """Isotropic directions of L: how often each shape h = 2E/L² of the rotation occurs among them.
 
-A slow motion depends on the direction of L by h alone, but for the sign of its last spin. So a mean
-over isotropic directions is one over h. Round the axis c, with a the other extreme one, b the
-middle one, and x = (h − p_c)/(p_b − p_c), the share of directions between x and x + dx is
+A slow motion depends on the direction of L by h alone, except for the sign of its last spin. So a
+mean over isotropic directions is a mean over h. On the side round the axis c, with a the other
+extreme axis, b the middle one, and x = (h − p_c)/(p_b − p_c), the share of directions between x
+and x + dx is
 
     (k/π) K(m)/√(1 − k²x) dx,   k² = (p_b − p_c)/(p_a − p_c),   m = x(1 − k²)/(1 − k²x),
 
-which has a logarithm at the separatrix, x = 1. All of them together are the (2/π) arcsin k of this
-side, a pair of lunes.
+with a logarithmic singularity at the separatrix, x = 1. The integral over x is (2/π) arcsin k, the
+share of this side, a pair of lunes.
 """
 
 from typing import NamedTuple
@@ -29,7 +30,7 @@ class Shapes(NamedTuple):
 
 
 def isotropic_shapes(moments: Float[np.ndarray, "B 3"], count: int) -> Shapes:
-    """Nodes and weights on the side round the last axis.
+    """Return nodes and weights on the side round the last axis.
 
     Args:
         moments: J_a, J_b and J_c, with b the middle one.
@@ -48,20 +49,20 @@ def isotropic_shapes(moments: Float[np.ndarray, "B 3"], count: int) -> Shapes:
 
 
 def momentum_at(moments: Float[np.ndarray, "B 3"], x: Float[np.ndarray, "B"]) -> np.ndarray:
-    """A unit vector L with given x, none of it along b; its components along a, b, c, (B, 3)."""
+    """Return unit vectors L with given x and L_b = 0; components along a, b, c, shape (B, 3)."""
     along = _square(moments)[:, 0] * x
     return np.stack([np.sqrt(along), np.zeros_like(along), np.sqrt(1 - along)], axis=1)
 
 
 def share_of_side(moments: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B"]:
-    """The share of directions on the side round the last axis, (2/π) arcsin k."""
+    """Return the share of directions on the side round the last axis, (2/π) arcsin k."""
     return 2 / np.pi * np.arcsin(np.sqrt(_square(moments)[:, 0]))
 
 
 def share_below(
     moments: Float[np.ndarray, "B 3"], x: Float[np.ndarray, "B"]
 ) -> Float[np.ndarray, "B"]:
-    """The share of directions on the side round the last axis that have less than x.
+    """Return the share of directions on the side round the last axis that have less than x.
 
     (2k/π) x ∫₀^{π/2} dψ/(1 + √(1 − s)),   s = x(k² + (1 − k²) sin²ψ)
     """
@@ -74,6 +75,6 @@ def share_below(
 
 
 def _square(moments: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 1"]:
-    """k² = (p_b − p_c)/(p_a − p_c), from differences of moments."""
+    """Compute k² = (p_b − p_c)/(p_a − p_c), from differences of moments."""
     a, b, c = moments.T[:, :, None]
     return a * (c - b) / (b * (c - a))

@@ -11,21 +11,21 @@ from .isotropic import isotropic_shapes, momentum_at, share_below, share_of_side
 from .untimed_ends import ManyEnds, ends_of_many
 
 STARTS = 16
-"""Values of h on each side of the separatrix."""
+"""The number of values of h on each side of the separatrix."""
 SECTIONS, ROUNDS = 66, 2
-"""Into which an interval between two neighbouring ones with different ends is cut, and how often.
-As many as fill a chunk of `ends_of_many`, whose other size would be compiled, too."""
+"""The sections into which an interval of h is cut if its ends have different outcomes, and how
+often. 65 points exceed the smaller chunk of `ends_of_many`, so that it need not be compiled."""
 CHUNK = 4096
-"""Motions between two reports of progress."""
+"""The number of motions between two reports of progress."""
 SMALL = 1e-20
-"""|L| of the starts: an ω at which the slow flow is exact to rounding."""
+"""|L| of the starts, so small that the slow flow is exact to rounding."""
 
 
 class IsotropicEnds(NamedTuple):
     """How B bodies end."""
 
     probability: Float[np.ndarray, "B 8"]
-    """Of each of the `ENDS`, the mean over directions."""
+    """The probability of each of the `ENDS`, a mean over directions."""
     ratio: Float[np.ndarray, "B"]
     """The mean of L∞/L₀."""
     error: Float[np.ndarray, "B"]
@@ -33,7 +33,7 @@ class IsotropicEnds(NamedTuple):
 
 
 class _Sides(NamedTuple):
-    """The two sides of B bodies: those round J₃, then those round J₁."""
+    """The two sides of B bodies: first round the axes of J₃, then round those of J₁."""
 
     moments: Float[np.ndarray, "2*B 3"]
     dipole: Float[np.ndarray, "2*B 3"]
@@ -41,7 +41,7 @@ class _Sides(NamedTuple):
     def ends(
         self, rows: Int[np.ndarray, "M"], x: Float[np.ndarray, "M"], progress: bool = False
     ) -> ManyEnds:
-        """How the motions of some rows end, from given x."""
+        """Return how the motions of some rows end, from given x."""
         moments, dipole = self.moments[rows], self.dipole[rows]
         omega = SMALL * momentum_at(moments, x) / moments
         inertia = moments[:, :, None] * np.eye(3)
@@ -55,14 +55,14 @@ class _Sides(NamedTuple):
 def isotropic_ends(
     moments: Float[np.ndarray, "B 3"], dipole: Float[np.ndarray, "B 3"], progress: bool = False
 ) -> IsotropicEnds:
-    """How bodies end: means over isotropic directions of L.
+    """Return how bodies end: means over isotropic directions of L.
 
     Args:
         moments: J₁ < J₂ < J₃.
         dipole: direction cosines of the dipole.
         progress: whether to show a progress bar.
     """
-    # In the reversed order of the axes the side round J₁ is described like that round J₃.
+    # With the axes in reversed order, the side round J₁ is described like the one round J₃.
     sides = _Sides(
         np.concatenate([moments, moments[:, ::-1]]), np.concatenate([dipole, dipole[:, ::-1]])
     )
@@ -80,7 +80,7 @@ def isotropic_ends(
 
 
 def _merged(probability: Float[np.ndarray, "M 8"]) -> Float[np.ndarray, "M 8"]:
-    """The probabilities, with both senses of residual rotation alike: L and −L are as frequent."""
+    """Give both senses of residual rotation their mean probability: L and −L are as frequent."""
     residual = np.mean(probability[:, :2], axis=1, keepdims=True)
     return np.concatenate([residual, residual, probability[:, 2:]], axis=1)
 
@@ -88,9 +88,9 @@ def _merged(probability: Float[np.ndarray, "M 8"]) -> Float[np.ndarray, "M 8"]:
 def _shares(
     sides: _Sides, nodes: Float[np.ndarray, "K"], kinds: Float[np.ndarray, "S K 8"]
 ) -> Float[np.ndarray, "S 8"]:
-    """The share of directions with each end, on every side.
+    """Return the share of directions with each end, on every side.
 
-    Ends change at single values of x, which are found by cutting intervals into sections.
+    The ends change at isolated values of x, which are found by cutting intervals into sections.
     """
     rows, before = np.nonzero(_differ(kinds[:, 1:], kinds[:, :-1]))
     low, high = nodes[before], nodes[before + 1]
@@ -117,7 +117,7 @@ def _differ(
 
 
 def _parts(size: int, progress: bool) -> Iterator[slice]:
-    """Parts of all motions, with a progress bar."""
+    """Yield parts of all motions, with a progress bar."""
     with tqdm(total=size, unit=" motions", disable=not progress, leave=False) as bar:
         for begin in range(0, size, CHUNK):
             part = slice(begin, min(begin + CHUNK, size))

@@ -1,7 +1,7 @@
 """Elliptic integrals by Landen's descent to a smaller modulus, which squares it at every step.
 
 With r₀ = √(1 − m) and rₙ₊₁ = 2√rₙ/(1 + rₙ) the arithmetic-geometric mean of 1 and r₀ is the product
-of the (1 + rₙ)/2. Here 1 − rₙ is a recurrence of its own: nothing cancels, at m = 0 and near m = 1.
+of the (1 + rₙ)/2. 1 − rₙ has a recurrence of its own, so nothing cancels at m = 0 or near m = 1.
 
 Source: NIST Digital Library of Mathematical Functions, sections 19.8, 20.9 and 22.20; for the
 integral of the third kind R. Bulirsch, Numerische Mathematik 13, 305 (1969).
@@ -18,7 +18,7 @@ from .free_rotation import AGM_STEPS
 
 
 class Descent(NamedTuple):
-    """What depends on the parameter m alone."""
+    """The quantities that depend on the parameter m alone."""
 
     ratios: Float[Array, "steps"]
     """rₙ."""
@@ -31,7 +31,7 @@ class Descent(NamedTuple):
 
 
 def descent(m: Real, m1: Real) -> Descent:
-    """The descent from the parameter m in [0, 1), with m1 = 1 − m > 0."""
+    """Compute the descent from the parameter m in [0, 1), with m1 = 1 − m > 0."""
 
     def step(now: tuple[Real, Real], _: None) -> tuple[tuple[Real, Real], tuple[Real, Real]]:
         ratio, gap = now
@@ -47,7 +47,7 @@ def descent(m: Real, m1: Real) -> Descent:
 
 
 def lag(steps: Descent, t: Real, s: Real, z: Real) -> Real:
-    """The lag artanh t − (π/2K) F(arcsin t | 1 − m), which is not negative.
+    """Return the lag artanh t − (π/2K) F(arcsin t | 1 − m), which is not negative.
 
     On the imaginary axis the descent reads ψₙ₊₁ = ψₙ + artanh(rₙ tanh ψₙ), where ψₙ/2ⁿ tends to the
     integral. So it is Σ δₙ/2ⁿ⁺¹ with δₙ = ψₙ − artanh(rₙ tanh ψₙ).
@@ -72,7 +72,7 @@ def lag(steps: Descent, t: Real, s: Real, z: Real) -> Real:
 
 
 def uniform_phase(steps: Descent, amplitude: Real) -> Real:
-    """(π/2K) F(φ | m) of an amplitude φ, by ψₙ₊₁ = ψₙ + arctan(rₙ tan ψₙ), ψ₀ = φ."""
+    """Compute (π/2K) F(φ | m) of an amplitude φ, by ψₙ₊₁ = ψₙ + arctan(rₙ tan ψₙ), ψ₀ = φ."""
 
     def step(psi: Real, row: tuple[Real, Real]) -> tuple[Real, None]:
         (r, gap), sine, cosine = row, jnp.sin(psi), jnp.cos(psi)
@@ -83,7 +83,7 @@ def uniform_phase(steps: Descent, amplitude: Real) -> Real:
 
 
 def mean_of_ratio(steps: Descent, g: Real, p: Real, q: Real) -> Real:
-    """The mean of (p g cn² + q sn²)/(g cn² + sn²) over a period, a mean of p and q for g > 0."""
+    """Return the mean of (p g cn² + q sn²)/(g cn² + sn²) over a period, for g > 0."""
 
     def step(now: tuple[Real, ...], _: None) -> tuple[tuple[Real, ...], None]:
         first, second, root, mean, ratio, product = now

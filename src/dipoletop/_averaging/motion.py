@@ -5,11 +5,11 @@ integrals over the parameter y of `slow_flow`. Time follows from dt = ds/(2κL²
 u = 2κL²t obeys du/ds = 1 − ru and is bounded, so neither t nor L² can over- or underflow.
 
 An adaptive Runge–Kutta method chooses the knots in y and integrates from one to the next. Between
-two knots the same integrals are those of the polynomial through Chebyshev nodes (collocation).
+two knots the integrands are polynomials through Chebyshev nodes (collocation).
 
-Where y ends the motion has come to a zero x* of F or to an axis, and L² obeys dL²/dt = −2κr*L⁴
+At the last y the motion has come to a zero x* of F or to an axis, and L² obeys dL²/dt = −2κr*L⁴
 exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* = 0. A body with two equal
-moments that comes to its equator goes on towards it as a power of L².
+moments that comes to its equator continues to approach it as a power of L².
 """
 
 from typing import Any, NamedTuple
@@ -31,11 +31,11 @@ MAX_STEPS = 1200
 FIRST_STEP = 0.01  # of y
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
-LATEST = 750.0  # ln t behind every time that is a number
+LATEST = 750.0  # ln t, larger than of any floating-point number
 
 
 class State(NamedTuple):
-    """What is integrated along y."""
+    """The integrals along y."""
 
     s: Real
     """∫2κL²dt."""
@@ -57,7 +57,7 @@ class Piece(NamedTuple):
     state: State
 
     def at(self, part: Real) -> tuple[Real, State]:
-        """The values of y and of the state at a part of the way, 0 ≤ part ≤ 1."""
+        """Return y and the state at a fraction of the way, 0 ≤ part ≤ 1."""
         y, *state = (chebyshev_sum(x, 2 * part - 1) for x in (self.y, *self.state))
         return y, State(*state)
 
@@ -69,7 +69,7 @@ class Stage(eqx.Module):
     knots: Float[Array, "K"]
     """Values of y, filled up with ∞."""
     states: State
-    """At the knots, which are on the trailing axis."""
+    """The states at the knots, which are on the trailing axis."""
     last: Int[Array, ""]
     """The index of the last knot."""
     failed: Bool[Array, ""]
@@ -92,11 +92,11 @@ class Stage(eqx.Module):
         return self.knot(self.last)
 
     def knot(self, index: Int[Array, ""]) -> State:
-        """The state at a knot."""
+        """Return the state at a knot."""
         return State(*(values[index] for values in self.states))
 
     def piece(self, index: Int[Array, ""]) -> Piece:
-        """The motion after the knot of this index."""
+        """Return the motion after the knot of this index."""
         index = jnp.clip(index, 0, jnp.maximum(self.last - 1, 0))
         first, start = self.knots[index], self.knot(index)
         length = jnp.where(self.last > 0, self.knots[index + 1] - first, 0.0)
@@ -112,7 +112,7 @@ class Stage(eqx.Module):
 
 
 def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
-    """The motion from z = logit x to the end of its interval; none if it does not move."""
+    """Compute the motion from z = logit x to the end of its interval; its start if it rests."""
     interval = interval_of(side, z)
     start = interval.parameter(z)
     pace, _ = interval.pace(start)
@@ -148,7 +148,7 @@ class Point(NamedTuple):
     """The slow motion at a time."""
 
     high: Bool[Array, "*times"]
-    """Whether L moves round the axis of the smallest moment, rather than that of the largest."""
+    """Whether L moves round the axis of the smallest moment, rather than of the largest."""
     x: Real
     rest: Real
     """1 − x."""
@@ -172,7 +172,7 @@ class SlowMotion(eqx.Module):
 
     @property
     def ends_high(self) -> Bool[Array, ""]:
-        """The side on which it ends."""
+        """Whether it ends on the side of the axis of the smallest moment."""
         return self.starts_high ^ self.crosses
 
     @property
@@ -181,11 +181,11 @@ class SlowMotion(eqx.Module):
         return jnp.any(self.stages.failed)
 
     def stage(self, index: Any) -> Stage:
-        """The first or the second stage."""
+        """Return the first or the second stage."""
         return jax.tree.map(lambda leaf: leaf[index], self.stages)
 
     def at(self, log_time: Real) -> Point:
-        """The motion at t = exp(log_time)."""
+        """Compute the motion at t = exp(log_time)."""
         second = self.crosses & (log_time > self.stage(0).end.log_time)
         stage = self.stage(second.astype(int))
         reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
@@ -210,7 +210,7 @@ class SlowMotion(eqx.Module):
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion:
-    """The motion from z = logit x on a side.
+    """Compute the motion from z = logit x on a side.
 
     A body with two equal moments has no other side: its separatrix is the equator, where L is
     across the symmetry axis, and a motion that leads there ends there.

@@ -1,4 +1,4 @@
-"""The orbit of the angular momentum in a body that turns freely, and the rates of the two turns.
+"""The orbit of the angular momentum in a body that turns freely, and the two mean rates of turning.
 
 The axes are right-handed principal axes a, b, c with l = L/|L| on the side of c, which is the axis
 that l moves round, and b the middle one. With the notation of `free_rotation`,
@@ -27,7 +27,7 @@ Triple = Float[Array, "3"]
 
 
 class MomentumOrbit(NamedTuple):
-    """A free rotation of the body about no fixed axis, or about that of J₁ or J₃."""
+    """A free rotation about no fixed axis, or about the axis of J₁ or J₃."""
 
     moments: Triple
     """J_a, J_b, J_c."""
@@ -59,19 +59,19 @@ class MomentumOrbit(NamedTuple):
         return descent(self.x * self.gaps[2] / self.q, self.rest * self.gaps[0] / self.q)
 
     def rates(self, steps: Descent) -> tuple[Real, Real]:
-        """Φ̇ and the signed rate ±(π/2K)λ of the phase of the motion in the body."""
+        """Return Φ̇ and the signed rate ±(π/2K)λ of the phase of the motion in the body."""
         size = jnp.sqrt(dot(self.momentum, self.momentum))
         turn = mean_of_ratio(steps, self.g, 1 / self.moments[0], 1 / self.moments[1])
         return size * turn, self.sense * size * steps.mean * jnp.sqrt(self.q * self.gaps[1])
 
     def phase(self, steps: Descent) -> Real:
-        """The phase πv₀/2K."""
+        """Return the phase πv₀/2K."""
         y, z = self.momentum[1], self.momentum[0] / jnp.sqrt(self.g)
         moves = (y != 0) | (z != 0)
         return uniform_phase(steps, jnp.arctan2(jnp.where(moves, y, 0.0), jnp.where(moves, z, 1.0)))
 
     def power(self) -> Real:
-        """The mean power ⟨|d̈|²⟩ of a dipole of length 1."""
+        """Return the mean power ⟨|d̈|²⟩ of a dipole of length 1."""
         r, growth = (self.dipole**2 @ mean for mean in averages(self.moments, self.x, self.rest))
         p, change = 1 / self.moments, self.sense * self.x * self.gaps[1]
         shape = self.rest * p[2] + self.x * p[1]
@@ -79,11 +79,11 @@ class MomentumOrbit(NamedTuple):
 
 
 class Spin(NamedTuple):
-    """A rotation about a fixed axis that is not the axis of a round motion nearby."""
+    """A rotation about a fixed axis that neighbouring orbits of L do not encircle."""
 
     holds: Bool[Array, ""]
-    """Whether the rotation is of this kind: of a body whose moments are equal, about an axis across
-    the symmetry axis, about the middle axis, or on its way to or from it for ever."""
+    """Whether the rotation is of this kind: a body with three equal moments, an axis across the
+    symmetry axis, the middle axis, or a motion on the separatrix."""
     rate: Real
     """The angular speed."""
     across: Real
@@ -93,7 +93,7 @@ class Spin(NamedTuple):
 def motion_of(
     inertia: Float[Array, "3 3"], dipole: Triple, omega: Triple
 ) -> tuple[MomentumOrbit, Spin]:
-    """The free rotation; where it is a `Spin` the orbit is another, without meaning.
+    """Return the free rotation; where it is a `Spin`, the orbit is a placeholder.
 
     Args:
         inertia: the inertia tensor.
@@ -108,7 +108,7 @@ def motion_of(
     tiny = ROUNDING * float(jnp.finfo(moments.dtype).eps)
     edge = jnp.where(high, gaps[0], gaps[1])  # Db
     spin = _spin(moments, gaps, n, momentum, jnp.abs(above) <= tiny**2 * edge)
-    # Where the motion is a spin, one that is none stands in.
+    # Where the motion is a spin, another motion stands in, so that nothing is NaN.
     example = jnp.arange(2.0, 5.0, dtype=moments.dtype)
     moments = jnp.where(spin.holds, example, moments)
     momentum = jnp.where(spin.holds, jnp.ones_like(example), momentum)
@@ -120,7 +120,7 @@ def _spin(
 ) -> Spin:
     size = jnp.sqrt(dot(momentum, momentum))
     unit = momentum / size
-    # Of a body with three moments this is the separatrix: all but a moment is spent on axis 2.
+    # With three distinct moments this is the separatrix: nearly all time is spent on axis 2.
     distinct = (gaps[0] > 0) & (gaps[1] > 0)
     middle = jnp.zeros_like(unit).at[1].set(1.0)
     turned = cross(jnp.where(distinct, middle, unit), n)
@@ -132,7 +132,7 @@ def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) 
     to_b, a_to_b = jnp.where(high, p12, p23), jnp.where(high, p23, p12)
 
     def axes(values: Triple, sign: Real | float = -1.0) -> Triple:
-        """The components along a, b, c; those of `sign` −1 are of a vector."""
+        """Return the components along a, b, c: of a vector with `sign` −1, of moments with 1."""
         return jnp.where(high, jnp.stack([sign * values[2], values[1], values[0]]), values)
 
     y = momentum**2 / dot(momentum, momentum)

@@ -25,7 +25,7 @@ class FreeRotation(eqx.Module):
     """L."""
 
     def side(self, high: Bool[Array, ""]) -> Side:
-        """The slow flow about the axis of J₁ (high) or of J₃."""
+        """Return the slow flow about the axis of J₁ (high) or of J₃."""
         ordered = self.moments, self.dipole**2
         return Side(*(jnp.where(high, values[::-1], values) for values in ordered))
 
@@ -47,18 +47,18 @@ class FreeRotation(eqx.Module):
 
     @property
     def spin_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
-        """Whether L lies exactly along a principal axis that is no axis of equal moments; which."""
+        """Whether L lies along a principal axis with a moment of its own; index of that axis."""
         j1, j2, j3 = self.moments
         alone = jnp.stack([j1 < j2, (j1 < j2) & (j2 < j3), j2 < j3])
         on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
         return jnp.any(on_axis), jnp.argmax(on_axis)
 
     def spin_decay(self, axis: Int[Array, ""]) -> Real:
-        """The r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
+        """Compute r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
         return (1 - self.dipole[axis] ** 2) / self.moments[axis] ** 3
 
     def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
-        """Some other rotation where the condition holds, so that nothing is NaN there."""
+        """Replace the rotation by an ordinary one where the condition holds, to avoid NaN."""
         other = FreeRotation(
             jnp.array([0.5, 0.75, 1.0]), jnp.array([0.6, 0.0, 0.8]), jnp.array([0.48, 0.6, 0.64])
         )
@@ -77,7 +77,7 @@ class FreeRotation(eqx.Module):
 
 
 def gaps_of(moments: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
+    """Compute the differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
     j1, j2, j3 = moments
     return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
 
@@ -85,19 +85,19 @@ def gaps_of(moments: Float[Array, "3"]) -> Float[Array, "3"]:
 def free_rotation(
     inertia: Float[Array, "3 3"], dipole: Float[Array, "3"], omega: Float[Array, "3"]
 ) -> FreeRotation:
-    """The free rotation of a body that turns with the angular velocity Ω."""
+    """Return the free rotation of a body that turns with the angular velocity Ω."""
     moments, axes = principal_axes(inertia)
     moments = equal_where_rounded(moments)
     n = axes.T @ (dipole / jnp.linalg.norm(dipole))
     small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
     n = jnp.where(small, 0.0, n)
-    # Along an axis exactly 1, so that no rounding is taken for a component across it.
+    # The component along an axis is exactly ±1, so that rounding leaves none across it.
     n = jnp.where(jnp.sum(n != 0) == 1, jnp.sign(n), n)
     return FreeRotation(moments, n, moments * (axes.T @ omega))
 
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Moments that differ by rounding only are made equal."""
+    """Make moments equal that differ by rounding only."""
     j1, j2, j3 = moments
     j2 = jnp.where(j3 - j2 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j3, j2)
     j1 = jnp.where(j2 - j1 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j2, j1)
@@ -106,7 +106,7 @@ def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
 
 @jax.custom_jvp
 def principal_axes(inertia: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
-    """The principal moments, ascending, and the principal axes as columns, right-handed.
+    """Return the principal moments, ascending, and the principal axes as columns, right-handed.
 
     Axes of equal moments do not turn in a derivative: it holds for changes of the inertia that do
     not mix them, and for everything that does not depend on their choice.

@@ -1,8 +1,8 @@
-"""Where a slow motion leads, and how much momentum it keeps, without its times.
+"""The end of a slow motion and the momentum that it keeps, without times.
 
-For many bodies and starts at once: the signs of F on a fixed grid tell where a motion leads, and a
-quadrature with fixed nodes gives ln L∞²/L₀² = −∫r(ds/dy)dy where that is residual rotation. No
-number of steps depends on the case, so that lanes do not wait for each other.
+For many bodies and starts at once: the signs of F on a fixed grid show where a motion leads, and a
+quadrature with fixed nodes gives ln L∞²/L₀² = −∫r(ds/dy)dy for residual rotation. The number of
+steps is the same in every case, so that lanes do not wait for each other.
 """
 
 from typing import NamedTuple
@@ -18,17 +18,17 @@ from .estimates import loss
 from .principal_axes import FreeRotation
 from .slow_flow import FARTHEST, HALVINGS, SPACING, Interval, Side, bound
 
-PANELS = 24  # of the quadrature
-NODES = 16  # on each
+PANELS = 24  # panels of the quadrature
+NODES = 16  # nodes of each panel
 
 
 class Outline(NamedTuple):
-    """Where a slow motion leads."""
+    """The end of a slow motion."""
 
     crosses: Bool[Array, ""]
     """Whether it crosses the separatrix."""
     ends_high: Bool[Array, ""]
-    """The side on which it ends: that of the axis of J₁, or of J₃."""
+    """Whether it ends on the side of the axis of J₁, rather than of J₃."""
     spins: Bool[Array, ""]
     """Whether it ends on an axis, rather than at a zero of F."""
     log: Real
@@ -40,7 +40,7 @@ class Outline(NamedTuple):
 
 
 def outline(rotation: FreeRotation) -> Outline:
-    """Where the slow motion of a body with at least two different moments leads."""
+    """Return where the slow motion of a body with at least two different moments leads."""
     high, z = rotation.place
     side = rotation.side(high)
     rises = side.growth(z) > 0
@@ -61,7 +61,7 @@ def outline(rotation: FreeRotation) -> Outline:
     second = _way(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
     log = jnp.where(residual, first.log + jnp.where(crosses, second.log, 0.0), -jnp.inf)
     error = jnp.where(residual, first.error + jnp.where(crosses, second.error, 0.0), 0.0)
-    # Where a zero of F lies beyond the separatrix, the loss there stands for that of the way to it.
+    # If a zero of F lies beyond the separatrix, `first.loss` also stands for the way to that zero.
     later = jnp.where(crosses & spins, second.loss * jnp.exp(first.log / 2), 0.0)
     return Outline(crosses, ends_high, spins, log, jnp.maximum(first.loss, later), error)
 
@@ -69,7 +69,7 @@ def outline(rotation: FreeRotation) -> Outline:
 def _interval(
     side: Side, z: Real, rises: Bool[Array, ""], reversals: tuple[Real, Real]
 ) -> Interval:
-    """The interval between neighbouring zeros of F that contains z = logit x.
+    """Compute the interval between neighbouring zeros of F that contains z = logit x.
 
     Args:
         side: the side of the separatrix.
@@ -95,13 +95,13 @@ def _interval(
 
 
 def _whole(side: Side) -> Interval:
-    """The interval from the axis to the separatrix."""
+    """Return the interval from the axis to the separatrix."""
     infinite = jnp.full((), jnp.inf)
     return Interval(side, bound(side, -infinite), bound(side, infinite))
 
 
 class _Course(NamedTuple):
-    """A way to an end of an interval."""
+    """A part of a motion, up to an end of an interval."""
 
     log: Real
     """The change of ln L²."""
@@ -112,7 +112,7 @@ class _Course(NamedTuple):
 
 
 def _way(interval: Interval, z: Real, rises: Bool[Array, ""]) -> _Course:
-    """The way from z to the end of the interval."""
+    """Integrate from z = logit x to the end of the interval."""
     start = interval.parameter(z)
     end = jnp.where(rises, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
     rule = collocation_rule(NODES)

@@ -4,14 +4,14 @@ With h = 2E/L² and ds = 2κL²dt the averages over free rotation (`free_rotatio
 
     dx/ds = x F(x),   d ln L²/ds = −r(x),   x = (h − c)/Db,
 
-on either side of the separatrix h = p₂. So x obeys an autonomous law of its own. It tends to a
+on either side of the separatrix h = p₂. So x obeys an autonomous equation. It tends to a
 stable zero of F, to the axis x = 0, or to the separatrix. F has the same sign on both sides of the
 separatrix and vanishes there as 1/ln(1/(1 − x)) only, so x crosses it at a finite s, once.
 
 Between two neighbouring zeros x₋ and x₊ of F (or the axis x₋ = 0, the separatrix x₊ = 1) a motion
 is parametrised by y = ln (x − x₋)/(x₊ − x), which is monotonic in time. Then ds/dy is smooth and
 bounded on the whole line: the logarithm at the separatrix and the exponential approach to a zero
-become exponentially small terms. Near a zero F is divided by x − x₊ or x − x₋ by a polynomial.
+become exponentially small terms. Near a zero x*, a polynomial represents F/(x − x*).
 """
 
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .free_rotation import averages
 
-FARTHEST = 45.0  # |logit x| and |y| beyond which nothing changes in double precision
+FARTHEST = 45.0  # |logit x| and |y| beyond which the rates are constant in double precision
 SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
 GRID = np.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
 MOST_ZEROS = 4  # on one side
@@ -36,7 +36,7 @@ MOST_FOLDS = 2  # extrema of F next to 0
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
 SMALLEST = 1e-300  # 1 − x on the separatrix, where a symmetric body has 0/0
-RADIUS = 0.05  # half width of its interval, in units of the distance of x* from 0 and 1
+RADIUS = 0.05  # half width of the polynomial's interval over the distance of x* from 0 and 1
 
 
 class Side(eqx.Module):
@@ -45,15 +45,15 @@ class Side(eqx.Module):
     moments: Float[Array, "3"]
     """J_a, J_b, J_c: L moves round axis c; b is the middle one."""
     weights: Float[Array, "3"]
-    """Squares of the direction cosines of the dipole, in the same order."""
+    """The squares of the direction cosines of the dipole, in the same order."""
 
     def rates(self, x: Real, rest: Real) -> tuple[Real, Real]:
-        """The rates r and F at x, with rest = 1 − x."""
+        """Compute the rates r and F at x, with rest = 1 − x."""
         means = averages(self.moments, x, rest)
         return self.weights @ means.r, self.weights @ means.growth
 
     def growth(self, z: Real) -> Real:
-        """The rate F at z = logit x."""
+        """Compute the rate F at z = logit x."""
         return self.rates(*from_logit(z))[1]
 
     @property
@@ -62,10 +62,10 @@ class Side(eqx.Module):
         return Side(self.moments[::-1], self.weights[::-1])
 
     def sample(self) -> tuple[Float[Array, "g"], Bool[Array, "g"]]:
-        """Values of logit x such that the sign of F changes at most once between neighbours; F > 0.
+        """Return values of logit x between which F changes sign at most once, and whether F > 0.
 
-        Those of a regular grid, in order, are followed by the extrema of F between them that may
-        hide two zeros, filled up with the last value of the grid.
+        An ascending regular grid is followed by the extrema of F between its points that may hide
+        two zeros, filled up with the last value of the grid.
         """
         growth = jax.lax.map(self.growth, jnp.asarray(GRID))
         folds = self._folds(growth)
@@ -73,7 +73,7 @@ class Side(eqx.Module):
         return jnp.append(jnp.asarray(GRID), folds), jnp.append(growth > 0, positive)
 
     def _folds(self, growth: Float[Array, "G"]) -> Float[Array, "m"]:
-        """Extrema of F next to 0, by parabolas through three points."""
+        """Return extrema of F next to 0, by parabolas through three points."""
         size, sign = jnp.abs(growth), jnp.sign(growth)
         far, near, inner = (
             (slice(0, -4), slice(4, None)),
@@ -99,7 +99,7 @@ class Side(eqx.Module):
         return jnp.where(index < 0, FARTHEST, place)
 
     def zeros(self) -> Float[Array, "m"]:
-        """The zeros of F by their logit x, ascending; filled up with +∞."""
+        """Return the zeros of F by their logit x, ascending; filled up with +∞."""
         points, positive = self.sample()
         order = jnp.argsort(points)
         points, positive = points[order], positive[order]
@@ -124,7 +124,7 @@ class Bound(NamedTuple):
     """Chebyshev coefficients of F/(x − x*) on that interval."""
 
     def quotient(self, shift: Real) -> Real:
-        """F/(x − x*) at x = x* + shift."""
+        """Compute F/(x − x*) at x = x* + shift."""
         return chebyshev_sum(self.coefficients, jnp.clip(shift / self.radius, -1.0, 1.0))
 
 
@@ -145,19 +145,19 @@ class Interval(eqx.Module):
         return jnp.where(high.x < 0.5, high.x - low.x, low.rest - high.rest)
 
     def parameter(self, z: Real) -> Real:
-        """The parameter y at z = logit x."""
+        """Compute the parameter y at z = logit x."""
         x, rest = from_logit(z)
         above = jnp.where(x < 0.5, x - self.low.x, self.low.rest - rest)
         below = jnp.where(x < 0.5, self.high.x - x, rest - self.high.rest)
         return jnp.log(above) - jnp.log(below)
 
     def position(self, y: Real) -> tuple[Real, Real]:
-        """The position x and 1 − x at y."""
+        """Return the position x and 1 − x at y."""
         up, down = from_logit(y)
         return self.low.x + self.width * up, self.high.rest + self.width * down
 
     def pace(self, y: Real) -> tuple[Real, Real]:
-        """The pace ds/dy = (x₊ − x)(x − x₋)/((x₊ − x₋) x F), and r."""
+        """Compute the pace ds/dy = (x₊ − x)(x − x₋)/((x₊ − x₋) x F), and r."""
         up, down = from_logit(y)
         x, rest = self.position(y)
         r, growth = self.side.rates(x, rest)
@@ -172,7 +172,7 @@ class Interval(eqx.Module):
 
 
 def interval_of(side: Side, z: Real) -> Interval:
-    """The interval that contains z = logit x."""
+    """Compute the interval that contains z = logit x."""
     zeros = side.zeros()
     low = jnp.max(jnp.where(zeros < z, zeros, -jnp.inf))
     high = jnp.min(jnp.where(zeros > z, zeros, jnp.inf))
@@ -182,7 +182,7 @@ def interval_of(side: Side, z: Real) -> Interval:
 
 
 def bound(side: Side, z: Real) -> Bound:
-    """The end of an interval at z = logit x: a zero of F, or the axis or the separatrix (∓∞)."""
+    """Return the end of an interval at z = logit x: a zero of F, axis (−∞) or separatrix (∞)."""
     x, rest = from_logit(z)
     rest = jnp.maximum(rest, SMALLEST)
     is_zero = jnp.isfinite(z)
@@ -196,5 +196,5 @@ def bound(side: Side, z: Real) -> Bound:
 
 
 def from_logit(z: Real) -> tuple[Real, Real]:
-    """The x of z = ln x/(1 − x), and 1 − x."""
+    """Compute x of z = ln x/(1 − x), and 1 − x."""
     return jax.nn.sigmoid(z), jax.nn.sigmoid(-z)

@@ -1,8 +1,8 @@
 """How a nearly axisymmetric body ends, by its unfolded system; and its history.
 
 A needle that turns fast about its symmetry axis is captured at a random phase: many phases are
-followed. Other starts have a phase of their own. They are followed together with neighbours as far
-away as the error of the unfolded system, which shows how certain their end is.
+followed. Other starts have a known phase. They are followed together with neighbours that differ
+by the error of the unfolded system. These show how certain the end is.
 """
 
 import functools
@@ -24,9 +24,9 @@ from .motion import HALVINGS, SlowMotion, motion_from
 from .principal_axes import FreeRotation
 from .unfolding import LARGEST, PHASES, PlanarMotion, SettledAngle, Top, entry_of, phases, settle
 
-TURNING = 2.0  # q above which no phase is captured
-SHIFT = 3.0  # of neighbours, in units of the error
-UNCERTAIN = 0.5  # the error where neighbours end otherwise
+TURNING = 2.0  # value of q above which no phase is captured
+SHIFT = 3.0  # distance of neighbours, in units of the error
+UNCERTAIN = 0.5  # the error where a neighbour ends in another way
 ORBIT_STEPS = 16_384
 TIGHT = 1e-12  # the loss ln u that an orbit leaves out
 
@@ -40,22 +40,23 @@ class UnfoldedEnd(NamedTuple):
 
 
 def order_error(top: Top, log_u: Real) -> Real:
-    """The relative size of what the unfolded system leaves out from a given u on."""
+    """Return the relative size of the terms that the unfolded system neglects from a given u on."""
     z = top.start[1] * jnp.exp(top.log_u - log_u)
     far = 1 / jnp.abs(top.delta) + jnp.minimum(jnp.abs(z), 1 / jnp.abs(top.delta))
     return (jnp.exp(log_u) * far + jnp.abs(top.eta)) * far / (1 - top.delta)
 
 
 def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> UnfoldedEnd:
-    """The end of a needle that is captured at a random phase."""
+    """Return the end of a needle that is captured at a random phase."""
     entry = entry_of(rotation, motion, top)
     plane = PlanarMotion(top.delta, top.eta * jnp.exp(-entry.log_u))
     lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, entry.q))
     logs = lanes.log_ratio + _log_momentum(top, entry.log_u)
     known = jnp.all(lanes.residual | lanes.stops)
     share = jnp.mean(jnp.where(lanes.residual, 1.0, 0.0))
-    # On the largest moment every phase is residual in the end; on the middle one none, if the line
-    # repels while all still turn. Else a share below the resolution may be missed.
+    # A dipole on the axis of the largest moment makes every phase residual in the end. On the
+    # middle axis no phase is, if the line repels while all still turn. Otherwise the sample of
+    # phases may miss a share below its resolution.
     turning = jnp.all(2 * jnp.abs(top.delta * lanes.state[:, 1]) > TURNING)
     certain = (top.eta > 0) | ((share == 0) & turning)
     residual = jnp.where(certain, share, jnp.clip(share, 0.5 / PHASES, 1 - 0.5 / PHASES))
@@ -69,7 +70,7 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> Unfold
 
 
 def _sampling_error(logs: Float[Array, "n"]) -> Real:
-    """Half the relative difference of the means over every second phase and over the others."""
+    """Return half the relative difference between the means over odd and over even phases."""
     largest = jnp.max(jnp.where(jnp.isfinite(logs), logs, -jnp.inf))
     parts = jnp.exp(logs - jnp.where(jnp.isfinite(largest), largest, 0.0))
     odd, even = jnp.sum(parts[::2]), jnp.sum(parts[1::2])
@@ -77,7 +78,7 @@ def _sampling_error(logs: Float[Array, "n"]) -> Real:
 
 
 def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
-    """The end of a start that has a phase of its own."""
+    """Return the end of a start whose phase is known."""
     log_u = top.log_u
     error = order_error(top, log_u)
     start, ratio = top.start, top.ratio
@@ -102,7 +103,7 @@ def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
 
 
 def half_time_of(top: Top, last_part: Real) -> Real:
-    """The time after which E − E∞ has fallen to one half, of a start with a phase of its own.
+    """Return the time after which E − E∞ of a start with a known phase has fallen to one half.
 
     Args:
         top: the body.
@@ -130,7 +131,7 @@ class PlaneOrbit(eqx.Module):
     last: Real
     """The last σ."""
     settled: Bool[Array, ""]
-    """Whether it has come to the residual line there."""
+    """Whether it is at the residual line by then."""
 
     @property
     def unit(self) -> Real:
@@ -138,12 +139,12 @@ class PlaneOrbit(eqx.Module):
         return 2 * self.top.moment / (self.top.omega[0] ** 2 + self.top.omega[1] ** 2)
 
     def at(self, sigma: Real) -> tuple[Float[Array, "3"], Real]:
-        """The state, and uτ."""
+        """Return the state at σ, and uτ."""
         y = self.path.evaluate(sigma)
         return y[:3], y[3]
 
     def energy(self, state: Float[Array, "3"]) -> Real:
-        """The energy over J₁u₀/2."""
+        """Return the energy of a state over J₁u₀/2."""
         return self.moments @ self.top.omega_at(state, self.top.log_u) ** 2
 
     @property
@@ -154,7 +155,7 @@ class PlaneOrbit(eqx.Module):
 
 
 def orbit_of(top: Top) -> PlaneOrbit:
-    """The orbit of a start that has a phase of its own."""
+    """Return the orbit of a start whose phase is known."""
     plane = PlanarMotion(top.delta, top.ratio)
 
     def field(sigma: Any, y: Array, args: Any) -> Array:
@@ -173,7 +174,7 @@ def orbit_of(top: Top) -> PlaneOrbit:
 
 
 def _log_momentum(top: Top, log_u: Real) -> Real:
-    """The logarithm of J₁√u over L₀."""
+    """Return the logarithm of J₁√u over L₀."""
     return log_u / 2 - top.log_unit + jnp.log(top.moment)
 
 
@@ -184,7 +185,7 @@ def _one(end: int) -> Float[Array, "8"]:
 def _end_of(
     rotation: FreeRotation, top: Top, probability: Float[Array, "8"], logs: Float[Array, "n"]
 ) -> SlowEnd:
-    """The end of equally probable L∞/L₀, by their logarithms; the half time is not known."""
+    """Return the end, given ln L∞/L₀ of equally probable lanes; the half time is NaN."""
     unknown = jnp.full_like(top.delta, jnp.nan)
     residual = jnp.sum(probability[:2])
     log_mean = jax.nn.logsumexp(logs) - np.log(logs.size)
@@ -202,7 +203,7 @@ def _end_of(
 
 
 def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
-    """The `LEVELS` of equally probable values, some of them −∞."""
+    """Return the `LEVELS` of equally probable values, some of them −∞."""
     ordered = jnp.sort(logs)
     stops = jnp.sum(jnp.where(jnp.isfinite(logs), 0.0, 1.0))
     last = logs.size - 1
@@ -218,9 +219,9 @@ def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
 def _stops(
     rotation: FreeRotation, top: Top, plane: PlanarMotion, at: SettledAngle
 ) -> tuple[Float[Array, "8"], Real]:
-    """Where a start leads that is not captured, and the logarithm of L∞/L₀.
+    """Return the probabilities and ln L∞/L₀ of a start that is not captured.
 
-    Past the reach of the residual line it tumbles, since the dipole is on the middle axis. A disc
+    It tumbles if the residual line repels it, since the dipole is then on the middle axis. A disc
     that turns fast obeys the slow flow.
     """
     nothing = jnp.full_like(top.delta, -jnp.inf)

@@ -8,16 +8,17 @@ equation of motion tends, as u → 0 at constant η/u, to
     φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − c sin 2φ/(1−δ),
     (ln u)_σ = −2 sin²φ,   c = 1 − η/(2u),
 
-so an asymmetry only adds the torque of a pendulum. It grows as u falls. The time is τ = ∫dσ/u.
+so an asymmetry only adds the torque of a pendulum, which grows as u falls. The time is τ = ∫dσ/u.
 
 Residual line, φ = 0 (mod π), z = 0: the linear law has the trace −(2+δ)/(1−δ) and the determinant
-(1 + δη/u)/(1−δ). The rest of the loss is −Δ ln u = 2∫φ²dσ, a quadratic form of φ and z. If δη < 0
-(the dipole lies on the middle axis) and u < −δη, the line repels, and does so for ever, since u
+(1 + δη/u)/(1−δ). The remaining loss is −Δ ln u = 2∫φ²dσ, a quadratic form of φ and z. If δη < 0
+(the dipole lies on the middle axis) and u < −δη, the line repels, and will always do so, since u
 falls: the rotation stops.
 
 A needle, δ > 0, comes from fast rotation about its symmetry axis, as in `capture`: where q = 2δ|z|
-is large against √|η/u| its phase is random, and uniform in the number of turns. The slow flow leads
-there. A disc, δ < 0, that rotates that fast goes on so, and the slow flow takes over.
+is large against √|η/u| its phase is random, and uniform in the number of turns. Until then it
+obeys the slow flow. A disc, δ < 0, that rotates so fast keeps doing so, and obeys the slow flow
+from then on.
 """
 
 from typing import Any, NamedTuple
@@ -36,12 +37,12 @@ from .capture import ENTRY, Expansion, follow, log_scale_of
 from .motion import HALVINGS, SlowMotion
 from .principal_axes import FreeRotation
 
-PHASES = 256  # of a random start
+PHASES = 256  # phases that sample a random start
 NEAR = 1e-5  # the loss ln u at the residual line that is left to the linear law
 MAX_STEPS = 60_000
 RTOL = 1e-10
-FAST = 4.0  # q/√|η/u| from which a rotation turns round, whatever the asymmetry
-HALF = 2.0  # ln u₀/u after which the energy is below one half, if it falls to zero
+FAST = 4.0  # q/√|η/u| above which a body rotates all the way round in spite of the asymmetry
+HALF = 2.0  # ln u₀/u after which the energy has halved, if it falls to zero
 ON_AXIS = 1e-13
 FADED = 60.0  # ln u₀/u after which a needle of two equal moments is taken to stop
 LARGEST = 2e4
@@ -62,7 +63,7 @@ class Top(NamedTuple):
     omega: Float[Array, "3"]
     """Ω along them, in units of L₀ over the largest moment."""
     log_unit: Real
-    """The logarithm of that unit times κ/J₁."""
+    """The logarithm of the unit of `omega` times κ/J₁."""
 
     @property
     def log_u(self) -> Real:
@@ -82,7 +83,7 @@ class Top(NamedTuple):
         return jnp.stack([jnp.arctan2(w2, w1), z, jnp.zeros_like(z)])
 
     def omega_at(self, y: Float[Array, "3"], log_u0: Real) -> Float[Array, "3"]:
-        """The Ω of a state, in units of √u₀."""
+        """Return the Ω of a state, in units of √u₀."""
         phi, z, fall = y
         flat = jnp.exp(fall / 2)
         third = z * jnp.exp(fall + log_u0 / 2)
@@ -90,7 +91,7 @@ class Top(NamedTuple):
 
 
 def top_of(rotation: FreeRotation, axial: int, weakness: Real) -> Top:
-    """The body in the frame of its dipole.
+    """Return the body in the frame of its dipole.
 
     Args:
         rotation: in units of the largest moment and of L₀; its dipole is across the symmetry axis
@@ -118,16 +119,16 @@ class PlanarMotion(NamedTuple):
     """η/u₀, where u₀ is the unit of u."""
 
     def asymmetry(self, y: Float[Array, "n"]) -> Real:
-        """The asymmetry η/u."""
+        """Return the asymmetry η/u."""
         return self.ratio * jnp.exp(-y[2])
 
     def __call__(self, t: Any, y: Float[Array, "n"], args: Any = None) -> Float[Array, "3"]:
-        """d(φ, z, ln u)/dσ."""
+        """Return d(φ, z, ln u)/dσ."""
         plane = planar_rates(self.delta, 1 - self.asymmetry(y) / 2, y[:2])
         return jnp.append(plane, -2 * jnp.sin(y[0]) ** 2)
 
     def line(self, y: Float[Array, "n"]) -> tuple[Real, Real]:
-        """The determinant of the linear law at the residual line, and the loss ln u to come."""
+        """Return the determinant of the linear law at the residual line, and the remaining loss."""
         d, z = self.delta, y[1]
         phi = y[0] - jnp.pi * jnp.round(y[0] / jnp.pi)
         det = (1 + d * self.asymmetry(y)) / (1 - d)
@@ -135,30 +136,30 @@ class PlanarMotion(NamedTuple):
         return det, square * (1 - d) / (2 + d) / jnp.where(det > 0, det, 1.0)
 
     def settles(self, y: Float[Array, "n"], loss: float = NEAR) -> Bool[Array, ""]:
-        """Whether the residual line attracts the state, with little loss to come."""
+        """Return whether the residual line attracts the state, and the remaining loss is small."""
         det, left = self.line(y)
         return (det > 0) & (left <= loss * det / (1 + det))
 
     def repels(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
-        """Whether the residual line repels all that comes later."""
+        """Return whether the residual line repels now and at all later times."""
         return 1 + self.delta * self.asymmetry(y) < 0
 
     def turns(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
-        """Whether the rotation about the symmetry axis is fast, see `entry_q`."""
+        """Return whether the rotation about the symmetry axis is fast, see `entry_q`."""
         return 2 * jnp.abs(self.delta * y[1]) > entry_q(self.delta, self.asymmetry(y))
 
     def ended(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
-        """Whether the end is known, and, if the energy falls to zero, one half is behind."""
+        """Return whether the end is known, and the energy has halved if it falls to zero."""
         stops = self.repels(y) | self.stays(y) | (self.delta < 0) & self.turns(y)
-        faded = (y[2] < -FADED) & (self.delta > 0)  # as by wobbling for ever
+        faded = (y[2] < -FADED) & (self.delta > 0)  # for instance by wobbling for ever
         return self.settles(y) | stops & (y[2] < -HALF) | faded & (self.ratio == 0)
 
     def stays(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
-        """Whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
+        """Return whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
         return (jnp.abs(y[1]) < ON_AXIS) & (jnp.abs(jnp.cos(y[0])) < ON_AXIS) & (self.ratio == 0)
 
     def section(self, y: Float[Array, "3"], turn: Real) -> Float[Array, "3"]:
-        """The state at the next multiple of π that φ passes, and some half turns later."""
+        """Return the state `turn` half turns after the next multiple of π that φ passes."""
         heading = -jnp.sign(self.delta * y[1])
         target = heading * jnp.pi * (jnp.ceil(heading * y[0] / jnp.pi) + turn)
 
@@ -192,11 +193,11 @@ class SettledAngle(NamedTuple):
     log_ratio: Real
     """The logarithm of |ω∞|/√u₀, if residual."""
     state: Float[Array, "*any 3"]
-    """The last one."""
+    """The last state."""
 
 
 def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> SettledAngle:
-    """The end of the orbit from a state."""
+    """Return the end of the orbit from a state."""
     y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), MAX_STEPS)
     residual = plane.settles(y)
     _, left = plane.line(y)
@@ -206,10 +207,10 @@ def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> SettledAngle:
 
 
 def entry_q(delta: Real, asymmetry: Real) -> Real:
-    """The q from which rotation about the symmetry axis is fast, at an asymmetry η/u.
+    """Return the q from which rotation about the symmetry axis is fast, at an asymmetry η/u.
 
-    The averages over it are then those of the slow flow, with corrections of the order 1/q² as for
-    η = 0, of the relative error |η|/(uq²).
+    The averages over it are then the averages of the slow flow. Their corrections are of the order
+    1/q², as for η = 0, with the relative error |η|/(uq²).
     """
     size = jnp.abs(asymmetry)
     expansion = ENTRY * (1 + 1.5 * jnp.abs(delta / (1 - delta))) * jnp.sqrt(jnp.sqrt(1 + size))
@@ -217,7 +218,7 @@ def entry_q(delta: Real, asymmetry: Real) -> Real:
 
 
 def asymmetry_at_entry(top: Top) -> Real:
-    """About the η/u at which a needle that turns fast comes to `entry_q`, by the W of η = 0."""
+    """Estimate η/u where a needle that turns fast comes to `entry_q`, with W of η = 0."""
     d = top.delta
     w1, w2, w3 = top.omega
     log_perp = jnp.log(jnp.hypot(w1, w2)) + top.log_unit
@@ -242,14 +243,14 @@ class CaptureEntry(NamedTuple):
     """The logarithm of the time, in the unit of `SlowMotion`."""
     q: Real
     log_u: Real
-    """That of u where φ = 0."""
+    """The logarithm of u where φ = 0."""
 
 
 def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEntry:
-    """Where q has fallen to `entry_q`; also q above, where the motion starts there.
+    """Return where q has fallen to `entry_q`, or the start if q is smaller there.
 
-    Between there and capture q²u/δ² is small, and W of `capture` is constant. It is taken from the
-    slow flow, which knows corrections of that order, and from its W follows the u of the plane.
+    From there to capture q²u/δ² is small, and W of `capture` is constant. W follows from the slow
+    flow, which includes corrections of that order, and u in the plane follows from W.
     """
     stage = motion.stage(0)
     ja, jb, jc = stage.interval.side.moments
@@ -257,7 +258,7 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEnt
     on_middle = rotation.dipole[1] ** 2 > 0.5
 
     def place(y: Real, log: Real) -> tuple[Real, Real, Real]:
-        """The logarithms of ω₁ and ω₃ where φ = 0, and of q over `entry_q`."""
+        """Compute the logarithms of ω₁ and ω₃ where φ = 0, and of q over `entry_q`."""
         x, rest = stage.interval.position(y)
         first = jnp.where(on_middle, x, x * to_b / to_a)
         third = jnp.where(on_middle, rest, (a_to_b + rest * to_b) / to_a)
@@ -287,7 +288,7 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEnt
 
 
 def phases(plane: PlanarMotion, q: Real, number: int = PHASES) -> Float[Array, "n 3"]:
-    """States φ = 0 uniform in the number of turns, from one passage at q to the next."""
+    """Return states φ = 0, uniform in the number of turns, from one passage at q to the next."""
     z = q / (2 * plane.delta)
     zero = jnp.zeros_like(z)
     _, after, fall = plane.section(jnp.stack([zero, z, zero]), zero + 1)

@@ -1,7 +1,7 @@
 """How the slow motions of many bodies and starts end: the numbers of predictions without times.
 
-What a case costs does not depend on it (see `slow_course`), except in two kinds. The capture of
-needles is found once for each δ, and a start whose quadrature is in doubt is predicted by itself.
+Every case costs the same (see `slow_course`), with two exceptions: the capture of needles is
+computed once for each δ, and a start whose quadrature is inaccurate is predicted on its own.
 """
 
 import functools
@@ -27,12 +27,12 @@ from .forecast import (
 )
 from .slow_course import outline
 
-CHUNKS = 64, 1024  # starts that are computed at once; few sizes, since each is compiled
-DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted by itself
+CHUNKS = 64, 1024  # starts computed at once; only two sizes, since each needs a compilation
+DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted on its own
 
 
 class ManyEnds(NamedTuple):
-    """How N motions end; see `Prediction` for the meaning."""
+    """How N motions end; the fields are explained at `Prediction`."""
 
     outcome: Int[np.ndarray, "N"]
     probability: Float[np.ndarray, "N 8"]
@@ -58,7 +58,7 @@ def ends_of_many(
     omega0: Float[np.ndarray, "N 3"],
     strength: float = 1.0,
 ) -> ManyEnds:
-    """How N free rotations end.
+    """Return how N free rotations end.
 
     Args:
         inertia: inertia tensors.
@@ -86,7 +86,7 @@ def ends_of_many(
 
 
 def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: Any) -> Any:
-    """A function of every start, vectorised over chunks; the last one is filled up."""
+    """Apply a vectorised function to chunks of the starts; the last chunk is padded."""
     small, large = CHUNKS
     length = small if len(variables) <= small else large
     count = max(1, -(-len(variables) // length))
@@ -104,7 +104,7 @@ def _put(ends: _UntimedEnd, lanes: Any, values: _UntimedEnd) -> None:
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
 def _slow_ends(variables: Variables, strength: Real) -> tuple[_UntimedEnd, Real, Bool[Array, ""]]:
-    """The end by the slow flow; δ of a needle, or 0; whether the quadrature is in doubt."""
+    """Return the end by the slow flow, δ of a needle or 0, and whether the error is too large."""
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
@@ -132,7 +132,7 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[_UntimedEnd, Real,
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
 def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _UntimedEnd:
-    """The end of a needle, given the distribution of its capture."""
+    """Return the end of a needle, given the distribution of its capture."""
     strength, chance = constants
     rotation, units = scaled_rotation(variables, strength)
     delta, omega = needle_start(rotation, units.weakness)

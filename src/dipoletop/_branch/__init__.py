@@ -1,5 +1,5 @@
 """The physical branch of the full equations.
 
-`window` solves for a stretch of motion as a boundary-value problem, `march` puts such stretches
-together, and `slow_manifold` gives the rate of ω at one angular velocity.
+`window` solves for a stretch of motion as a boundary-value problem, `march` joins such stretches,
+`turning` follows the attitude, and `slow_manifold` gives the rate of ω at one angular velocity.
 """

@@ -1,9 +1,8 @@
 """Motions along the physical branch of a full equation, window after window.
 
 Each window is a boundary-value problem (`window`) that extends several runaway e-foldings past the
-part that is kept. From the end of the elements that meet the tolerance the next window begins; its
-length follows the number of these elements. Fast components are never handed on: the next window
-solves for them anew.
+part that is kept. The next window begins at the end of the elements that meet the tolerance; its
+length depends on the number of these elements. It solves for the fast components anew.
 """
 
 import functools
@@ -21,26 +20,26 @@ from ..equations._common import energy_flows
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
-EFOLDS = 36.0  # of a runaway, in a first window: −ln of the rounding error of float64
+EFOLDS = 36.0  # e-foldings of a runaway in a first window: −ln of the rounding error of float64
 LONGER = 1.6  # factor of the length if only the error at the far end is too large
-FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # of the length otherwise, if 0, 1/4, … 1 of it is accepted
-PREVIOUS_ELEMENT = 30.0  # by what factor an element's truncation is less in the one before it
-UNRESOLVED = 1e3  # changes at the far end of a long window are kept at most so many times larger
-MOST_REJECTED = 14  # consecutive windows
-PATIENT = 3  # of them, after which windows are cut down ever faster
+FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # factors of the length otherwise, if 0, 1/4, … 1 is accepted
+PREVIOUS_ELEMENT = 30.0  # factor by which an element's truncation is smaller in the one before
+UNRESOLVED = 1e3  # largest growth of a change at the far end of a long window
+MOST_REJECTED = 14  # consecutive rejected windows
+PATIENT = 3  # consecutive rejected windows after which windows are cut faster and faster
 
 
 class MarchState(NamedTuple):
-    """How far a march has come, and the length of its next window."""
+    """The progress of a march, and the length of its next window."""
 
     time: Float[Array, ""]
     slow: Float[Array, "m"]
     """The slow part of the state; it begins with ω."""
     span: Float[Array, ""]
     windows: Int[Array, ""]
-    """Windows tried."""
+    """The number of windows tried."""
     rejected: Int[Array, ""]
-    """Consecutive windows without an accepted element."""
+    """The number of consecutive windows without an accepted element."""
 
     @property
     def failed(self) -> Bool[Array, ""]:
@@ -49,13 +48,13 @@ class MarchState(NamedTuple):
 
 
 def depends_on_time(equation: Any, omega0: Float[Array, "3"]) -> bool:
-    """Whether the rates of a full equation may depend on τ."""
+    """Return whether the rates of a full equation may depend on τ."""
     state, time = jax.eval_shape(lambda w: (equation.lift(w), w[0]), omega0)
     return any(dependence(equation, time, state)[0])
 
 
 def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchState:
-    """A march at ω₀, before its first window."""
+    """Return a march at ω₀, before its first window."""
     fast = jax.eval_shape(equation.fast, omega0).shape[0]
     slow, time = equation.lift(omega0)[:-fast], jnp.asarray(time, omega0.dtype)
     size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(time, slow)[:3]))
@@ -72,11 +71,11 @@ def advance_window(
     """Try one window.
 
     Returns:
-        The next state, the window, and how many of its elements, from the first on, are accepted.
+        The next state, the window, and the number of its first elements that are accepted.
     """
     window = solve_window(equation, state.time, state.slow, state.span, rtol)
     ends, sizes = window.times[:, -1], window.sizes
-    # The truncation of an element also reaches the one before, though much less of it.
+    # The truncation of an element also affects the one before, though much less.
     following = jnp.append(window.truncation[1:] * sizes[1:] / sizes[:-1], 0.0)
     resolved = (window.truncation <= rtol) & (following <= PREVIOUS_ELEMENT * rtol)
     decayed = (window.end_error <= rtol) & _is_physical(equation, window)
@@ -86,7 +85,7 @@ def advance_window(
     too_short = window.converged & resolved[0] & ~decayed[0]
     share, shares = count / ends.shape[0], jnp.linspace(0, 1, len(FACTORS))
     factor = jnp.where(too_short, LONGER, jnp.interp(share, shares, jnp.asarray(FACTORS)))
-    # A first window may be too long by many orders of magnitude, as at a start that hardly moves.
+    # A first window may be too long by many orders of magnitude, if the start hardly moves.
     halvings = jnp.maximum(state.rejected - PATIENT, 1).astype(ends.dtype)
     factor = jnp.where(window.converged, factor, 0.5**halvings)
     return (
@@ -103,11 +102,11 @@ def advance_window(
 
 
 def _is_physical(equation: Any, window: Window) -> Bool[Array, ""]:
-    """Whether changes at the far end of a window decay towards its left end.
+    """Return whether changes at the far end of a window decay towards its left end.
 
-    They grow if the levels that give the end value agree on a runaway. In windows that are much
-    longer than a runaway takes, they grow by many orders of magnitude, and may be as large at the
-    left end otherwise: elements that are too long for collocation to resolve a decay keep them.
+    They grow if the levels that give the end value agree on a runaway. In windows much longer than
+    the time of a runaway they then grow by many orders of magnitude. Otherwise they may be as large
+    at the left end: elements that are too long for collocation to resolve a decay keep them.
     """
     long = equation.runaway_rate * window.span > EFOLDS
     return window.retained < jnp.where(long, UNRESOLVED, 1.0)
@@ -135,14 +134,14 @@ def follow(
     max_windows: Any,
     attitude: bool = False,
 ) -> BranchMotion:
-    """The physical motion of a full equation from ω₀ at times[0] on, forwards.
+    """Return the physical motion of a full equation from ω₀ at times[0] on, forwards.
 
     Args:
         equation: a full equation.
         omega0: start, shape (3,).
         times: shape (T,), increasing.
         rtol: tolerance of each window, relative to |ω|.
-        max_windows: budget, of the pieces of `turning`, too.
+        max_windows: the largest number of windows, and of the pieces of `turning`.
         attitude: whether the attitude is wanted.
     """
     flows = functools.partial(energy_flows, equation)
@@ -174,7 +173,7 @@ def follow(
 
     state = jax.eval_shape(equation.lift, omega0)
     n, k = state.shape[0], jax.eval_shape(flows, times[0], state).shape[0]
-    # NaN that depends on ω₀, so that its derivatives are NaN, too: those of a constant are 0.
+    # NaN that depends on ω₀, so that its derivatives are NaN, too: a constant's would be 0.
     output = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + k))
     turning = start_turning(omega0, times.shape[0]) if attitude else None
     begun = start_march(equation, omega0, times[0]), output, jnp.zeros(k, omega0.dtype), turning
@@ -190,10 +189,10 @@ def crossing(
     rtol: Float[Array, ""],
     max_windows: Any,
 ) -> Float[Array, ""]:
-    """The first time at which a function of the state falls to 0 on the physical motion from ω₀.
+    """Return the first time at which a function of the state falls to 0 on the motion from ω₀.
 
-    Its sign is looked at where elements of windows end; NaN if it never falls to 0 there.
-    Differentiable in forward mode.
+    The motion is the physical one. The sign is tested at the ends of the elements of windows; NaN
+    if the function never falls to 0 there. Differentiable in forward mode.
     """
 
     def unfinished(carry: Any) -> Bool[Array, ""]:
@@ -219,7 +218,7 @@ def crossing(
     early = jnp.where(which > 0, window.times[which - 1, -1], 0.0)
     bracket = bisect(lambda t: function(state_at(t)) <= 0, early, window.times[which, -1], 50)
     time = jax.lax.stop_gradient(bracket[0])
-    for _ in range(2):  # Newton's method, since halving has no derivatives
+    for _ in range(2):  # Newton's method, since bisection has no derivatives
         y = state_at(time)
         value, slope = jax.jvp(function, (y,), (equation(before + time, y),))
         time = time - value / slope

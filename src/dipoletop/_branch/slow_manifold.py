@@ -20,7 +20,7 @@ from .window import solve_window
 def slow_manifold(
     equation: Any, omega: Any, *, time: Any = 0.0, rtol: Any = None, with_error: bool = False
 ) -> Any:
-    """Ω̇ on the physical branch of a full equation at the angular velocity Ω.
+    """Return Ω̇ on the physical branch of a full equation at the angular velocity Ω.
 
     The motion from Ω on is solved for as a boundary-value problem over several e-foldings of a
     runaway (see `_branch.window`). May be jitted, vmapped and differentiated, in forward and in
@@ -28,16 +28,16 @@ def slow_manifold(
 
     Args:
         equation: a full equation, such as `TransverseFull` or `Full`.
-        omega: Ω, shape (3,), dimensionless, body axes. Where a torque depends on the attitude, that
-            is the attitude at the start of the equation.
+        omega: Ω, shape (3,), dimensionless, body axes. A torque that depends on the attitude is
+            evaluated at the initial attitude of the equation.
         time: τ, for a torque that depends on it.
         rtol: the accuracy wanted, relative to the largest component of Ω̇; None means the best
-            there is. A looser tolerance needs a shorter window and converges up to larger |Ω|.
+            possible. A looser tolerance needs a shorter window and converges up to larger |Ω|.
         with_error: also return an estimate of the error.
 
     Returns:
         Ω̇, shape (3,); NaN where no branch was found, or not to `rtol`. With `with_error` a pair
-        of it and the estimated largest error of its components.
+        of Ω̇ and the estimated largest error of its components.
 
     Raises:
         ValueError: bad arguments.
@@ -73,7 +73,7 @@ def slow_manifold(
 def _known_branch(
     equation: Any, omega: Float[Array, "3"], time: Float[Array, ""], wanted: Float[Array, ""]
 ) -> tuple[Array, Array]:
-    """Ω̇ and its error where the branch is known in closed form."""
+    """Return Ω̇ and its error where the branch is known in closed form."""
     branch = physical(equation)
     y = branch.lift(omega)
     rate = jax.jvp(branch.omega, (y,), (branch(time, y),))[1]
@@ -85,16 +85,16 @@ def _known_branch(
 def _by_window(
     equation: Any, omega: Float[Array, "3"], time: Float[Array, ""], wanted: Float[Array, ""]
 ) -> tuple[Array, Array]:
-    """Ω̇ and its error at the left end of a window."""
-    # The error at the far end may be as large as Ω̇ itself; it has to decay below what is wanted.
+    """Return Ω̇ and its error at the left end of a window."""
+    # The error at the far end may be as large as Ω̇ itself; it must decay below the wanted one.
     efolds = jnp.where(wanted < 1, jnp.clip(4 - jnp.log(wanted), 8.0, EFOLDS), EFOLDS)
     begun, runaway = start_march(equation, omega, time), equation.runaway_rate
     runaway = jax.lax.stop_gradient(runaway)  # only the length of the window depends on it
     window = solve_window(equation, begun.time, begun.slow, efolds / runaway)
     rate = rate_of_omega(equation, begun.time, window.states[0, 0])
     size = jnp.max(jnp.abs(rate))
-    # Three errors: what is left of that at the far end; the truncation of every element, as a
-    # rate, which the elements before it feel little of; and rounding.
+    # Three errors: the rest of the error at the far end; the truncation of every element, as a
+    # rate, which affects the elements before it little; and rounding.
     far = window.first_error
     lengths = window.times[:, -1] - window.times[:, 0]
     passed_on = PREVIOUS_ELEMENT ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype)

@@ -3,7 +3,7 @@
 On a window ω is known as a polynomial on each element. The attitude may turn much faster than ω
 changes, so an element is cut into pieces of at most RADIANS, or left whole where ω has settled
 along the dipole. On each piece the turn (`_base.attitudes`) is found by collocation at as many
-nodes as an element has, with an error far below any tolerance. The windows do not notice it.
+nodes as an element has, with an error far below any tolerance. It has no effect on the windows.
 """
 
 from typing import Any, NamedTuple
@@ -17,9 +17,9 @@ from .._base.chebyshev import collocation_rule
 from ..equations._common import twist_axis
 from .window import NODES, Window, chebyshev, evaluate
 
-RADIANS = 2.0  # then the first coefficient that is left out is below 1e-16, J₁₆(1) in size
+RADIANS = 2.0  # the first neglected coefficient, of the size J₁₆(1), is then below 1e-16
 PICARD = 18  # iterations of y = y₀ + A f(y), each error at most 1/k of the one before
-SETTLED = 1e-2  # of the tolerance: an element in which p turns less is not cut
+SETTLED = 1e-2  # tolerances: an element in which p turns less is not cut
 
 
 class Turning(NamedTuple):
@@ -30,12 +30,12 @@ class Turning(NamedTuple):
     output: Float[Array, "T 5"]
     """The turns at the given times, NaN where they are not known yet."""
     pieces: Int[Array, ""]
-    """How many pieces there were."""
+    """The number of pieces so far."""
 
 
 def start_turning(omega0: Float[Array, "3"], count: int) -> Turning:
-    """No turn yet, of a motion that begins at ω₀ and is wanted at `count` times."""
-    # NaN that depends on ω₀, so that its derivatives are NaN, too: those of a constant are 0.
+    """Return the state without a turn of a motion from ω₀ that is wanted at `count` times."""
+    # NaN that depends on ω₀, so that its derivatives are NaN, too: a constant's would be 0.
     output = jnp.broadcast_to(jnp.nan * omega0[0], (count, 5))
     return Turning(no_turn(omega0), output, jnp.zeros((), "int32"))
 
@@ -50,16 +50,16 @@ def advance_turning(
     rtol: Float[Array, ""],
     most: Any,
 ) -> Turning:
-    """Go on through the accepted elements of a window.
+    """Follow the attitude through the accepted elements of a window.
 
     Args:
         equation: a full equation.
         window: the next window.
         turning: the turns up to its left end.
-        accepted: how many of its elements count.
+        accepted: the number of its elements that count.
         since: the times since its left end, negative where no turn is wanted.
         rtol: tolerance of the motion.
-        most: budget of pieces. Where it runs out, the turns that remain are unknown.
+        most: the largest number of pieces; beyond it the turns are unknown.
     """
     axis = twist_axis(equation)
     counts = _pieces(equation, window, rtol, most)
@@ -80,7 +80,7 @@ def advance_turning(
         transform = jnp.asarray(collocation_rule(NODES).coefficients, x.dtype)
         basis = jnp.stack(chebyshev(x))
         here = jnp.einsum("kt,kj,jn->tn", basis, transform, values, precision="highest")
-        # Later pieces write again what lies beyond this one.
+        # Values beyond this piece are overwritten by later pieces.
         output = jnp.where((since >= left)[:, None], here, now.output)
         ended = (piece + 1).astype(span.dtype) >= count
         where = element + ended.astype("int32"), jnp.where(ended, 0, piece + 1)
@@ -91,7 +91,7 @@ def advance_turning(
 
 
 def _pieces(equation: Any, window: Window, rtol: Float[Array, ""], most: Any) -> Float[Array, "E"]:
-    """How many pieces each element is cut into."""
+    """Return the number of pieces of each element."""
     states, times = jax.lax.stop_gradient((window.states, window.times))
     omegas = jax.vmap(jax.vmap(equation.omega))(states)
     axis = twist_axis(equation)
@@ -108,7 +108,7 @@ def _pieces(equation: Any, window: Window, rtol: Float[Array, ""], most: Any) ->
 def _piece(
     equation: Any, window: Window, axis: Array, turn: Float[Array, "5"], stretch: Any
 ) -> Float[Array, "K 5"]:
-    """The turns at the nodes of a piece, which begins at a time and has a length."""
+    """Return the turns at the nodes of a piece; `stretch` is its beginning and its length."""
     left, span = stretch
     nodes, integral, _ = (jnp.asarray(table, turn.dtype) for table in collocation_rule(NODES))
     states = evaluate(window, window.states, left + span * nodes)
@@ -126,6 +126,6 @@ def _piece(
 
 
 def attitudes(equation: Any, turning: Turning) -> Float[Array, "T 4"]:
-    """The attitudes at the given times, relative to the first."""
+    """Return the attitudes at the given times, relative to the first."""
     axis = twist_axis(equation)
     return jax.vmap(lambda turn: attitude_after(turn, axis))(turning.output)

@@ -3,26 +3,26 @@
 A full equation has a state (ω, a) whose fast part a runs away from the physical branch: near the
 branch a = A(ω) a distance δa = a − A(ω) obeys δa′ ≈ λ δa, λ > 0 being the runaway rate. It grows
 as e^{λτ} forwards in time, so an initial-value problem is ill posed; and it decays as fast
-backwards. Therefore ω is given at the left end and a at the right end T. This problem is well
-posed: it is dichotomic, as the theory of boundary-value problems says (Ascher, Mattheij, Russell,
-*Numerical Solution of Boundary Value Problems for Ordinary Differential Equations*, SIAM 1995).
+backwards. Therefore ω is given at the left end and a at the right end T. This problem has a
+dichotomy, and so is well posed (Ascher, Mattheij, Russell, *Numerical Solution of Boundary Value
+Problems for Ordinary Differential Equations*, SIAM 1995).
 
 At T the value of a comes from the asymptotic series of A(ω), with an error ε that is not small. At
 an earlier τ about ε e^{−λ(T − τ)} of it is left. To bring it below a tolerance, T must lie
 ln(ε/tolerance) runaway e-foldings past the part of the window that is kept: 36 of them for the
-rounding error of float64. What is left of it is not taken from λ, which torques change: it is the
-linear response of the window to a change of its end value.
+rounding error of float64. The rest of the error is not estimated by λ, which torques change, but by
+the linear response of the window to a change of its end value.
 
 The window is cut into elements, on each of which the state is a polynomial (Chebyshev collocation
 in integral form):
 
     ω(τ) = ω(left) + ∫ω̇ dτ from the left,    a(τ) = a(right) − ∫ȧ dτ to the right.
 
-An attitude on which a torque depends is slow, too: it stands behind ω and is treated as ω is.
+An attitude on which a torque depends is slow, too: it follows ω in the state and is treated alike.
 
-These equations are solved by Newton's method with damping. A step of it eliminates the nodes of
-each element first, as functions of what enters at its two ends, and then solves the small system
-for the values that enter (static condensation).
+These equations are solved by Newton's method with damping. A step first eliminates the nodes of
+each element, as functions of the values at its two ends, and then solves the small system for
+these values (static condensation).
 """
 
 import functools
@@ -40,22 +40,22 @@ from .._base.dense import solve_dense
 from ..equations._common import elements_of
 from ..equations.rigid import free_rotation
 
-NODES = 16  # of an element
-ITERATIONS = 20  # of Newton's method, at most
+NODES = 16  # nodes of an element
+ITERATIONS = 20  # largest number of steps of Newton's method
 LEAST_DAMPING = 0.02  # below, a step is accepted even if the residual does not fall
-CONVERGED = 1e-10  # relative size of the last step, after which the error is far smaller
-NEGLIGIBLE = 1e-15  # relative size of the step after it that also tells so, at least
-REMAINDER = 1e-3  # of the tolerance: what that step may be
+CONVERGED = 1e-10  # relative size of a last step, after which the error is far smaller
+NEGLIGIBLE = 1e-15  # relative size of the following step that also shows convergence, at least
+REMAINDER = 1e-3  # size of that following step over the tolerance
 REVISED = 4  # iterations in which the correction of the end value follows the states
-FALLING = 0.03  # of one step over that before it, at most, where convergence is quadratic
-SUBSTEPS = 2  # of the initial guess, between two nodes
+FALLING = 0.03  # largest ratio of one step to the one before if convergence is quadratic
+SUBSTEPS = 2  # substeps of the initial guess between two nodes
 
 
 class Window(NamedTuple):
     """The physical motion from ω₀ on, on elements of NODES nodes each."""
 
     span: Float[Array, ""]
-    """Length."""
+    """The length of the window."""
     sizes: Float[Array, "E"]
     """The largest component of ω in each element, to which its errors are compared.
 
@@ -63,33 +63,33 @@ class Window(NamedTuple):
     bend: Float[Array, ""]
     """κ of the map τ = span·(e^{κσ} − 1)/(e^κ − 1): a motion slows down as it is braked."""
     times: Float[Array, "E K"]
-    """Times of the nodes, since the start."""
+    """The times of the nodes since the start."""
     weights: Float[Array, "E K K"]
     """∫ from the left end of the element to node j = Σ weights[e, j, k] (value at node k)."""
     states: Float[Array, "E K n"]
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
     truncation: Float[Array, "E"]
-    """Truncation error of each element over its size: the last coefficients of ω, and of ∫a dτ."""
+    """The truncation error of each element over its size, by the last coefficients of ω, ∫a dτ."""
     end_error: Float[Array, "E"]
-    """Estimated error of the slow part of each element, by that at the far end; over its size."""
+    """The error of the slow part of each element over its size that the end value causes."""
     first_error: Float[Array, ""]
-    """Estimated error of the fast part at the left end, for the same reason."""
+    """The error of the fast part at the left end that the end value causes."""
     retained: Float[Array, ""]
-    """That part of a change of the fast part at the far end which is left at the left end."""
+    """The part of a change of the fast part at the far end that remains at the left end."""
 
 
 def solve_window(
     equation: Any, time: Any, slow0: Float[Array, "m"], span: Any, rtol: Any = 0.0
 ) -> Window:
-    """The physical motion of a full equation over a time `span` from a slow state on.
+    """Return the physical motion of a full equation over a time `span` from a slow state on.
 
     Args:
         equation: a full equation, with the levels that approach its branch (`FullEquation`).
         time: τ at the left end.
         slow0: the slow part of the state there; it begins with ω.
-        span: length, several runaway e-foldings more than what will be kept.
-        rtol: the relative error that is allowed; Newton's method leaves far less.
+        span: length, several runaway e-foldings longer than the part that will be kept.
+        rtol: the relative error that is allowed; the error of Newton's method is far smaller.
     """
     dtype, omega0, elements = slow0.dtype, slow0[:3], elements_of(equation)
     sigma, integral, transform = (jnp.asarray(table, dtype) for table in collocation_rule(NODES))
@@ -128,34 +128,34 @@ def solve_window(
 
 
 def _sizes(states: Float[Array, "E K n"]) -> Float[Array, "E"]:
-    """The largest component of ω in each element; 1 where it is 0."""
+    """Return the largest component of ω in each element; 1 where it is 0."""
     sizes = jnp.max(jnp.abs(states[..., :3]), axis=(1, 2))
     return jax.lax.stop_gradient(jnp.where(sizes > 0, sizes, 1.0))
 
 
 def _scale(sizes: Float[Array, "E"], m: int, n: int) -> Float[Array, "E n"]:
-    """What errors of n components, m of them slow, are compared to; 1 for an attitude."""
+    """Return the scale of the errors of n components, m of them slow; 1 for an attitude."""
     sizes = jnp.broadcast_to(sizes[:, None], (sizes.shape[0], n))
     return sizes.at[:, 3:m].set(1.0)
 
 
 class _End(NamedTuple):
-    """What is known of the value at the far end."""
+    """The value of the fast part at the far end."""
 
     correction: Float[Array, "f"]
-    """By what it differs from that of the semi-reduced level."""
+    """The difference of the value from the semi-reduced level."""
     error: Float[Array, ""]
-    """Its estimated error."""
+    """The estimated error of the value."""
     response: Float[Array, "E K n"]
-    """The response of the states to a change of it by 1 in any direction."""
+    """The response of the states to a change of the value by 1 in any direction."""
 
 
 class _NewtonState(NamedTuple):
-    """State of Newton's method."""
+    """The state of Newton's method."""
 
     states: Float[Array, "E K n"]
     defect: Float[Array, ""]
-    """The relative size of the residual there."""
+    """The relative size of the residual at `states`."""
     step: Float[Array, "E K n"]
     """The full step, to be subtracted next."""
     before: Float[Array, ""]
@@ -166,7 +166,7 @@ class _NewtonState(NamedTuple):
     count: Int[Array, ""]
 
     def converged(self, problem: "_Problem") -> Bool[Array, ""]:
-        """Whether the error after the next step is negligible.
+        """Return whether the error after the next step is negligible.
 
         That step is then small itself, or the one after it would be negligible: with quadratic
         convergence this is the cube of a step over the square of the one before.
@@ -187,17 +187,17 @@ class _Problem(NamedTuple):
     forward: Float[Array, "E K K"]
     backward: Float[Array, "E K K"]
     sizes: Float[Array, "E"]
-    """The largest component of ω in each element, as it is guessed."""
+    """The largest component of ω in each element of the initial guess."""
     negligible: Float[Array, ""]
     """The relative size of errors that Newton's method may leave."""
 
     def largest(self, states: Float[Array, "E K n"]) -> Float[Array, ""]:
-        """The largest component, relative to the size of its element."""
+        """Return the largest component, relative to the size of its element."""
         scale = _scale(self.sizes, self.slow0.shape[0], states.shape[-1])
         return jnp.max(jnp.abs(states) / scale[:, None])
 
     def end_value(self, slow: Array) -> tuple[Array, Array, Array]:
-        """The fast part at the semi-reduced level; its correction by the series, and the error."""
+        """Return the fast part at the semi-reduced level, its correction, and the error."""
         levels = (self.equation.semi, self.equation.reduced(2), self.equation.reduced(3))
         rates = [self.equation.fast(level(self.times[-1, -1], slow)[:3]) for level in levels]
         early, late = (jnp.max(jnp.abs(b - a)) for a, b in itertools.pairwise(rates))
@@ -205,11 +205,11 @@ class _Problem(NamedTuple):
         return rates[0], correction, jnp.minimum(early, late)
 
     def residual(self, states: Array, kept: Any = None) -> tuple[Array, tuple[Array, Array]]:
-        """The defects of the two integral equations at every node.
+        """Return the defects of the two integral equations at every node.
 
-        Also the correction of the end value, with its error. If one is kept (a pair: whether, and
-        which), the end value has the slope that Newton's method assumes, and the error contains
-        what the correction would change by.
+        Also return the correction of the end value and its error. `kept`, a pair of a flag and a
+        correction, may keep an earlier correction: then the end value has the slope that Newton's
+        method assumes, and the error includes the change of the correction.
         """
         m = self.slow0.shape[0]
         rates = jax.vmap(jax.vmap(self.equation))(self.times, states)
@@ -228,7 +228,7 @@ class _Problem(NamedTuple):
         return jnp.concatenate([slow, fast], axis=-1), (correction, error)
 
     def newton(self, guess: Float[Array, "E K n"]) -> _NewtonState:
-        """Newton's method, its steps halved until the residual falls."""
+        """Run Newton's method, with steps that are halved until the residual falls."""
 
         def unfinished(now: _NewtonState) -> Bool[Array, ""]:
             return ~now.converged(self) & (now.count < ITERATIONS) | (now.count == 0)
@@ -262,7 +262,7 @@ class _Problem(NamedTuple):
     def newton_step(
         self, states: Float[Array, "E K n"], residual: Float[Array, "E K n"]
     ) -> tuple[Float[Array, "E K n"], Float[Array, "E K n"]]:
-        """Newton's step by static condensation; the response to changes of the end value.
+        """Return Newton's step by static condensation, and the response to the end value.
 
         The response is the root of the sum of squares over changes of ω̇ by 1 along each axis.
         """
@@ -280,8 +280,8 @@ class _Problem(NamedTuple):
         columns = jax.vmap(solve_dense)(matrix, sides).reshape(count, nodes, n, 1 + n)
         own, response = columns[..., 0], columns[..., 1:]
 
-        # The slow part at the right end of the element before enters an element, and a at the left
-        # end of the one behind it.
+        # An element depends on the slow part at the right end of the element before it, and on a
+        # at the left end of the element after it.
         last = self.times[-1, -1]
         slope = jax.jacfwd(lambda s: self.equation.fast(self.equation.semi(last, s)[:3]))
         slope = slope(states[-1, -1, :m])
@@ -308,14 +308,14 @@ class _Problem(NamedTuple):
 
 @eqx.filter_custom_jvp
 def _solution(problem: _Problem, guess: Float[Array, "E K n"]) -> tuple[Any, ...]:
-    """States that solve a problem, whether they do, iterations, and the far end."""
+    """Return the solution, whether it converged, the number of iterations, and the far end."""
     last = problem.newton(guess)
     return last.states - last.step, last.converged(problem), last.count, last.end
 
 
 @_solution.def_jvp
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """R(p, y) = 0 implies dy = −(∂R/∂y)⁻¹ (∂R/∂p) dp, which is one Newton step."""
+    """Compute dy = −(∂R/∂y)⁻¹ (∂R/∂p) dp from R(p, y) = 0, which is one Newton step."""
     problem, guess = primals
     states, *others = _solution(problem, guess)
 
@@ -343,7 +343,7 @@ def evaluate(
 
 
 def chebyshev(x: Array) -> list[Array]:
-    """The first NODES Chebyshev polynomials, on [−1, 1]."""
+    """Return the first NODES Chebyshev polynomials, on [−1, 1]."""
     basis = [jnp.ones_like(x), x]  # by recurrence: arccos has no derivative at the ends
     while len(basis) < NODES:
         basis.append(2 * x * basis[-1] - basis[-2])
@@ -351,7 +351,7 @@ def chebyshev(x: Array) -> list[Array]:
 
 
 def _damped_rate(level: Any, time: Any, slow: Array) -> Array:
-    """The rates of a first-order level, that of ω reduced at large |ω| as in a plane rotator."""
+    """Return the rates of a first-order level, with ω̇ reduced at large |ω| as in a rotator."""
     rate = level(time, slow)
     omega_dot = rate[:3] / jnp.sqrt(1 + 2 * jnp.sum(slow[:3] ** 2))
     return jnp.concatenate([omega_dot, rate[3:]])
@@ -360,7 +360,7 @@ def _damped_rate(level: Any, time: Any, slow: Array) -> Array:
 def _guess(
     field: Any, time: Any, slow0: Float[Array, "m"], times: Float[Array, "E K"]
 ) -> Float[Array, "E K m"]:
-    """An initial guess of the slow part at the nodes: the classical Runge–Kutta method."""
+    """Guess the slow part at the nodes by the classical Runge–Kutta method."""
 
     def substep(_: Any, carry: Any) -> Any:
         t, s, h = carry

@@ -1,5 +1,5 @@
-"""Engines: they integrate many runs at once and keep only the states in which these end.
+"""Engines, which integrate many runs at once and keep only their end states.
 
-`interface` says what an engine is, `select` which one takes an equation. `step` is the adaptive
+`interface` defines an engine, `select` chooses one for an equation. `step` is the adaptive
 Runge–Kutta step that the engines in JAX and in machine code share.
 """

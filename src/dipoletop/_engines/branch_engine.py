@@ -1,4 +1,4 @@
-"""The branch engine: full equations along their physical branch, one run after another."""
+"""The branch engine, which integrates full equations along their physical branch."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
@@ -19,7 +19,7 @@ from .interface import EndStates, Finish, Limits, Queue, T, lifted, on_device
 @final
 @dataclass(frozen=True)
 class BranchEngine:
-    """Full equations along their physical branch, in JAX; a step is a window of the march."""
+    """An engine in JAX for full equations on their physical branch; a step is a window."""
 
     name: ClassVar[str] = "branch"
     has_own_threads: ClassVar[bool] = False
@@ -28,14 +28,14 @@ class BranchEngine:
     def end_states(
         self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
-        """See `Engine`; of `y0` only ω is used, since the branch determines the rest.
+        """Integrate along the branch from ω of `y0`, which determines the rest of the state.
 
-        Outcomes are looked for only where elements of a window end.
+        Verdicts are evaluated only at the ends of the elements of a window.
         """
         return _integrate(equation, y0, limits, until)
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
-        """See `Engine`."""
+        """Lift the starts, integrate along the branch, and apply `finish` to the end states."""
         equation, omegas, limits, until = on_device(queue, device)
         ends = self.end_states(equation, lifted(equation, omegas), limits, until=until)
         return _finished(finish, equation, omegas, ends, limits.tolerances)
@@ -58,19 +58,19 @@ def _integrate(equation: Any, y0: Array, limits: Limits, until: Until) -> EndSta
         return end_on_branch(eqx.combine(parameters, static), start, own, until)
 
     lane = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (arrays, y0, limits.atol, limits.t1))
-    # One after another: side by side all would wait for the slowest, and nothing is gained.
+    # One run after another: in a batch all would wait for the slowest, and nothing is gained.
     ends = jax.lax.map(one_run, lane)
     block_steps = jnp.stack([jnp.sum(ends.steps), 0])
     return EndStates(ends.y.T, ends.t, ends.steps, ends.status, block_steps)
 
 
 def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: Until) -> EndStates:
-    """The end state of one run along the branch; a run with t1 ≤ 0 is not made."""
+    """Return the end state of one run along the branch; with t1 ≤ 0 its start."""
     if isinstance(equation, Tangent):
         return _with_variations(equation, y0, limits, until)
 
     def ends(y: Array) -> Bool[Array, ""]:
-        # Where a motion ends has no derivative, and those of a verdict are long.
+        # The decision to end has no derivative, and derivatives of a verdict are long programs.
         fixed, state = jax.lax.stop_gradient((eqx.filter(equation, eqx.is_array), y))
         return decided(eqx.combine(fixed, equation), state, limits.tolerances, until)
 
@@ -80,7 +80,7 @@ def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: U
     def advance(carry: Any) -> Any:
         state, y, _, _ = carry
         new, window, accepted = advance_window(equation, state, limits.rtol)
-        # The first state is looked at with the first window: XLA compiles a long verdict only once.
+        # The first state is tested with the first window: XLA compiles a long verdict only once.
         states = jnp.concatenate([y[None], window.states[:, -1]])
         times = state.time + jnp.append(0.0, window.times[:, -1])
         done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= accepted)
@@ -102,7 +102,7 @@ def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: U
 def _with_variations(
     equation: Tangent, y0: Float[Array, "n"], limits: Limits, until: Until
 ) -> EndStates:
-    """`end_on_branch` for one motion and its variations."""
+    """Return the end state of one motion together with its variations."""
     base, n = equation.equation, y0.shape[0] // (1 + equation.m)
     arrays, rest = eqx.partition(base, eqx.is_inexact_array)
 

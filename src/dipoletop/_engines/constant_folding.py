@@ -1,7 +1,7 @@
 """Operations of a traced program on numbers that are known while machine code is written.
 
-NumPy does them where it gives the same bits: JAX would compile a program for each. Operations that
-IEEE 754 defines to the last bit, and those that only move numbers, need no JAX; it does the others.
+NumPy does them where it gives the same bits, since JAX would compile a program for each: operations
+that only move numbers, or that IEEE 754 defines to the last bit. JAX does the others.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ MOVES: dict[str, Callable[..., np.ndarray]] = {
     "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
     "stack": lambda params, *rows: np.stack(rows, params["axis"]),
 }
-"""The common primitives that only move data, of whatever type."""
+"""The common primitives that only move data of any type."""
 
 
 def _select(params: dict[str, Any], which: np.ndarray, *cases: np.ndarray) -> np.ndarray:
@@ -55,7 +55,7 @@ EXACT: dict[str, Callable[..., Any]] = MOVES | {
     "is_finite": lambda params, x: np.isfinite(x),
     "rem": lambda params, a, b: np.fmod(a, b),
 }
-"""Primitives that take numbers as they are."""
+"""Primitives that give the same bits in NumPy and XLA, subnormal numbers included."""
 
 ARITHMETIC: dict[str, Callable[..., Any]] = {
     "add": np.add,
@@ -65,14 +65,14 @@ ARITHMETIC: dict[str, Callable[..., Any]] = {
     **{"eq": np.equal, "ne": np.not_equal},
     **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal},
 }
-"""Primitives of numbers, for which XLA takes subnormal ones for 0."""
+"""Arithmetic primitives, for which XLA replaces subnormal numbers by 0."""
 
 
 def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The results of one equation of a jaxpr for known operands: in NumPy, or by JAX."""
+    """Return the results of one equation of a jaxpr for known operands: in NumPy, or by JAX."""
     name, params = eqn.primitive.name, eqn.params
     kinds = {value.dtype.kind for value in values}
-    # XLA divides by one number for all by a product with its reciprocal.
+    # XLA divides an array by a scalar as a product with the reciprocal.
     by_one = name == "div" and values[0].shape != values[1].shape
     with np.errstate(all="ignore"):
         if name in EXACT and (name != "rem" or kinds == {"f"}):
@@ -86,7 +86,7 @@ def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         if name == "argmax" and kinds == {"b"}:
             (axis,) = params["axes"]
             return [np.asarray(np.argmax(values[0], axis), params["index_dtype"])]
-        # JAX saturates where a number is out of the range of integers.
+        # JAX saturates numbers that are out of the range of integers.
         if name == "convert_element_type" and not ("f" in kinds and _to_integer(params)):
             return [values[0].astype(params["new_dtype"])]
     results = eqn.primitive.bind(*values, **params)
@@ -98,7 +98,7 @@ def _to_integer(params: dict[str, Any]) -> bool:
 
 
 def _flushed(values: Any) -> Any:
-    """The numbers, subnormal ones replaced by 0 of the same sign."""
+    """Replace subnormal numbers by 0 of the same sign."""
     numbers = np.asarray(values)
     if numbers.dtype.kind != "f":
         return numbers

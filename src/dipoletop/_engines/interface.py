@@ -1,4 +1,4 @@
-"""What an engine is: it integrates many runs of one equation and returns their end states."""
+"""The interface of an engine, which integrates many runs of one equation to their end states."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -18,10 +18,10 @@ T = TypeVar("T")
 
 
 class Limits(NamedTuple):
-    """Tolerances and budget of runs, all traced: a new value compiles nothing.
+    """Tolerances and budget of runs, all traced, so that new values need no compilation.
 
     The error of a step is kept below atol + rtol·max(size(y), size(y_new)) in every component,
-    with the size of `error_scale_of`.
+    with the size by `error_scale_of`.
     """
 
     rtol: Float[Array, ""]
@@ -29,7 +29,7 @@ class Limits(NamedTuple):
     t1: Float[Array, "*N"] | Float[np.ndarray, "*N"]
     """End time; a run with t1 ≤ 0 takes no step."""
     max_steps: Int[Array, ""]
-    """Budget of steps of each run; of windows, where runs follow a physical branch."""
+    """The number of steps that a run may take; of windows, where it follows a physical branch."""
 
     @property
     def tolerances(self) -> Tolerances:
@@ -37,7 +37,7 @@ class Limits(NamedTuple):
         return Tolerances(self.rtol, self.atol)  # pyright: ignore[reportArgumentType]
 
     def loosened(self, factor: float) -> "Limits":
-        """The same limits with larger tolerances."""
+        """Return the same limits with larger tolerances."""
         rtol, atol = (np.asarray(factor * np.asarray(x)) for x in (self.rtol, self.atol))
         return self._replace(rtol=rtol, atol=atol)
 
@@ -52,7 +52,7 @@ class EndStates(NamedTuple):
     status: Int[Array, "*N"] | Int[np.ndarray, "*N"]
     """FINISHED, EXHAUSTED or BROKEN, see `stopping`."""
     block_steps: Int[Array, "2"] | Int[np.ndarray, "2"] | None = None
-    """Steps that the wide and the narrow block of lanes made together, if they were counted."""
+    """The steps of the wide and of the narrow block of lanes, if they were counted."""
 
 
 class Queue(NamedTuple):
@@ -60,7 +60,7 @@ class Queue(NamedTuple):
 
     equation: DecidingEquation
     omegas: Float[Array, "3 N"] | Float[np.ndarray, "3 N"]
-    """On processors a start with a subnormal component is taken for one that is not a number."""
+    """Initial conditions; on a processor one with a subnormal component counts as NaN."""
     limits: Limits
     until: Until
 
@@ -72,24 +72,24 @@ The lanes are on the trailing axis of everything."""
 
 
 def power_of_two(least: int) -> int:
-    """The smallest power of two that is at least `least` and 128, so that few sizes compile."""
+    """Return the smallest power of two ≥ `least` and ≥ 128, so that few sizes are compiled."""
     return max(128, 1 << (least - 1).bit_length())
 
 
 class Unsupported(Exception):
-    """An engine cannot run this equation."""
+    """The reason why an engine cannot run an equation."""
 
 
 @runtime_checkable
 class Engine(Protocol):
-    """Integrates many runs of one equation."""
+    """An integrator of many runs of one equation."""
 
     name: ClassVar[str]
-    """As in `basin.attrs["engine"]`."""
+    """The name in `basin.attrs["engine"]`."""
     has_own_threads: ClassVar[bool]
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
     compiles_for_size: ClassVar[bool]
-    """Whether a new number of runs is compiled for."""
+    """Whether a new number of runs needs a compilation."""
 
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
@@ -104,13 +104,13 @@ class Engine(Protocol):
             finish: see `Finish`.
             queue: the runs; its arrays may be of JAX or NumPy, and on any device.
             device: where they are integrated.
-            threads: of an engine that has its own, how many share the queue.
+            threads: how many threads share the queue, for an engine that has its own.
         """
         ...
 
 
 def on_device(queue: Queue, device: Device) -> Any:
-    """The queue with its arrays on a device, for JAX."""
+    """Return the queue with its arrays on a device, for JAX."""
     if device.platform == "cpu" and np.any(lost := subnormal(queue.omegas)):
         queue = queue._replace(omegas=np.where(lost, np.nan, queue.omegas))
     arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
@@ -119,5 +119,5 @@ def on_device(queue: Queue, device: Device) -> Any:
 
 @eqx.filter_jit
 def lifted(equation: Equation, omegas: Float[Array, "3 N"]) -> Float[Array, "n N"]:
-    """The states that start at these angular velocities."""
+    """Return the initial states at the given angular velocities."""
     return equation.lift(omegas)

@@ -1,9 +1,9 @@
 """The JAX engine: blocks of lanes with refilling, on any device.
 
-A queue of runs is worked off by a block of `width` lanes. Each lane has its own step size. A lane
-that is finished waits until a part of the block is; then all finished lanes write their end states
-and take the next runs from the queue. So no lane pays for a slower one, and nothing is stored but
-the end states.
+A block of `width` lanes works off a queue of runs. Each lane has its own step size. A finished lane
+waits until a part of the block is finished; then all finished lanes write their end states and
+take the next runs from the queue. So no lane waits long for a slower one, and only end states are
+stored.
 """
 
 import functools
@@ -24,23 +24,23 @@ from .._base.types import Equation
 from .interface import EndStates, Finish, Limits, Queue, T, on_device
 from .step import LaneState, advance, begin
 
-REFILL = 4  # refill when one lane in so many is finished
-NARROW = 8  # the last lanes of a wide block end in one that is narrower by this factor
-WIDE = 32  # lanes from which a block is wide
+REFILL = 4  # lanes are refilled when 1/REFILL of them are finished
+NARROW = 8  # the last lanes of a wide block end in a block that is narrower by this factor
+WIDE = 32  # number of lanes from which a block is wide
 ON_PROCESSOR, ON_ACCELERATOR = 128, 65536
-"""Lanes of a block: a call of one operation takes as long as ten lanes of a processor, and as some
-ten thousand of an accelerator (not measured)."""
-LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # pays where there are such
+"""Lanes of a block: the overhead of an operation equals the work on ten lanes on a processor, and
+on some ten thousand on an accelerator (not measured)."""
+LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # faster if the CPU has them
 
 
 @final
 @dataclass(frozen=True)
 class JaxEngine:
-    """Blocks of lanes with refilling, compiled by XLA.
+    """An engine with blocks of lanes and refilling, compiled by XLA.
 
     Attributes:
         solver: any explicit Runge–Kutta solver of diffrax.
-        width: lanes stepped together; None: as many as suit the device.
+        width: the number of lanes stepped together; None: a number for the device.
     """
 
     name: ClassVar[str] = "jax"
@@ -52,26 +52,26 @@ class JaxEngine:
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
     ) -> EndStates:
-        """See `Engine`; the runs are on the device of `y0`."""
+        """Integrate from the states `y0`, on their device."""
         platform = next(iter(y0.devices())).platform
         method = _Method(self.solver, self.width, platform)
         return _jitted("integrate", platform)(equation, y0, limits, until, method)
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
-        """See `Engine`; one program lifts, integrates and finishes."""
+        """Lift, integrate and finish the runs in one program."""
         method = _Method(self.solver, self.width, device.platform)
         return _jitted("classify", device.platform)(finish, on_device(queue, device), method)
 
 
 class _Method(NamedTuple):
-    """How runs are integrated, all of it known when the program is compiled."""
+    """The method of integration, known when the program is compiled."""
 
     solver: diffrax.AbstractERK
     width: int | None
     platform: str
 
     def width_for(self, runs: int) -> int:
-        """How many lanes a block has."""
+        """Return the number of lanes of a block."""
         width = ON_PROCESSOR if self.platform == "cpu" else ON_ACCELERATOR
         return min(self.width or width, runs)
 
@@ -80,10 +80,10 @@ _wrapper_lock = threading.Lock()
 
 
 def _jitted(what: Literal["integrate", "classify"], platform: str) -> Any:
-    """`_integrate` or `_classify` under `jit`, the same wrapper for all threads.
+    """Return `_integrate` or `_classify` under `jit`, the same wrapper for all threads.
 
-    Of one wrapper JAX compiles a program once, even if several threads call it at once. Without the
-    lock `functools.cache` lets two threads make a wrapper each, which compile the program twice.
+    JAX compiles the program of one wrapper once, even if several threads call it at once. Without
+    the lock `functools.cache` could make a wrapper for each of two threads, and two compilations.
     """
     with _wrapper_lock:
         return _make_wrapper(what, platform)
@@ -104,9 +104,9 @@ def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
 
 
 class _Lanes(eqx.Module):
-    """Runs with their places in the queue: those at work, those that wait, or the finished."""
+    """Runs with their places in the queue: running, waiting or finished."""
 
-    slot: Int[Array, "B"]  # which run; past the last one when idle
+    slot: Int[Array, "B"]  # index of the run; past the last one when idle
     lanes: LaneState
 
     @property
@@ -114,11 +114,11 @@ class _Lanes(eqx.Module):
         return self.lanes.status == RUNNING
 
     def at(self, lanes: Int[Array, "K"]) -> "_Lanes":
-        """Some of the runs."""
+        """Return some of the runs."""
         return jax.tree.map(lambda x: x.at[..., lanes].get(mode="promise_in_bounds"), self)
 
     def part(self, first: Any, width: int) -> "_Lanes":
-        """So many neighbours."""
+        """Return `width` neighbouring runs."""
         return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, width, axis=-1), self)
 
 
@@ -173,12 +173,12 @@ def _integrate(
 
 
 def _busy(least: Any) -> Any:
-    """Whether at least so many lanes are running."""
+    """Return a test whether at least so many lanes are running."""
     return lambda carry: jnp.sum(carry[0].running) >= least
 
 
 def _queue(begun: LaneState, width: int) -> tuple[_Lanes, Array]:
-    """The runs, those that need a step in front, and how many these are; idle lanes behind."""
+    """Return the runs, first those that need steps, idle lanes last; the number of the first."""
     front, count = _partition_order(begun.status == RUNNING)
     size = front.size
     padded = jnp.concatenate([front, jnp.zeros(width, int)])
@@ -189,9 +189,10 @@ def _queue(begun: LaneState, width: int) -> tuple[_Lanes, Array]:
 
 
 def _in_front(block: _Lanes, rank: Int[Array, "B"]) -> _Lanes:
-    """The chosen lanes in front, others without a slot; `rank` counts the chosen up to each lane.
+    """Move the chosen lanes to the front; the others lose their slot.
 
-    Found by bisection, since XLA:CPU scatters one number after another.
+    `rank` counts the chosen lanes up to each lane. It is inverted by bisection, since XLA:CPU
+    scatters one number after another.
     """
     wanted = jnp.arange(1, rank.size + 1)
     if rank.size < WIDE:
@@ -204,7 +205,7 @@ def _in_front(block: _Lanes, rank: Int[Array, "B"]) -> _Lanes:
 
 
 def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
-    """The order that puts the chosen in front and keeps all else; and how many they are."""
+    """Return the stable order that puts the chosen in front, and the number of the chosen."""
     every, so_far = jnp.arange(chosen.size), jnp.cumsum(chosen)
     count = so_far[-1]
     place = jnp.where(chosen, so_far - 1, count + every - so_far)
@@ -214,13 +215,13 @@ def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
 
 
 def _result(block: _Lanes) -> tuple[Array, ...]:
-    """What is kept of runs that have ended: their slots and end states."""
+    """Return the slots and end states of runs."""
     lanes = block.lanes
     return block.slot, lanes.y, lanes.t, lanes.steps, lanes.status
 
 
 def _write(out: Any, block: _Lanes, written: Array) -> Any:
-    """Write the results of a block behind those that are written already."""
+    """Write the results of a block after the results that are written already."""
     return jax.tree.map(
         lambda into, x: jax.lax.dynamic_update_slice_in_dim(into, x, written, axis=-1),
         out,

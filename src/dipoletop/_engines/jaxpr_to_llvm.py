@@ -1,9 +1,8 @@
-"""From a traced function of one lane to machine code for a block of lanes.
+"""The compiler of a traced function of one lane to machine code for a block of lanes.
 
 The jaxpr of the function is written out scalar by scalar as straight-line LLVM code, in which
-every value is a vector over the lanes. Loops of fixed length are unrolled. Arrays are arrays of
-LLVM values while the code is written; when it runs there are none. A function that has no such form
-is `Unsupported`.
+every value is a vector over the lanes. Loops of fixed length are unrolled. Arrays exist only while
+the code is written, as arrays of LLVM values. A function without such a form is `Unsupported`.
 """
 
 import functools
@@ -23,7 +22,7 @@ from .machine_code import MachineCode, machine_code
 from .vector_code import BITWISE, COMPARE, FLOAT, VectorBuilder
 
 Value = np.ndarray
-"""An array of numbers that are known already, or (dtype object) of LLVM values."""
+"""An array of numbers known while the code is written, or (dtype object) of LLVM values."""
 
 _LONG = ir.IntType(64)
 _FUNCTIONS = {"sqrt", "exp", "sin", "cos", "tan", "pow", "floor", "ceil", "atan2", "tanh"}
@@ -36,7 +35,7 @@ _MOVES |= {"rev": (0,), "pad": (0, 1)}
 
 
 def _as_vectors(value: Value, dtype: Any, w: VectorBuilder) -> Value:
-    """The array with LLVM values as entries, constants among them."""
+    """Return the array with LLVM values as entries, constants among them."""
     if value.dtype == object:
         return value
     return _array([w.constant(x, dtype) for x in value.ravel()], value.shape)
@@ -60,7 +59,7 @@ def _fold(combine: Callable[[Any, Any], Any], value: Value, axes: Sequence[int])
 def _move_by_numbers(
     name: str, eqn: Any, values: list[Value], data: Sequence[int], w: VectorBuilder
 ) -> Value:
-    """Move entries: run the primitive itself on their numbers, and look where these go."""
+    """Move entries: apply the primitive to their indices, and see where these go."""
     if any(v.dtype == object for i, v in enumerate(values) if i not in data):
         raise Unsupported(f"{name} with indices that are not known beforehand")
     dtype = eqn.outvars[0].aval.dtype
@@ -78,7 +77,7 @@ def _is_zero(entry: Any) -> bool:
 
 
 def _dot(params: dict[str, Any], a: Value, b: Value, w: VectorBuilder) -> Value:
-    """dot_general, written out."""
+    """Write out dot_general."""
     (sum_a, sum_b), (batch_a, batch_b) = params["dimension_numbers"]
     letters = itertools.count()
     name_a = [next(letters) for _ in range(a.ndim)]
@@ -97,7 +96,7 @@ def _dot(params: dict[str, Any], a: Value, b: Value, w: VectorBuilder) -> Value:
         for s in np.ndindex(*(size[n] for n in summed)):
             place |= dict(zip(summed, s, strict=True))
             x, y = a[tuple(place[n] for n in name_a)], b[tuple(place[n] for n in name_b)]
-            if not (_is_zero(x) or _is_zero(y)):  # as many weights of a tableau are
+            if not (_is_zero(x) or _is_zero(y)):  # many weights of a tableau are zero
                 terms.append(w.arithmetic("mul", x, y))
         none = w.constant(0, params["preferred_element_type"] or "float64")
         entries.append(functools.reduce(functools.partial(w.arithmetic, "add"), terms or [none]))
@@ -105,7 +104,7 @@ def _dot(params: dict[str, Any], a: Value, b: Value, w: VectorBuilder) -> Value:
 
 
 def _arg_extreme(name: str, eqn: Any, value: Value, w: VectorBuilder) -> Value:
-    """The index of the largest or smallest entry, the first of equal ones."""
+    """Return the index of the largest or smallest entry, the first of equal ones."""
     (axis,) = eqn.params["axes"]
     dtype = eqn.outvars[0].aval.dtype
     rows = np.moveaxis(value, axis, -1)
@@ -121,10 +120,10 @@ def _arg_extreme(name: str, eqn: Any, value: Value, w: VectorBuilder) -> Value:
 
 
 def _scan(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
-    """A loop of fixed length, unrolled."""
+    """Unroll a loop of fixed length."""
     p = eqn.params
     body = getattr(p["jaxpr"], "jaxpr", p["jaxpr"])
-    # Versions of JAX name these numbers differently. Only rows have one axis more outside.
+    # Versions of JAX name these numbers differently. Only rows have an additional axis outside.
     carried = _count_equal_ranks(eqn.outvars, body.outvars)
     kept = _count_equal_ranks(eqn.invars, body.invars)
     consts, carry, xs = values[: kept - carried], values[kept - carried : kept], values[kept:]
@@ -150,7 +149,7 @@ def _stack(column: Sequence[Value]) -> Value:
 
 
 def _select(which: Any, cases: Sequence[Any], dtype: Any, w: VectorBuilder) -> Any:
-    """The case of that number; of False or True, the first or the second."""
+    """Return the case with index `which`; False is the first, True the second."""
     if np.dtype(dtype).kind == "b":
         return w.select(which, cases[1], cases[0])
     result = cases[0]
@@ -165,7 +164,7 @@ class _Operation(NamedTuple):
     w: VectorBuilder
     params: dict[str, Any]
     dtype: Any
-    """Of the first operand."""
+    """The type of the first operand."""
     result_dtype: Any
 
     def constant(self, number: int | float) -> Any:
@@ -189,11 +188,11 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "clamp": lambda op, low, a, high: op.w.extreme("min", op.w.extreme("max", low, a), high),
     "convert_element_type": lambda op, a: op.w.convert(a, op.dtype, op.result_dtype),
 }
-"""Primitives that act on every entry alone, besides those that have an instruction."""
+"""Elementwise primitives that have no instruction of their own."""
 
 
 def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any]:
-    """From the entries of the operands to that of the result, of an elementwise primitive."""
+    """Return the function of single entries that an elementwise primitive applies."""
     if name in FLOAT:
         return functools.partial(w.arithmetic, name)
     if name in COMPARE:
@@ -213,7 +212,7 @@ _REDUCE |= {"reduce_and": "and", "reduce_or": "or"}
 
 
 def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
-    """The results of one equation of a jaxpr."""
+    """Return the results of one equation of a jaxpr."""
     name = eqn.primitive.name
     if name in constant_folding.CALLS:
         return _write(eqn.params[constant_folding.CALLS[name]], values, w)
@@ -221,7 +220,7 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
         return _scan(eqn, values, w)
     if name in _UNCHANGED:
         return values
-    if all(v.dtype != object for v in values):  # known already
+    if all(v.dtype != object for v in values):  # known while the code is written
         return constant_folding.apply(eqn, values)
     if name in _MOVES:
         return [_move_by_numbers(name, eqn, values, _MOVES[name], w)]
@@ -244,7 +243,7 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
 
 
 def _write(closed: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
-    """Write the instructions of a jaxpr; returns its results."""
+    """Write the instructions of a jaxpr, and return its results."""
     jaxpr, consts = (
         (closed.jaxpr, closed.consts) if isinstance(closed, ClosedJaxpr) else (closed, [])
     )
@@ -268,7 +267,7 @@ class _TableAccess:
         self.first, self.stride, self.shared = first, stride, shared
 
     def load_rows(self, rows: Iterator[int], leaf: Any) -> Value:
-        """The next rows, as an array like `leaf`."""
+        """Return the next rows, as an array like `leaf`."""
         entries = []
         for _ in range(leaf.size):
             raw = self.w.builder.load(self._place(next(rows)), align=8)
@@ -276,7 +275,7 @@ class _TableAccess:
         return _array(entries, leaf.shape)
 
     def load_shared(self, i: int, leaf: Any) -> Value:
-        """The i-th of the shared numbers, the same in all lanes."""
+        """Return the i-th of the shared numbers, the same in all lanes."""
         w = self.w
         number = w.builder.load(w.builder.gep(self.shared, [ir.Constant(_LONG, i)]))
         undefined = ir.Constant(self.vector, None)
@@ -290,20 +289,20 @@ class _TableAccess:
         self.w.builder.store(raw, self._place(row), align=8)
 
     def _place(self, row: int) -> Any:
-        """The address of a row."""
+        """Return the address of a row."""
         b = self.w.builder
         start = b.gep(self.first, [b.mul(self.stride, ir.Constant(_LONG, row))])
         return b.bitcast(start, self.vector.as_pointer())
 
 
 def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -> MachineCode:
-    """Machine code that does rows = function(rows, shared) for `width` lanes of a table.
+    """Compile rows = function(rows, shared) to machine code for `width` lanes of a table.
 
     Args:
         function: from a pytree of rows and one of shared numbers to a pytree like `rows`.
         rows: the rows of the table, in order; leaves with a trailing axis of one lane.
         shared: scalars that all lanes share.
-        width: lanes that are done together.
+        width: the number of lanes that are computed together.
 
     Returns:
         A function `void (double *first, int64 stride, double *shared)`; row i begins at
@@ -319,7 +318,7 @@ def compiled(function: Callable[..., Any], rows: Any, shared: Any, width: int) -
 
 
 def _in_llvm(jaxpr: ClosedJaxpr, rows: list[Any], shared: list[Any], width: int) -> str:
-    """A traced function of rows and shared numbers as LLVM code."""
+    """Return a traced function of rows and shared numbers as LLVM code."""
     double = ir.DoubleType().as_pointer()
     module = ir.Module("lanes")
     kind = ir.FunctionType(ir.VoidType(), [double, _LONG, double])

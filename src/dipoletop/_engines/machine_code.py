@@ -1,4 +1,4 @@
-"""Machine code of LLVM code, compiled for this processor once and then kept on disk."""
+"""Machine code from LLVM code, compiled once for this processor and kept on disk."""
 
 import functools
 from pathlib import Path
@@ -17,17 +17,17 @@ class MachineCode(NamedTuple):
 
     address: int
     owner: Any
-    """What keeps the code alive."""
+    """The object that keeps the code alive."""
 
 
 def machine_code(text: str) -> MachineCode:
-    """The function `treat` of a module of LLVM code, as machine code for this processor."""
+    """Return the function `treat` of a module of LLVM code, as machine code for this processor."""
     key = digest(text.encode(), *_circumstances())
     code = private_cache.load(key)
     if code is None:
         code = _compile(text)
         private_cache.save(key, code)
-    # Code from the disk and new code take the same way.
+    # Stored and new code are loaded in the same way.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _target_machine())
     engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -35,7 +35,7 @@ def machine_code(text: str) -> MachineCode:
 
 
 def _compile(text: str) -> bytes:
-    """The object file of a module."""
+    """Return the object file of a module."""
     report_native_compilation()
     machine = _target_machine()
     module = binding.parse_assembly(text)
@@ -46,7 +46,7 @@ def _compile(text: str) -> bytes:
 
 
 def _target_machine() -> Any:
-    """This processor; an engine takes it away, so each needs a new one."""
+    """Return this processor as a target; an engine takes ownership, so each needs a new one."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     target = binding.Target.from_default_triple()
@@ -58,14 +58,14 @@ def _target_machine() -> Any:
 @functools.cache
 def _processor_features() -> str:
     features = binding.get_host_cpu_features()
-    if features.get("avx512f"):  # or it would be told to prefer narrower vectors
+    if features.get("avx512f"):  # by default LLVM prefers narrower vectors
         features["prefer-256-bit"] = False
     return features.flatten()
 
 
 @functools.cache
 def _circumstances() -> tuple[bytes, ...]:
-    """All that machine code depends on besides its text: versions, processor, this module."""
+    """Return the rest that machine code depends on: versions, processor, this module."""
     versions = llvmlite.__version__, binding.llvm_version_info
     processor = binding.get_process_triple(), binding.get_host_cpu_name(), _processor_features()
     return *(str(x).encode() for x in (*versions, *processor)), Path(__file__).read_bytes()

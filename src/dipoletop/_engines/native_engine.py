@@ -1,4 +1,4 @@
-"""The native engine: the steps of the JAX engine in machine code, for float64 on processors.
+"""The native engine, with the steps of the JAX engine in machine code, for float64 on processors.
 
 `step.begin` and `step.advance`, traced for one lane, are compiled to vector instructions
 (`jaxpr_to_llvm`); a loop around them refills a lane as soon as it is idle (`native_queue`). The
@@ -31,14 +31,14 @@ from .jaxpr_to_llvm import compiled
 from .machine_code import MachineCode
 from .native_queue import KINDS, WIDTH, Job, Loop, loop
 
-SHARE = 256  # runs from which on a thread of its own pays
+SHARE = 256  # number of runs from which another thread pays
 LINE = 64  # bytes of a line of memory
 
 
 @final
 @dataclass(frozen=True)
 class NativeEngine:
-    """Lanes of machine code on processors, for float64.
+    """An engine in machine code on processors, for float64.
 
     Attributes:
         solver: any explicit Runge–Kutta solver of diffrax.
@@ -50,7 +50,7 @@ class NativeEngine:
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
     def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
-        """Compile what runs of such equations need.
+        """Compile the program for runs of equations of this structure.
 
         Raises:
             Unsupported: the equation, or its verdict, has no straight-line code.
@@ -65,7 +65,7 @@ class NativeEngine:
         *,
         until: Until = "value",
     ) -> EndStates:
-        """See `Engine`; in NumPy, on one core, equal to those of `JaxEngine` except for rounding.
+        """Integrate on one core, in NumPy; equal to `JaxEngine` except for rounding.
 
         Raises:
             Unsupported: the equation, or its verdict, has no straight-line code.
@@ -75,19 +75,19 @@ class NativeEngine:
         return ends._replace(block_steps=np.array([block_steps, 0]))
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
-        """See `Engine`; in NumPy. The device is not used: every processor is the same."""
+        """Lift, integrate and finish the runs, in NumPy; the device is ignored."""
         program = _program(queue.equation, queue.until, self.solver, finish)
         return program.run(queue.equation, queue.omegas, queue.limits, threads)[0]
 
 
 class _Table(NamedTuple):
-    """What a table of lanes holds; each of its numbers is a row, with one entry for each lane."""
+    """The contents of a table of lanes; each number is a row, with one entry for each lane."""
 
     lanes: step.LaneState
     omegas: Any
     """ω₀, unless runs begin with whole states."""
     result: Any
-    """What `Finish` gives; the end states if there is none."""
+    """The result of `Finish`, or the end states."""
 
 
 class _Functions(NamedTuple):
@@ -126,7 +126,7 @@ class _Functions(NamedTuple):
 
 
 def _without_subnormal(x: Array) -> Array:
-    """NaN in the place of subnormal numbers, as other engines have it on processors."""
+    """Replace subnormal numbers by NaN, as the other engines do on processors."""
     return jnp.where((x != 0) & (jnp.abs(x) < jnp.finfo(x.dtype).tiny), jnp.nan, x)
 
 
@@ -135,14 +135,14 @@ class _Program:
     """Machine code for all equations of one structure."""
 
     kernels: tuple[MachineCode, MachineCode, MachineCode]
-    """They begin, advance and finish the runs of a block of lanes."""
+    """Machine code that begins, advances and finishes the runs of a block of lanes."""
     loop: Loop
     rows: Any
-    """A `_Table` with a slice in the place of every array: the rows that hold it."""
+    """A `_Table` in which a slice of rows replaces every array."""
     sizes: tuple[int, int, int]
-    """The number of rows, that of the rows of a run at work, and the row of its status."""
+    """The number of rows, the number of rows of a run at work, and the row of its status."""
     result: Any
-    """Shapes and types of what `Finish` gives for one lane."""
+    """The shapes and types of the result for one lane."""
 
     @classmethod
     def compile(
@@ -171,7 +171,7 @@ class _Program:
             result = functions.result(lanes, omegas, shared)
             return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
 
-        # Shapes and types only: JAX would compile what makes zeros.
+        # Shapes and types only: JAX would compile programs that make zeros.
         table, shared, result = jax.eval_shape(blank)
         kernels = (
             compiled(functions.begin, table, shared, WIDTH),
@@ -188,13 +188,13 @@ class _Program:
         """Integrate N runs.
 
         Args:
-            equation: with a trailing axis of N lanes on its arrays.
-            starts: whole states or ω₀, whichever the program begins with, shape (..., N).
+            equation: the equation, with a trailing axis of N lanes on its arrays.
+            starts: whole states or ω₀, depending on the program, shape (..., N).
             limits: tolerances, end times and budget.
-            threads: how many work off the queue, at most.
+            threads: the largest number of threads that work off the queue.
 
         Returns:
-            What `Finish` gives, and how many steps the blocks of lanes made.
+            The result of `Finish`, and the number of steps of the blocks of lanes.
         """
         lanes, omegas, result = self.rows
         size = limits.t1.shape[0]
@@ -222,9 +222,10 @@ class _Program:
 
 
 def _empty(result: Any, size: int) -> Any:
-    """Arrays for the results of so many runs, all in one piece of memory.
+    """Return arrays for the results of `size` runs, all in one block of memory.
 
-    A large piece is made of large pages; to get many small ones takes as long as a step.
+    A large block consists of large pages; the allocation of many small ones takes as long as a
+    step.
     """
     leaves, structure = jax.tree.flatten(result)
     lengths = [size * math.prod(leaf.shape[:-1]) * leaf.dtype.itemsize for leaf in leaves]
@@ -237,7 +238,7 @@ def _empty(result: Any, size: int) -> Any:
 
 
 def _in_threads(work: Any, threads: int, queue: np.ndarray, size: int) -> int:
-    """The sum of what `work` returns in several threads."""
+    """Run `work` in several threads, and return the sum of its results."""
     parts = [pool(threads).submit(work) for _ in range(threads)]
     try:
         return sum(part.result() for part in parts)
@@ -250,7 +251,7 @@ _KIND_NUMBERS = {np.dtype(name): number for number, name in enumerate(KINDS)}
 
 
 def _transfers(rows: Any, arrays: Any) -> np.ndarray:
-    """Transfers between rows and arrays of N lanes, two equal pytrees; see `native_queue`."""
+    """Return the transfers (`native_queue`) between rows and arrays of N lanes, equal pytrees."""
     transfers = []
     for place, values in zip(*map(jax.tree.leaves, (rows, arrays)), strict=True):
         values = values.reshape(-1, values.shape[-1])
@@ -261,11 +262,11 @@ def _transfers(rows: Any, arrays: Any) -> np.ndarray:
 
 
 def _is_array(leaf: Any) -> bool:
-    """An array of JAX or NumPy, or the shape and type of one."""
+    """Return whether a leaf is an array of JAX or NumPy, or the shape and type of one."""
     return eqx.is_array(leaf) or isinstance(leaf, np.ndarray | jax.ShapeDtypeStruct)
 
 
-KEPT = 256  # programs; JAX keeps classes of equations for ever, so that these must be limited
+KEPT = 256  # programs kept; JAX never frees classes of equations, so the number is limited
 _programs: dict[Any, _Program | Unsupported] = {}
 _compile_lock = threading.Lock()
 
@@ -278,15 +279,15 @@ def _program(
     *,
     n: int | None = None,
 ) -> _Program:
-    """The program for all equations of this structure, compiled once.
+    """Return the program for all equations of this structure, compiled once.
 
     Args:
-        equation: with a trailing axis of lanes on its arrays.
+        equation: the equation, with a trailing axis of lanes on its arrays.
         until: when a lane is finished.
         solver: the method.
-        finish: what will be applied to the end states; None: nothing, and runs begin with whole
-            states, not with ω₀.
-        n: the size of a state; None: of one that the equation lifts to.
+        finish: the function of the end states; None: none, and runs begin with whole states,
+            not with ω₀.
+        n: the size of a state; None: the size of `equation.lift`.
 
     Raises:
         Unsupported: the equation, or its verdict, has no straight-line code.
@@ -303,7 +304,7 @@ def _program(
                     program = _Program.compile(equation, n, solver, until, finish)
             except Unsupported as reason:
                 program = reason
-        _programs[key] = program  # behind all that were used earlier
+        _programs[key] = program  # last, since it is the most recently used
         while len(_programs) > KEPT:
             del _programs[next(iter(_programs))]
     if isinstance(program, Unsupported):
@@ -313,7 +314,7 @@ def _program(
 
 @functools.lru_cache(maxsize=KEPT)
 def _lifted_size(structure: Any, kinds: tuple[Any, ...]) -> int:
-    """The size of a state that an equation lifts to."""
+    """Return the size of the states of `equation.lift`."""
     lane = (jax.ShapeDtypeStruct((*x[0], 1), x[1]) if isinstance(x, tuple) else x for x in kinds)
     equation, _ = jax.tree.unflatten(structure, lane)
     return eqx.filter_eval_shape(lambda e, w: e.lift(w), equation, jnp.zeros((3, 1))).shape[0]

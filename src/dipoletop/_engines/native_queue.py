@@ -1,8 +1,8 @@
-"""The loop of the native engine: threads share one queue, and a lane is refilled when it is idle.
+"""The loop of the native engine, in which threads share one queue and idle lanes are refilled.
 
-The steps themselves are machine code at addresses, see `jaxpr_to_llvm`. The loop is machine code,
-too, written here once for all equations. Where the numbers of a run lie in memory is told by
-transfers, rows of (row of the table, address of its first number, stride in bytes, kind).
+The steps themselves are machine code at addresses (`jaxpr_to_llvm`). The loop is also machine code,
+written here once for all equations. Transfers describe where the numbers of a run lie in memory:
+rows of (row of the table, address of its first number, stride in bytes, kind).
 """
 
 import ctypes
@@ -18,15 +18,15 @@ from .._base.stopping import RUNNING
 from .machine_code import MachineCode, machine_code
 
 WIDTH = 8  # lanes stepped together
-CLAIM = 64  # runs that a thread takes at once; a line of memory is then written by one alone
+CLAIM = 64  # runs that a thread takes at once, so that threads do not write to the same cache line
 LONG, DOUBLE = ir.IntType(64), ir.DoubleType()
 KINDS = {"float64": DOUBLE, "int64": LONG, "int32": ir.IntType(32), "bool": ir.IntType(8)}
-"""Types of numbers in arrays; a kind is a position in this table."""
+"""The types of numbers in arrays; a kind is a position in this table."""
 KERNEL = ir.FunctionType(ir.VoidType(), [DOUBLE.as_pointer(), LONG, DOUBLE.as_pointer()])
 
 
 class Job(NamedTuple):
-    """What the loop is given: integers and addresses of arrays that the caller keeps."""
+    """The arguments of the loop: integers, and addresses of arrays that the caller keeps alive."""
 
     begin: int
     """The machine code that begins the runs of a block of lanes."""
@@ -41,10 +41,10 @@ class Job(NamedTuple):
     queue: int
     """A counter of the runs that are taken, which threads share."""
     inputs: int
-    """Transfers of what the runs begin with."""
+    """The transfers of the inputs of runs."""
     input_count: int
     outputs: int
-    """Transfers of what is wanted of the ended runs."""
+    """The transfers of the results of ended runs."""
     output_count: int
     shared: int
     """The numbers that all lanes share."""
@@ -61,13 +61,13 @@ class Loop(NamedTuple):
 
     call: Callable[[int], int]
     code: MachineCode
-    """Kept alive with it."""
+    """The owner of the code, kept alive with it."""
 
     def work_off(self, job: Job) -> int:
-        """Work off a queue of runs, which other threads may do at the same time.
+        """Work off a queue of runs; other threads may do so at the same time.
 
         Returns:
-            How many steps the block of lanes at work made.
+            The number of steps of this thread's block of lanes.
         """
         arguments = np.array(job, np.int64)
         return self.call(arguments.ctypes.data)  # without the lock of the interpreter
@@ -75,13 +75,13 @@ class Loop(NamedTuple):
 
 @functools.cache
 def loop() -> Loop:
-    """The loop; compiled once, which two threads must not do at the same time."""
+    """Return the loop, compiled once; two threads must not call this at the same time."""
     code = machine_code(_loop_in_llvm())
     return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
 
 
 def _loop_in_llvm() -> str:
-    """The loop as LLVM code."""
+    """Return the loop as LLVM code."""
     module = ir.Module("queue")
     function = ir.Function(module, ir.FunctionType(LONG, [LONG.as_pointer()]), "treat")
     _write_loop(_Code(ir.IRBuilder(function.append_basic_block())), function.args[0])
@@ -93,8 +93,8 @@ def _write_loop(code: "_Code", arguments: Any) -> None:
     job = Job(*(code.load(arguments, i) for i in range(len(Job._fields))))
     fresh, block, ended = (code.pointer(x) for x in (job.fresh, job.block, job.ended))
     slot, slots = code.array(WIDTH), code.array(WIDTH)  # the runs in `block` and in `ended`
-    # The runs in `fresh` that no lane has taken yet are those from `following` to `last`; those up
-    # to `claimed` are this thread's, too.
+    # The runs from `following` to `last` are in `fresh`, and no lane has taken them yet. The runs
+    # up to `claimed` belong to this thread, too.
     first, following, last, claimed = (code.variable() for _ in range(4))
     count, steps = code.variable(), code.variable()
     running, waits = code.variable(1), code.variable()
@@ -181,7 +181,7 @@ def _copy_lane(code: "_Code", rows: Any, source: Any, target: Any) -> None:
 
 
 class _Variable:
-    """An integer that changes."""
+    """An integer variable of the LLVM code."""
 
     def __init__(self, builder: ir.IRBuilder, initial: int) -> None:
         self._builder = builder
@@ -191,7 +191,7 @@ class _Variable:
 
     @property
     def value(self) -> Any:
-        """What it is now; a number may be assigned, too."""
+        """The present value; a Python number may be assigned, too."""
         return self._builder.load(self._place)
 
     @value.setter
@@ -203,7 +203,7 @@ class _Variable:
 
 
 class _Code:
-    """Writes instructions on integers, in loops and branches."""
+    """A writer of instructions on integers, with loops and branches."""
 
     def __init__(self, builder: ir.IRBuilder) -> None:
         self.builder = builder
@@ -212,12 +212,12 @@ class _Code:
         return _Variable(self.builder, initial)
 
     def array(self, size: int) -> Any:
-        """The address of some integers."""
+        """Return the address of some integers."""
         with self.builder.goto_entry_block():
             return self.builder.alloca(LONG, size)
 
     def pointer(self, address: Any) -> Any:
-        """To numbers."""
+        """Return a pointer to numbers at an address."""
         return self.builder.inttoptr(address, DOUBLE.as_pointer())
 
     def add(self, a: Any, b: Any) -> Any:
@@ -234,7 +234,7 @@ class _Code:
         return self.builder.select(self.builder.icmp_signed("<", a, b), a, b)
 
     def place(self, row: Any, lane: Any) -> Any:
-        """The index of a lane of a row in a block."""
+        """Return the index of a lane of a row in a block."""
         return self.add(self.multiply(row, WIDTH), lane)
 
     def load(self, pointer: Any, index: Any) -> Any:
@@ -263,13 +263,13 @@ class _Code:
 
     @contextmanager
     def when(self, a: Any, sign: str, b: Any) -> Iterator[None]:
-        """What follows is done if a comparison holds."""
+        """Write the block under `with` as a branch that is taken if a comparison holds."""
         with self.builder.if_then(self.builder.icmp_signed(sign, _integer(a), _integer(b))):
             yield
 
     @contextmanager
     def during(self, variable: _Variable, sign: str, bound: Any) -> Iterator[None]:
-        """What follows is repeated as long as a comparison holds."""
+        """Write the block under `with` as a loop that runs while a comparison holds."""
         test, body, after = (self.builder.append_basic_block() for _ in range(3))
         self.builder.branch(test)
         self.builder.position_at_end(test)
@@ -282,16 +282,16 @@ class _Code:
 
     @contextmanager
     def each(self, count: Any) -> Iterator[Any]:
-        """What follows is done for every index below a number."""
+        """Write the block under `with` as a loop over every index below a number."""
         index = self.variable()
-        index.value = 0  # again, where a loop around this one comes back
+        index.value = 0  # reset in every pass of an outer loop
         with self.during(index, "<", count):
             yield index.value
             index.add(1)
 
     @contextmanager
     def each_transfer(self, transfers: Any, count: Any) -> Iterator[list[Any]]:
-        """What follows is done for every row of a table of transfers."""
+        """Write the block under `with` as a loop over the rows of a table of transfers."""
         table = self.builder.inttoptr(transfers, LONG.as_pointer())
         with self.each(count) as row:
             yield [self.load(table, self.add(self.multiply(row, 4), i)) for i in range(4)]

@@ -1,4 +1,4 @@
-"""Which engine takes an equation: machine code where it can, else JAX."""
+"""The choice of an engine for an equation: machine code where it can run, else JAX."""
 
 import functools
 import warnings
@@ -47,15 +47,15 @@ def select_engine(
     *,
     warn: bool = True,
 ) -> Engine:
-    """Choose the engine for such runs.
+    """Choose the engine for runs of an equation on a device.
 
     Args:
         name: "jax"; "native"; or "auto", the native one where it can run, with a warning if
             llvmlite is installed but this equation cannot be compiled.
-        equation: with a trailing axis of lanes on its arrays.
-        device: where it shall run.
+        equation: the equation, with a trailing axis of lanes on its arrays.
+        device: the device of the runs.
         until: when a run is finished.
-        finish: what `Engine.classify` will be called with, if it will be.
+        finish: the `finish` of a later call of `Engine.classify`, if any.
         warn: whether to warn where "auto" chooses the slower engine.
 
     A full equation has an engine of its own, which follows its physical branch.
@@ -85,7 +85,7 @@ def select_engine(
 
 @functools.cache
 def _native_engine() -> "tuple[NativeEngine | None, str]":
-    """The native engine; or None, and why it is missing."""
+    """Return the native engine, or None and the reason why it cannot be imported."""
     try:
         with report_compile_time():
             from .native_engine import NativeEngine
@@ -95,7 +95,7 @@ def _native_engine() -> "tuple[NativeEngine | None, str]":
 
 
 def _missing_for_native(device: Device) -> str:
-    """What the native engine lacks here, if anything."""
+    """Return the reason why the native engine cannot run here, or an empty text."""
     if jnp.result_type(float) != jnp.float64:
         return "float64 is off"
     return "" if device.platform == "cpu" else "it runs on processors only"

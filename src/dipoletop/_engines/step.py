@@ -2,8 +2,8 @@
 
 `begin` and `advance` are pure functions of the state of a block. The JAX engine calls them in a
 loop; the native engine traces them for one lane and compiles them to machine code. The equation
-is any first-order equation whose components lie on axis 0; the method is the Butcher tableau of
-any explicit diffrax solver.
+is any first-order equation whose components lie on axis 0; the method is any explicit diffrax
+solver, by its Butcher tableau.
 """
 
 import functools
@@ -32,8 +32,8 @@ from ..equations._common import error_scale_of
 from .interface import Limits
 from .step_sizes import error_ratio, first_step, root
 
-SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of the step size, as in diffrax
-LARGE, WIDE = 500, 10  # operations and components of a rate beyond which the stages become a loop
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # factors of the step size, as in diffrax
+LARGE, WIDE = 500, 10  # operations and components of a rate above which the stages form a loop
 
 
 class LaneState(eqx.Module):
@@ -44,7 +44,7 @@ class LaneState(eqx.Module):
     """The rate at (t, y)."""
     t: Float[Array, "B"]
     compensation: Float[Array, "B"]
-    """Kahan compensation of t: what rounding has cut off its sum, so that long runs keep time."""
+    """Kahan's compensation: the rounding error of t so far, so that long runs keep time."""
     h: Float[Array, "B"]
     """Size of the next step."""
     steps: Int[Array, "B"]
@@ -54,11 +54,11 @@ class LaneState(eqx.Module):
     atol: Float[Array, "B"]
     t1: Float[Array, "B"]
     prepared: Any
-    """What the equation has prepared for its verdicts, or None."""
+    """The numbers that the equation has prepared for its verdicts, or None."""
 
 
 def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> LaneState:
-    """Runs at τ = 0: first rates and step sizes; some are finished or broken at once."""
+    """Return the runs at τ = 0 with rates and step sizes; some are finished or broken at once."""
     tolerances = limits.tolerances
     f = equation(jnp.zeros_like(limits.t1), y0, None)
     h = first_step(equation, error_scale_of(equation), y0, f, tolerances, order)
@@ -85,7 +85,7 @@ def advance(
     new, rate, error = runge_kutta_step(solver, state.equation, state, h)
     ratio = error_ratio(error_scale_of(state.equation), error, (state.y, new), tolerances)
     factor = SAFETY / root(jnp.maximum(ratio, 1e-30), int(solver.order(None) or 0))
-    regular = jnp.isfinite(ratio)  # a stage that overflows asks for a smaller step
+    regular = jnp.isfinite(ratio)  # if a stage overflows, a smaller step is tried
     accept = running & regular & (ratio <= 1)
     factor = jnp.where(regular, jnp.clip(factor, SHRINK, jnp.where(accept, GROW, 1.0)), SHRINK)
 
@@ -114,7 +114,7 @@ def advance(
 def runge_kutta_step(
     solver: diffrax.AbstractERK, equation: Equation, state: LaneState, h: Real
 ) -> tuple[State, State, State]:
-    """One step of the tableau: the new state, its rate, and the error."""
+    """Return one step of the tableau: the new state, its rate, and the error."""
     tableau: Any = solver.tableau
     if len(state.y) > WIDE or _operations(equation, state.y) > LARGE:
         rates = _rates_by_loop(tableau, equation, state, h)
@@ -131,19 +131,19 @@ def runge_kutta_step(
 
 
 def _weighted_sum(weights: np.ndarray, rates: list[State]) -> State:
-    """Σ wᵢ kᵢ without the terms of zero weight."""
+    """Return Σ wᵢ kᵢ without the terms of zero weight."""
     terms = [float(w) * k for w, k in zip(weights, rates, strict=True) if w != 0]
     return functools.reduce(jnp.add, terms)
 
 
 def _operations(equation: Equation, y: State) -> int:
-    """The number of operations of the right-hand side."""
+    """Return the number of operations of the right-hand side."""
     like = jax.ShapeDtypeStruct(y.shape, y.dtype), jax.ShapeDtypeStruct(y.shape[1:], y.dtype)
     return len(jax.make_jaxpr(lambda y, t: equation(t, y, None))(*like).eqns)
 
 
 def _rates_by_loop(tableau: Any, equation: Equation, state: LaneState, h: Real) -> list[State]:
-    """The rates of all stages by a loop, which compiles a long right-hand side only once."""
+    """Return the rates of all stages by a loop, which compiles a long right-hand side only once."""
     size = len(tableau.c) + 1
     rows = np.zeros((size, size))
     for i, row in enumerate(tableau.a_lower, 1):

@@ -18,13 +18,13 @@ from .._base.linalg import largest
 from .._base.tolerances import Tolerances
 from .._base.types import ErrorScale, Real, State
 
-FIRST = 2.5  # the first step, in units of time scale · tolerance^(1/order); accepted up to 2.5 … 6
+FIRST = 2.5  # first step over time scale · tolerance^(1/order); steps up to 2.5 … 6 are accepted
 
 
 def error_ratio(
     sizes: ErrorScale, error: State, ends: Any, tolerances: Tolerances
 ) -> Float[Array, "*lanes"]:
-    """The largest component of error over allowed error, of a step between the states `ends`."""
+    """Return the largest ratio of error to allowed error of a step between the states `ends`."""
     rtol, atol = tolerances
     allowed = atol[None] + rtol * jnp.maximum(*map(sizes, ends))
     return largest(jnp.abs(error) / jnp.maximum(allowed, jnp.finfo(allowed.dtype).tiny))
@@ -33,7 +33,7 @@ def error_ratio(
 def first_step(
     equation: Any, sizes: ErrorScale, y: State, f: State, tolerances: Tolerances, order: int
 ) -> Real:
-    """The first step size, with which the error of the step is about the tolerance.
+    """Return the first step size, with which the error of the step is about the tolerance.
 
     With y, ẏ and ÿ in units of the tolerance it is FIRST·min(|y|/|ẏ|, √(|y|/|ÿ|))·|y|^(−1/order).
     It is proportional to the time scale, whatever the unit of time. As in Hairer, Nørsett, Wanner,
@@ -53,7 +53,7 @@ def first_step(
 
 
 def root(x: Real, order: int) -> Real:
-    """x^(1/order), the order rounded to a power of two: square roots are fast, logarithms slow."""
+    """Return x^(1/order) by square roots, which are fast; the order is rounded to a power of 2."""
     for _ in range(max(1, round(math.log2(order)))):
         x = jnp.sqrt(x)
     return x
@@ -65,7 +65,7 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
     Attributes:
         rtol: relative tolerance.
         atol: absolute tolerance.
-        sizes: the magnitude that the relative error of each component refers to.
+        sizes: the scale of the relative error of each component.
         pid: the controller that chooses the next step.
     """
 
@@ -81,15 +81,15 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
 
     @staticmethod
     def norm(x: State) -> Float[Array, ""]:
-        """The largest component."""
+        """Return the largest absolute component."""
         return jnp.max(jnp.abs(x))
 
     def wrap(self, direction: Any) -> "Controller":
-        """See diffrax."""
+        """Return the controller for a direction of time (diffrax's interface)."""
         return eqx.tree_at(lambda c: c.pid, self, self.pid.wrap(direction))
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order: Any):
-        """See diffrax."""
+        """Return the first step and the initial state of the controller (diffrax's interface)."""
         if dt0 is None:
 
             def field(h: Any, y: State, _: Any) -> State:
@@ -104,6 +104,6 @@ class Controller(diffrax.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        """See diffrax; y₀ and y₁ only scale the error there, so their sizes take their place."""
+        """Judge a step by its error over the sizes of y₀ and y₁ (diffrax's interface)."""
         ends = self.sizes(y0), self.sizes(y1_candidate)
         return self.pid.adapt_step_size(t0, t1, *ends, args, y_error, error_order, controller_state)

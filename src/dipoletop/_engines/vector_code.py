@@ -8,7 +8,7 @@ from llvmlite import ir
 
 from .interface import Unsupported
 
-LONGEST = 300_000  # instructions; longer code takes longer to compile than to run
+LONGEST = 300_000  # instructions; longer code takes more time to compile than to run
 
 FLOAT = {name: f"f{name}" for name in ("add", "sub", "mul", "div", "rem")} | {"add_any": "fadd"}
 INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
@@ -19,7 +19,7 @@ TYPES |= {"int64": ir.IntType(64), "int32": ir.IntType(32), "bool": ir.IntType(1
 
 
 class VectorBuilder:
-    """Writes the instructions of one function; values are vectors of `width` lanes."""
+    """A writer of the instructions of one function; values are vectors of `width` lanes."""
 
     def __init__(self, builder: ir.IRBuilder, width: int):
         self.builder, self.width, self.instructions = builder, width, 0
@@ -42,7 +42,7 @@ class VectorBuilder:
         return value
 
     def function(self, name: str, *args: Any, flags: tuple[str, ...] = ()) -> Any:
-        """An intrinsic of LLVM, lane by lane."""
+        """Call an intrinsic of LLVM, lane by lane."""
         kind = args[0].type
         suffix = f"v{self.width}{'f64' if kind.element == ir.DoubleType() else 'f32'}"
         module = self.builder.module
@@ -83,13 +83,13 @@ class VectorBuilder:
         return self._count(self.builder.select(flag, yes, no))
 
     def extreme(self, name: str, a: Any, b: Any) -> Any:
-        """The larger or smaller one; NaN if one is NaN, as in JAX."""
+        """Return the larger or the smaller operand; NaN if one is NaN, as in JAX."""
         if is_float(a):  # the sign of a zero does not matter, and is expensive to get right
             return self.function("maximum" if name == "max" else "minimum", a, b, flags=("nsz",))
         return self.select(self.compare("gt" if name == "max" else "lt", a, b), a, b)
 
     def power(self, a: Any, exponent: int) -> Any:
-        """a**exponent by squaring."""
+        """Return a**exponent by squaring."""
         if exponent <= 0:
             one = ir.Constant(a.type, [ir.Constant(a.type.element, 1)] * self.width)
             return self.arithmetic("div", one, self.power(a, -exponent)) if exponent else one
@@ -115,9 +115,10 @@ class VectorBuilder:
         return self._count(b.sitofp(a, kind) if new.kind == "f" else b.fptosi(a, kind))
 
     def logarithm(self, a: Any) -> Any:
-        """Natural logarithm: in double precision that of the library, which is called lane by lane.
+        """Return the natural logarithm.
 
-        In single precision own code without calls:
+        In double precision the library function is called lane by lane, in single precision it is
+        written out:
 
         a = 2ⁿ(1 + f), 1 + f between √½ and √2; ln(1 + f) = 2 artanh s, s = f/(2 + f).
         """

@@ -1,9 +1,9 @@
-"""A block of runs on one device: the passes in which they are made, and what is kept of each.
+"""A block of runs on one device: the passes in which they are made, and their results.
 
 An outcome is certain long before a motion is known exactly, and almost every start lies far from
-the boundary between outcomes. So runs that are asked for no more than their outcome are made
-loosely and briefly at first. Made again at the tolerance that was asked for are those that did not
-end by then, and those whose label is in doubt (`label_doubt`).
+the boundary between outcomes. So if only outcomes are wanted, a first pass is loose and brief. Runs
+that did not end in it, or whose label is in doubt (`label_doubt`), are repeated at the requested
+tolerance.
 """
 
 from dataclasses import dataclass, replace
@@ -26,13 +26,13 @@ from .memory_limits import in_fitting_parts
 from .slow_runs import SlowFlow, is_predictable, with_predictions
 
 LOOSE = 1e-4  # relative tolerance of the first pass
-BRIEF = 100  # steps of a run in the first pass; of longer runs every label would be in doubt
+BRIEF = 100  # largest number of steps in the first pass: all longer runs would be in doubt
 
 
 class RunOptions(NamedTuple):
-    """How the runs of a block are made.
+    """The options of the runs of a block.
 
-    With `loosely` runs of which only the outcome is wanted are made in two passes, if that pays.
+    With `loosely`, runs whose outcome alone is wanted are made in two passes, if that pays.
     """
 
     value: Value
@@ -51,7 +51,7 @@ def classify_block(
 ) -> Classification:
     """Classify N runs on one device; the fields of `equation` carry a trailing axis of N lanes.
 
-    What does not fit into the memory of the device is divided.
+    Blocks that do not fit into the memory of the device are divided.
     """
 
     def classified(runs: tuple[Any, Any, Any]) -> Classification:
@@ -66,7 +66,7 @@ def _classified(
     limits: Limits,
     way: RunOptions,
 ) -> Classification:
-    """The same, all at once."""
+    """Return the classifications of all N runs at once."""
     deciding: DecidingEquation = physical(equation)
     value, slow_flow = way.value, way.slow_flow
     rule, finish = stopping_rule(equation, value), finish_of(value)
@@ -101,10 +101,10 @@ class RunBlock:
         equation: the equation to integrate; its array fields have a trailing axis of N lanes.
         omegas: the starts ω₀.
         until: when a run is finished.
-        finish: what is made of the states that ended the runs.
-        engine: what integrates them.
-        device: where.
-        threads: how many share the queue, of an engine that has its own.
+        finish: the function that is applied to the end states.
+        engine: the engine that integrates the runs.
+        device: the device of the runs.
+        threads: how many threads share the queue, for an engine that has its own.
     """
 
     equation: DecidingEquation
@@ -116,15 +116,15 @@ class RunBlock:
     threads: int = 1
 
     def run(self, limits: Limits) -> Any:
-        """All runs, `Ended` in NumPy."""
+        """Make all runs; return `Ended` in NumPy."""
         queue = Queue(self.equation, self.omegas, limits, self.until)
-        # In one transfer.
+        # All arrays in one transfer.
         return jax.device_get(self.engine.classify(self.finish, queue, self.device, self.threads))
 
     def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
-        """Some of the runs, from their own starts or from others.
+        """Make some of the runs, from their own starts or from others.
 
-        Where a new number of runs would be compiled for, all others take no step.
+        If a new number of runs would need a compilation, all are passed and the others rest.
         """
         block = self if omegas is None else replace(self, omegas=omegas)
         size = block.omegas.shape[1]
@@ -137,9 +137,9 @@ class RunBlock:
 
 
 def outcomes(block: RunBlock, limits: Limits) -> Classification:
-    """The classifications of runs of which no more than the outcome is wanted.
+    """Return the classifications of runs whose outcome alone is wanted.
 
-    In two passes, unless the second one would cost as much as if it were alone.
+    There are two passes, unless the second one would cost as much without the first.
     """
     factor = LOOSE / float(limits.rtol)
     if factor <= 1 or block.engine.compiles_for_size or not made_twice(block.equation):

@@ -1,4 +1,4 @@
-"""Some of many runs: taken out of arrays whose trailing axis is that of the lanes, and put back."""
+"""Some of many runs: taken out of arrays along their trailing axis of lanes, and put back."""
 
 from typing import Any, TypeVar
 
@@ -9,11 +9,11 @@ from jaxtyping import Int
 
 T = TypeVar("T")
 Lanes = Int[np.ndarray, "some"]
-"""The numbers of some runs."""
+"""The indices of some runs."""
 
 
 def part_of(tree: T, lanes: Lanes, size: int) -> T:
-    """What belongs to some lanes, of arrays with a trailing axis of all; in NumPy."""
+    """Return the entries of some lanes, from arrays with a trailing axis of lanes; in NumPy."""
 
     def chosen(leaf: Any) -> Any:
         is_lanewise = eqx.is_array_like(leaf) and np.shape(leaf)[-1:] == (size,)
@@ -23,7 +23,7 @@ def part_of(tree: T, lanes: Lanes, size: int) -> T:
 
 
 def put_back(whole: T, lanes: Lanes, part: T) -> T:
-    """The arrays with other entries for some lanes, in place where they may be written to."""
+    """Replace the entries of some lanes; in place if the arrays are writable."""
 
     def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
         both = old if old.flags.writeable else old.copy()

@@ -36,11 +36,11 @@ class Classification(eqx.Module):
 
     Every field is a number for a single run, and has the shape (N,) for N runs of
     `classify_many`. The computed basin boundary is itself uncertain by about `rtol`: a start closer
-    to it than that can carry either label, certified or not.
+    to it can have either label, certified or not.
 
     Attributes:
-        outcome: a member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps, or a matter of
-            chance) or FAILED.
+        outcome: a member of `Outcome`: RESIDUAL, STOP, UNDECIDED (out of steps, or chance decides)
+            or FAILED.
         omega_inf: residual angular velocity along the dipole, signed, in units of 1/τ₀; 0 for
             STOP. NaN if undecided or failed, if the run ended before ω∞ was known (out of steps,
             or with `value=False`), and if `omega_inf_error` exceeds it.
@@ -53,16 +53,16 @@ class Classification(eqx.Module):
             for this level of the equation only.
         stop: a member of `Stop`: the way in which a top stops.
         slopes: the derivatives of ω∞ along the m variations of a `Tangent` equation, shape (m,),
-            or (m, N) from `classify_many`; None for any other equation. (As of every field, the
-            axis of `jax.vmap` is in front.) 0 where the top stops as all near it do. Infinite along
-            a change that turns the dipole of a general body off its principal axis, or violates
-            the condition under which ω₁ is conserved (δ = 0 or ω₃ = 0). NaN where ω∞ is not known
-            or not differentiable.
+            or (m, N) from `classify_many`; None for any other equation. (The axis of `jax.vmap` is
+            in front, as for every field.) 0 where the top and all its neighbours stop. Infinite
+            along a change that turns the dipole of a general body off its principal axis, or
+            violates the condition under which ω₁ is conserved (δ = 0 or ω₃ = 0). NaN where ω∞ is
+            not known or not differentiable.
         regime: a member of `Regime`, the law that gave outcome and ω∞: RESOLVED where the equation
-            was integrated or its first state decided, else that of `predict`. A label that the
-            first state decided is certified as ever, also where ω∞ was predicted.
-        probability: that the rotation is residual: 1 for RESIDUAL and 0 for STOP; between them
-            where chance decides, so that the outcome is UNDECIDED; NaN where nothing is known.
+            was integrated or its first state decided, else the regime of `predict`. A label that
+            the first state decided may be certified even if ω∞ was predicted.
+        probability: the probability of residual rotation: 1 for RESIDUAL and 0 for STOP; between
+            them where chance decides, so that the outcome is UNDECIDED; NaN where it is not known.
     """
 
     outcome: Int[Array, "*n"] | Int[np.ndarray, "*n"]
@@ -77,7 +77,7 @@ class Classification(eqx.Module):
     probability: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
 
     def __repr__(self) -> str:
-        """The numbers of a single run, counts of many; shapes of what is traced."""
+        """Return the numbers of a single run, or counts of many; if traced, the shapes."""
         leaves = jax.tree.leaves(self)
         known = all(isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves)
         if len(leaves) < 7 or not (known and concrete(self)):
@@ -120,7 +120,7 @@ def _of_many(runs: Classification) -> str:
 
 
 def stopping_rule(equation: Equation, value: Value) -> Until:
-    """What must be certain before a run ends."""
+    """Return the condition under which a run ends."""
     if not (isinstance(value, bool) or (isinstance(value, str) and value == UNCHECKED)):
         refuse("value", f"be True, False or {UNCHECKED!r}", f"is {value!r}")
     if not value:
@@ -131,14 +131,14 @@ def stopping_rule(equation: Equation, value: Value) -> Until:
 def classification_of(
     equation: DecidingEquation, ends: EndStates, tolerances: Tolerances
 ) -> Classification:
-    """The classification of runs by the states that ended them.
+    """Return the classification of runs by the states that ended them.
 
     A state that is not a number decides nothing.
 
     Args:
-        equation: of many runs, its arrays have a trailing axis of lanes.
-        ends: where the runs ended.
-        tolerances: those of the steps.
+        equation: the equation; for many runs its arrays have a trailing axis of lanes.
+        ends: the end states of the runs.
+        tolerances: the tolerances of the steps.
     """
     y = jnp.asarray(ends.y)
     verdict = Verdict(*equation.verdict(y))
@@ -168,11 +168,11 @@ def classification_of(
 
 
 def _error_of_formula(equation: Equation, verdict: Verdict) -> Real:
-    """The error of the formula for ω∞ at the state that ended a run; 0 if ω₁ is constant."""
+    """Return the error of the formula for ω∞ at the state that ended a run; 0 if ω₁ is constant."""
     size = jnp.where(verdict.outcome == Outcome.RESIDUAL, jnp.abs(verdict.omega_inf), 0.0)
     error = (verdict.error + 4 * jnp.finfo(size.dtype).eps) * size
     if not verdict.belongs_to(equation):
         return error
-    # Where squares of ω underflow, ω₁ seems to be constant but is not.
+    # Where squares of ω underflow, ω₁ only seems to be constant.
     exact = (verdict.error == 0) & (size**2 >= jnp.finfo(size.dtype).tiny)
     return jnp.where(exact, 0.0, error)

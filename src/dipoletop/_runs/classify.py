@@ -57,12 +57,12 @@ def classify(
     value: Value = True,
     slow_flow: SlowFlow = "auto",
 ) -> Classification:
-    """How dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
+    """Classify how dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
 
     Integrates (order 8) until the equation's own `verdict` is certain. A full equation is
     followed along its physical branch, whose windows count as steps. May be jitted and vmapped;
     for many starts `classify_many` is far faster, and gives the same numbers. Not differentiable:
-    its derivatives are NaN. `residual_rotation` has those of ω∞.
+    its derivatives are NaN. `residual_rotation` gives derivatives of ω∞.
 
     | `value` | the run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -70,25 +70,25 @@ def classify(
     | "unchecked" | outcome and ω∞ are known | infinite if ω∞ was integrated | about 1/3 |
     | False | the outcome is known | as "unchecked"; ω∞ is NaN where it was integrated | less |
 
-    A run takes the more steps, the slower the top radiates. Where their estimated number exceeds
-    the budget, what the first state does not decide is predicted by the average over free rotation,
-    as by `predict`, at once and at any amplitude. A prediction is never certified; where chance
-    decides, as of needles, it is a `probability` and the outcome is UNDECIDED.
+    The slower a top radiates, the more steps its run takes. Where their estimated number exceeds
+    the budget, averages over free rotation predict what the first state does not decide, as in
+    `predict`, at once and at any amplitude. A prediction is never certified; where chance decides,
+    as for needles, it is a `probability` and the outcome is UNDECIDED.
 
-    | `slow_flow` | what is predicted |
+    | `slow_flow` | predicted runs |
     |---|---|
     | "auto" | runs whose estimated number of steps exceeds `max_steps`, and those that exhaust it |
-    | True | all that the first state does not decide |
-    | False | nothing |
+    | True | all runs that the first state does not decide |
+    | False | none |
 
-    Only the rigid bodies of this library are predicted, in float64; at order 1 none that is
-    captured by chance, since that order lacks a leading term there. Under `jit`, `vmap` or `grad`
+    Only the rigid bodies of this library are predicted, in float64; at order 1 not the bodies that
+    are captured by chance, since order 1 omits a leading term there. Under `jit`, `vmap` or `grad`
     "auto" predicts nothing.
 
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
-        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
+        rtol: relative tolerance of every step; for the error of ω∞ see `omega_inf_error`.
         atol: absolute tolerance of every step; None means 0, since errors are measured by the
             present |ω|; or, with `value=False`, rtol·|ω₀| if all slow motions of this top have
             the same outcome.
@@ -136,7 +136,7 @@ def _classify_by_engine(
     max_steps: int | np.integer,
     value: Value,
 ) -> Classification:
-    """The classification of one known start, as a block of one lane."""
+    """Return the classification of one known start, as a block of one lane."""
     check_verdict(equation)
     check_single(equation)
     start = known_start(omega0)[None]
@@ -153,7 +153,7 @@ def _classify_by_engine(
 
 @jax.custom_jvp
 def _zero_without_derivative(_: list[Any]) -> float:
-    """0, whose derivatives are NaN."""
+    """Return 0 with derivatives NaN."""
     return 0.0
 
 
@@ -187,13 +187,13 @@ def classify_with_tangents(
     steps = budget("max_steps", max_steps)
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:
-        until = "time"  # off the branch no region decides, and the top runs away
+        until = "time"  # off the branch no verdict holds, and the top runs away
     begin = _Start(start, from_omega)
     return _classify(equation, begin, tolerances, steps, until, value)
 
 
 class _Start(NamedTuple):
-    """Where a run begins."""
+    """The start of a run."""
 
     values: Array
     """ω₀, or a whole state."""
@@ -230,7 +230,7 @@ def _classify(
 def _end_by_steps(
     equation: DecidingEquation, y0: State, limits: Limits, max_steps: int, until: Until
 ) -> EndStates:
-    """The end state of a run by diffrax."""
+    """Return the end state of a run by diffrax."""
 
     def ended(t: Any, y: State, args: Any, **_: Any) -> Bool[Array, ""]:
         broken = ~sound(t, y, equation(t, y, None))
@@ -243,7 +243,7 @@ def _end_by_steps(
     y, time = run.ys[-1], run.ts[-1]
     finished = sound(time, y, equation(time, y, None))
     if until == "time":
-        y = y * jnp.nan  # no state off the branch decides
+        y = y * jnp.nan  # off the branch no verdict holds
     return EndStates(y, time, run.stats["num_steps"], jnp.where(finished, FINISHED, BROKEN))
 
 
@@ -255,7 +255,7 @@ def integrated(
     max_steps: int,
     event: diffrax.Event | None = None,
 ) -> Any:
-    """An integration by diffrax from 0 to t1 that can be differentiated in forward mode."""
+    """Integrate by diffrax from 0 to t1, differentiable in forward mode."""
     return diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri8(),

@@ -28,7 +28,7 @@ from .memory_limits import largest_tile
 from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
-PIECE = 65536  # starts handed to an engine at once, at most, that compiles for no number of them
+PIECE = 65536  # largest number of starts for an engine that need not compile for their number
 
 
 def classify_many(
@@ -42,10 +42,10 @@ def classify_many(
     engine: str = "auto",
     slow_flow: SlowFlow = "auto",
 ) -> Classification:
-    """How dω/dτ = equation(ω) ends from each of N starts, on all cores or devices.
+    """Classify how dω/dτ = equation(ω) ends from each of N starts, on all cores or devices.
 
     An engine integrates many runs at once. Each ends when the equation's own `verdict` is certain,
-    as in `classify`, whose table tells what `value` means.
+    as in `classify`, whose table explains `value`.
 
     Args:
         equations: an equation with a `verdict`: one for all starts, or with a leading batch axis
@@ -53,16 +53,16 @@ def classify_many(
         omegas: starts ω₀, shape (N, 3), dimensionless, body axes. A start that is not finite, or
             has a subnormal component (which processors take for 0), is FAILED, and affects no
             other.
-        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
+        rtol: relative tolerance of every step; for the error of ω∞ see `omega_inf_error`.
         atol: absolute tolerance of every step, a number or shape (N,); None means 0, since errors
             are measured by the present |ω|; or, with `value=False`, rtol·|ω₀| for each start of a
-            top all of whose slow motions have the same outcome.
+            top whose slow motions all have the same outcome.
         max_steps: largest number of steps of a run; a run that needs more is predicted, or
             UNDECIDED.
         value: whether ω∞ is wanted, and the estimate of its error: True, "unchecked" or False.
-            With False, the native engine makes runs of the tops and bodies of this library at
-            rtol = 1e-4 first, and again at `rtol` where that leaves a doubt; `time` and `steps`
-            are those of the last run of a start.
+            With False, the native engine runs the tops and bodies of this library at rtol = 1e-4
+            first, and again at `rtol` where the label is in doubt; `time` and `steps` belong to
+            the last run of a start.
         engine: "jax"; "native" (machine code, for float64 on processors; it needs llvmlite); or
             "auto", the fastest one that can run here.
         slow_flow: whether runs that would take more than `max_steps` are predicted, as by
@@ -100,15 +100,15 @@ def classify_many(
     engines = select_engines(engine, every_run[0], devices, until, finish_of(value))
     first = devices[0]
     threads = len(devices)
-    # Few runs share a queue, so that no thread waits for the longest runs of another. So do labels,
-    # for which hardly anything is left to do outside the engine.
+    # Few runs share one queue, so that no thread waits for the longest runs of another. So do
+    # labels, for which hardly any work is left outside the engine.
     if engines[first].has_own_threads and (value is False or size <= PIECE * threads):
         return classify_block(
             *every_run, RunOptions(value, engines[first], first, slow_flow, threads)
         )
     if engines[first].compiles_for_size:
         length = min(largest_tile(devices), power_of_two(-(-size // threads)))
-    else:  # as many pieces for every thread
+    else:  # the same number of pieces for every thread
         length = -(-size // (threads * -(-size // (threads * PIECE))))
 
     def work(job: int, device: Device) -> Classification:
@@ -121,22 +121,22 @@ def classify_many(
 
 
 class Runs(NamedTuple):
-    """The runs that `classify_many` is asked for."""
+    """The runs of a call of `classify_many`."""
 
     equations: Equation
     single: bool
-    """Whether it is one equation for all runs, rather than a batch."""
+    """Whether there is one equation for all runs, rather than a batch."""
     starts: Float[np.ndarray, "N 3"]
     atol: Float[np.ndarray, "N"]
     rtol: Any
-    """In NumPy, as is the next."""
+    """The relative tolerance, in NumPy."""
     max_steps: Any
 
     def tile(self, first: int, length: int) -> tuple[Any, Float[np.ndarray, "3 tile"], Limits]:
-        """Some runs: the equation with its lanes behind, starts, limits.
+        """Return the equation with its lanes behind, the starts and the limits of some runs.
 
-        The last tile is filled up with runs that take no step. In NumPy, by views if the tile is
-        full, since JAX would take as long as the machine code that works on it.
+        The last tile is padded with runs that take no step. The arrays are of NumPy, and views if
+        the tile is full: JAX would take as long to copy as the machine code takes to run.
         """
         size, end = len(self.starts), first + length
         full = end <= size

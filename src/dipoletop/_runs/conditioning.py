@@ -1,14 +1,14 @@
-"""The part of the error of ω∞ that the integration makes, estimated from neighbouring starts.
+"""The error of ω∞ that the integration causes, estimated from neighbouring starts.
 
 ω∞ is a function of the state that is constant along a motion. Step k of a run leaves an error eₖ in
-the state, of at most rtol·s in each component, where s is the size by which errors of ω are
-measured (`omega_scale_of`, |ω| or less). It moves the run to a neighbouring motion, whose ω∞
+the state, of at most rtol·s in each component, where s is the scale of the errors of ω
+(`omega_scale_of`, |ω| or less). It moves the run to a neighbouring motion, whose ω∞
 differs by ∇ω∞(τₖ)·eₖ. To first order the error of ω∞ after n steps is the sum of these:
 
     |Σₖ ∇ω∞(τₖ)·eₖ| ≤ n·rtol·max |s ∂ω∞/∂ω|,
 
-with the gradient at any time of the run. Two values of |s ∂ω∞/∂ω| are at hand: |s ∂ω∞/∂ω₀| at the
-start, and about |ω∞| at the end, where ω lies along the dipole. The estimate takes both,
+with the gradient at any time of the run. Two values of |s ∂ω∞/∂ω| are available: |s ∂ω∞/∂ω₀| at
+the start, and about |ω∞| at the end, where ω lies along the dipole. The estimate uses both,
 
     C(n)·rtol·(MIDWAY·|ω∞| + |s ∂ω∞/∂ω₀|),      C(n) = FIXED + PER_STEP·n.
 
@@ -16,16 +16,16 @@ C and MIDWAY were measured (benchmarks/accuracy/residual.py). C is far below n, 
 estimates the error of the lower of its two orders, and since errors of different steps partly
 cancel; MIDWAY exceeds 1, since a motion can be more sensitive on its way than at both ends.
 
-The gradient at the start is that of differences. Each start is run three more times, with
-component i of ω₀ moved by h·sᵢ:
+The gradient at the start comes from differences. Each start is run three more times, with component
+i of ω₀ moved by h·sᵢ:
 
     |s ∂ω∞/∂ω₀|² ≈ Σᵢ [(ω∞(ω₀ + h·sᵢ·eᵢ) − ω∞(ω₀))/h]².
 
-No equation needs anything more for this, unlike first variations. The neighbours may be run at a
-looser tolerance, if the difference h is so much larger that their own errors do not matter. Near a
-zero of ω∞, which is the border between rotations in opposite senses or that of the basin, the
-gradient is large or infinite. There ω∞ is not linear over the distance h; if it is not over the
-second, smaller h either, the error is unknown (infinite).
+Unlike first variations, this works for any equation. The neighbours may be run at a looser
+tolerance, if h is so large that their own errors do not matter. Near a zero of ω∞, at the boundary
+of the basin or between rotations in opposite senses, the gradient is large or infinite. There ω∞
+is not linear over the distance h; if it is not linear over the second, smaller h either, the error
+is unknown (infinite).
 """
 
 import functools
@@ -46,15 +46,15 @@ from .chosen_lanes import Lanes
 from .classification import Classification, Value
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
-NEIGHBOUR_RTOLS = 1e3, 3.0  # of the neighbours over rtol, at the first and the second try
-LARGEST_RTOL = 1e-4  # of the neighbours
-LONG_RUN = 400  # steps from which the distance grows, as do the errors of the neighbours
-LARGEST_PHASE = 0.01  # of distance · steps: beyond, neighbours may be off by a whole rotation
-SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # of one start: rtol over the run's; distance over rtol
-LINEAR = 0.2  # largest change of ω∞, relative to it, that still gives a gradient
+NEIGHBOUR_RTOLS = 1e3, 3.0  # rtol of the neighbours over the run's, at the first and second try
+LARGEST_RTOL = 1e-4  # largest rtol of the neighbours
+LONG_RUN = 400  # steps from which the distance grows like the errors of the neighbours
+LARGEST_PHASE = 0.01  # distance · steps: beyond, neighbours may differ by a whole rotation
+SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # for one start: rtol over the run's; distance over rtol
+LINEAR = 0.2  # largest relative change of ω∞ that still gives a gradient
 
 RunSome = Callable[[Lanes, Limits, Float[np.ndarray, "3 N"]], Classification]
-"""From the numbers of some runs, limits and the starts of all to the classifications of these."""
+"""A function of the indices of some runs, limits and all starts to their classifications."""
 
 
 def with_error_estimates(
@@ -64,14 +64,14 @@ def with_error_estimates(
     limits: Limits,
     scales: OmegaScale,
 ) -> Classification:
-    """Classifications with the error of the integration; ω∞ is NaN where that exceeds it.
+    """Add the error of the integration to classifications; ω∞ is NaN where the error exceeds it.
 
     Args:
         runs: in NumPy, with the error of the formula for ω∞ at their ends.
         run: classifies neighbours of the runs.
         omegas: the starts ω₀, shape (3, N).
-        limits: those of the runs.
-        scales: gives the sizes s of ω₀.
+        limits: the limits of the runs.
+        scales: the function that gives the scales s of ω₀.
     """
     integrated = is_integrated(runs)
     if not integrated.any():
@@ -86,7 +86,7 @@ def with_error_estimates(
 
 
 def _scaled(scales: OmegaScale, omegas: Float[np.ndarray, "3 N"]) -> Float[np.ndarray, "3 N"]:
-    """The sizes s of N starts, by a program for a power of 2."""
+    """Return the scales s of N starts, by a program for a power of 2."""
     size = omegas.shape[1]
     padded = np.zeros((3, power_of_two(size)), omegas.dtype)
     padded[:, :size] = omegas
@@ -105,9 +105,9 @@ def _gradient_by_neighbours(
     limits: Limits,
     wanted: Bool[np.ndarray, "N"],
 ) -> Float[np.ndarray, "N"]:
-    """|s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown.
+    """Return |s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown.
 
-    `around` are the starts and the sizes s, both of shape (3, N).
+    `around` holds the starts and the scales s, both of shape (3, N).
     """
     omega_inf, (starts, sizes) = runs.omega_inf, around
     gradient = np.full(omega_inf.shape, np.inf, omega_inf.dtype)
@@ -137,13 +137,13 @@ def run_with_error_estimate(
     sizes: Float[Array, "n"],
     tolerances: Tolerances,
 ) -> Classification:
-    """One classification with the error of the integration, as `with_error_estimates`; traced.
+    """Classify one start in a trace, with the error of the integration.
 
     Args:
-        run: classifies a start by tolerances; the last argument says whether it is to be run.
+        run: classifies a start at given tolerances; the last argument says whether to run it.
         start: ω₀, or a whole state.
-        sizes: what errors of its components are measured by.
-        tolerances: those of the run.
+        sizes: the scales of the errors of its components.
+        tolerances: the tolerances of the run.
     """
     rtol, atol = tolerances
     looser = jnp.clip(LARGEST_RTOL / rtol, 1.0, SINGLE_RTOL)
@@ -171,7 +171,7 @@ def run_with_error_estimate(
 
 
 def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) -> Classification:
-    """Classifications whose ω∞ has an unknown error, unless no integration has part in it.
+    """Return classifications with an unknown error of ω∞, unless ω∞ was not integrated.
 
     Without `value` ω∞ is NaN unless it is constant. `xp` is NumPy or its counterpart in JAX.
     """
@@ -186,13 +186,13 @@ def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) 
 
 
 def is_integrated(runs: Classification) -> Any:
-    """Whether ω∞ has the error of an integration: it is not 0, constant, or known at once."""
+    """Return whether ω∞ was integrated, which means not 0, not constant, not known at once."""
     rotates = (runs.outcome == Outcome.RESIDUAL) & (runs.steps > 0)
     return rotates & (runs.omega_inf_error != 0)
 
 
 def is_larger_than_its_error(runs: Classification, gradient: Any, tolerances: Tolerances) -> Any:
-    """Whether ω∞ exceeds the error of the integration, by a known gradient |s ∂ω∞/∂ω₀|."""
+    """Return whether ω∞ exceeds the error of the integration, for a gradient |s ∂ω∞/∂ω₀|."""
     omega_inf = runs.omega_inf
     steps = runs.steps.astype(omega_inf.dtype)
     error = _integration_error(omega_inf, steps, gradient, tolerances)
@@ -203,9 +203,9 @@ def is_larger_than_its_error(runs: Classification, gradient: Any, tolerances: To
 def _integration_error(
     omega_inf: Any, steps: Any, gradient: Any, tolerances: tuple[Any, Any]
 ) -> Any:
-    """The error of ω∞ by the formula of this module, with gradient = |s ∂ω∞/∂ω₀|.
+    """Compute the error of ω∞ by the formula of this module, with gradient = |s ∂ω∞/∂ω₀|.
 
-    An absolute tolerance weighs the more, the slower the top is in the end.
+    The slower the top is in the end, the more an absolute tolerance counts.
     """
     rtol, atol = tolerances
     size = abs(omega_inf)
@@ -213,7 +213,7 @@ def _integration_error(
 
 
 def _with_added_error(runs: Classification, more: Any, xp: ModuleType) -> Classification:
-    """Classifications with more error; where it exceeds ω∞, that and its slopes are NaN."""
+    """Add to the error of classifications; where it exceeds ω∞, ω∞ and its slopes are NaN."""
     error = runs.omega_inf_error + more
     unknown = (runs.outcome == Outcome.RESIDUAL) & ~(error < abs(runs.omega_inf))
     omega_inf = xp.where(unknown, xp.nan, runs.omega_inf)

@@ -1,17 +1,17 @@
-"""How much a label is in doubt, and so which runs that were made loosely are to be made again.
+"""The doubt of a label, which shows the loose runs that must be repeated.
 
 A motion near the boundary between outcomes comes near to a motion on it, which loses all its
 angular velocity. At small amplitude ω⊥² falls there as fast as the distance from the boundary
 grows: at the saddle of `planar` the two rates are equal, at order 1 and at the consistent levels.
-So (|ω|/|ω₀|)² at the end of a run is a measure of how near it has been. The error is a phase that
-grows with the number of turns, as its rate is off by about the same. So the doubt of a label is
+So (|ω|/|ω₀|)² at the end of a run measures how near it has been. The error is a phase that grows
+with the number of turns, since the error of its rate is about constant. So the doubt of a label is
 
     rtol · n² / (|ω|/|ω₀|)²,      n the number of steps,
 
 or infinite where a small displacement of the last state changes the verdict: at order 1 the region
 of residual rotation reaches up to the basin boundary, so that an error may carry a state into it.
-`benchmarks/accuracy/label_precision.py` looks for labels that are lost nevertheless, at every level
-and for bodies of every kind, among random starts and among those that close in on the boundary.
+`benchmarks/accuracy/label_precision.py` searches for labels that are wrong nevertheless, at every
+level and for bodies of every kind, among random starts and among starts close to the boundary.
 """
 
 from typing import Any, NamedTuple
@@ -33,35 +33,35 @@ from .classification import Classification, Value, classification_of
 from .conditioning import without_error_estimates
 from .slow_labels import level_of_top
 
-CERTAIN = 4.0  # a label with less doubt is certain: no wrong one was found that had less than 8
+CERTAIN = 4.0  # doubt below which a label is certain: no wrong label had a doubt below 8
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a label is in doubt although no boundary exists
 SHAKY = 20.0  # displacement of the last state that must not change the outcome, in tolerances
 
 
 class Ended(NamedTuple):
-    """What is kept of runs that have ended."""
+    """The results of runs that have ended."""
 
     runs: Classification
     doubt: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
-    """Where no more than labels is wanted: that of each, see above; infinite if there is none."""
+    """Doubt of each label (module docstring); only for `value=False`; inf without a label."""
 
 
 def finish_of(value: Value) -> Finish[Ended]:
-    """What an engine does with the states that ended its runs."""
+    """Return the function that an engine applies to the end states of its runs."""
     return ended_with_label if value is False else ended_with_value
 
 
 def ended_with_value(
     equation: DecidingEquation, _omegas: Vector, ends: EndStates, tolerances: Tolerances
 ) -> Ended:
-    """See `classification_of`."""
+    """Return the classification with ω∞, without a doubt of the label."""
     return Ended(classification_of(equation, ends, tolerances))
 
 
 def ended_with_label(
     equation: DecidingEquation, omegas: Vector, ends: EndStates, tolerances: Tolerances
 ) -> Ended:
-    """The same without ω∞, unless that is constant, and the doubt of the outcome."""
+    """Return the classification, with ω∞ only if it is constant, and the doubt of the label."""
     runs = classification_of(equation, ends, tolerances)
     labels = without_error_estimates(runs, False, jnp)
     if not made_twice(equation):
@@ -78,7 +78,7 @@ def ended_with_label(
 
 
 def _is_shaky(equation: Any, omega: Vector, error: Real, runs: Classification) -> Flag:
-    """Whether a state with a smaller component along the dipole is no longer residual."""
+    """Return whether a state with a smaller component along the dipole is no longer residual."""
     axis = _dipole_axis(equation)
     along = omega[0] * axis[0] + omega[1] * axis[1] + omega[2] * axis[2]
     moved = omega - (SHAKY * error * along)[None] * axis
@@ -87,7 +87,7 @@ def _is_shaky(equation: Any, omega: Vector, error: Real, runs: Classification) -
 
 
 def _dipole_axis(equation: Any) -> Vector:
-    """The direction of the dipole of each lane; axis 1 of an equation without a body of its own."""
+    """Return the direction of the dipole of each lane; axis 1 if the body is not a parameter."""
     if not has_body_field(equation):
         return jnp.array([[1.0], [0.0], [0.0]])
     dipole = equation.body.dipole
@@ -95,12 +95,12 @@ def _dipole_axis(equation: Any) -> Vector:
 
 
 def made_twice(equation: Any) -> bool:
-    """Whether the formula of this module is known to hold for an equation."""
+    """Return whether the doubt of this module is known to hold for an equation."""
     return type(equation) in (TransverseReduced, TransverseSemi, Reduced, SemiReduced)
 
 
 def _is_bounded(equation: Any) -> Any:
-    """Whether there is a boundary between outcomes."""
+    """Return whether there is a boundary between outcomes."""
     if type(equation) not in (TransverseReduced, TransverseSemi):
         return True
     return has_boundary(equation.delta, level_of_top(equation))

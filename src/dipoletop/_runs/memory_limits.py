@@ -1,4 +1,4 @@
-"""Blocks that do not fit into the memory of a device are halved until they do."""
+"""Division of blocks that do not fit into the memory of a device."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -10,17 +10,17 @@ from .._base.parallel import Device
 from .chosen_lanes import part_of
 
 T = TypeVar("T")
-SMALLEST = 128  # runs of a block that is not halved any more
-PER_START = 4096  # bytes that a run takes at most, its share of the program's arrays included
-TILE = 16384  # starts handed to an engine at once, at most
-ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, which works on many at once (not measured)
+SMALLEST = 128  # runs of a block that is not divided further
+PER_START = 4096  # most bytes of a run, its share of the program's arrays included
+TILE = 16384  # largest number of starts of one call of an engine
+ACCELERATOR_TILE = 1 << 20  # the same on an accelerator, with its many lanes (not measured)
 
 _fitting: dict[Device, int] = {}
 """How many runs fit, on the devices whose memory was exhausted."""
 
 
 def largest_tile(devices: Sequence[Any]) -> int:
-    """How many starts suit all of these devices, by their kind and their free memory."""
+    """Return the number of starts of a tile for some devices, by their kind and free memory."""
     if any(device.platform == "cpu" for device in devices):
         return TILE
     starts = min(_free_memory(device) for device in devices) // PER_START
@@ -28,7 +28,7 @@ def largest_tile(devices: Sequence[Any]) -> int:
 
 
 def _free_memory(device: Any) -> int:
-    """Bytes; as many as the largest tile takes if the device does not tell."""
+    """Return the free bytes; as many as the largest tile takes if they are not known."""
     stats = device.memory_stats() or {}
     if "bytes_limit" not in stats:
         return ACCELERATOR_TILE * PER_START
@@ -36,13 +36,13 @@ def _free_memory(device: Any) -> int:
 
 
 def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Device) -> T:
-    """What `run` gives for runs with trailing axes of this size, in as many parts as memory needs.
+    """Return `run(runs)`, computed in halves, quarters, … as long as memory is exhausted.
 
     Args:
-        run: from runs in NumPy to a pytree of arrays with the same trailing axis.
+        run: a function of runs in NumPy to a pytree of arrays with the same trailing axis.
         runs: a pytree of arrays.
-        size: the number of runs.
-        device: where they are made.
+        size: the number of runs, the length of the trailing axes.
+        device: the device of the runs.
     """
     if size <= _fitting.get(device, size):
         try:
@@ -60,5 +60,5 @@ def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Devi
 
 
 def _is_of_memory(error: Exception) -> bool:
-    """Whether the error says that memory is exhausted, as XLA does in the words of its status."""
+    """Return whether an error of XLA says that memory is exhausted."""
     return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)

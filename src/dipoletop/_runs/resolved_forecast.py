@@ -1,8 +1,8 @@
 """How a rotation that radiates strongly ends: integration turn by turn, and then the slow flow.
 
-Where no small part of the energy is radiated within one period, averages over free rotation do not
-hold. The semi-reduced equation is integrated instead. Its verdict tells the outcome. A residual
-rotation is integrated until it is constant, a stop until averages hold and tell how it goes on.
+If a large part of the energy is radiated within one period, averages over free rotation do not
+hold. The semi-reduced equation is integrated instead. Its verdict gives the outcome. A residual
+rotation is integrated until it is constant, a stop until averages hold and describe the rest.
 """
 
 from collections.abc import Callable
@@ -31,15 +31,15 @@ from .slow_runs import SlowMotions
 
 RTOL = 1e-8
 HANDOVER = 1e-2
-"""The estimated error of averages from which on they are trusted."""
-STRETCH = 0.5  # of 1/ω², about the time in which E falls, integrated at once
-STRETCHES = 400  # at most
-SETTLED = 1e-9  # of E₀: the E − E∞ below which a residual rotation counts as constant
-POINTS, ROUNDS = 65, 3  # of a search for a time, which narrows its bracket to POINTS**-ROUNDS
+"""The estimated error below which averages are trusted."""
+STRETCH = 0.5  # length of a stretch in units of 1/ω², about the time in which E falls
+STRETCHES = 400  # largest number of stretches
+SETTLED = 1e-9  # (E − E∞)/E₀ below which a residual rotation counts as constant
+POINTS, ROUNDS = 65, 3  # a search for a time narrows its bracket to POINTS**-ROUNDS
 
 
 class RunAverages(NamedTuple):
-    """What averages over free rotation tell, from the variables and the k of κ = k d²."""
+    """The predictions by averages over free rotation, from the variables and k of κ = k d²."""
 
     forecast: Callable[[Variables, Real], Forecast]
     history: Callable[[Variables, tuple[Float[Array, "T"], Real]], Values]
@@ -61,7 +61,7 @@ class _Course:
 
     @staticmethod
     def of(start: Variables, strength: Real) -> "_Course":
-        """The course at its start."""
+        """Return a course at its start."""
         inertia, dipole, omega = start[:9].reshape(3, 3), start[9:12], start[12:]
         moment, size = jnp.linalg.eigvalsh(inertia)[2], jnp.linalg.norm(dipole)
         unit = strength * size**2 / moment
@@ -74,27 +74,27 @@ class _Course:
         return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
 
     def is_long(self, ratio: Real) -> bool:
-        """Whether the run would take more than the budget of steps, if it ended with this L∞/L₀."""
+        """Return whether the run would exceed the budget of steps if L∞/L₀ = `ratio`."""
         body = self.equation.body
         one = (np.asarray(x)[None] for x in (body.inertia, body.dipole, self.omegas[0]))
         motions = SlowMotions(*one, consistent=True, is_full=False)
         return bool(motions.steps(np.asarray(ratio)[None], RTOL, label_only=False)[0] > MAX_STEPS)
 
     def energy(self, omega: Vector) -> float:
-        """E of a state in the units of `start`."""
+        """Return E of a state in the units of `start`."""
         inertia, omega = self.start[:9].reshape(3, 3), omega / self.unit
         return float(omega @ inertia @ omega) / 2
 
     def momentum(self, omega: Vector) -> float:
-        """|L| of a state, in the units of `start`."""
+        """Return |L| of a state, in the units of `start`."""
         return float(jnp.linalg.norm(self.start[:9].reshape(3, 3) @ omega)) / self.unit
 
     def residual_state(self, run: Classification) -> Vector:
-        """The state in which a residual rotation ends."""
+        """Return the state in which a residual rotation ends."""
         return jnp.asarray(run.omega_inf) * self.equation.body.dipole
 
     def at(self, times: Float[np.ndarray, "T"]) -> Float[Array, "T 3"]:
-        """The states at ascending times."""
+        """Return the states at ascending times."""
         first = int(np.searchsorted(self.times, times[0], "right")) - 1
         known = self.times[first] == times[0]
         ts = jnp.asarray(times if known else np.append(self.times[first], times))
@@ -104,7 +104,7 @@ class _Course:
         return run.omega if known else run.omega[1:]
 
     def follow(self, enough: Callable[[Vector], bool]) -> bool:
-        """Integrate until the state is enough; False if that takes too long."""
+        """Integrate until `enough` holds; return False if that takes too long."""
         while not enough(self.omegas[-1]):
             time = self.times[-1] + STRETCH / float(jnp.sum(self.omegas[-1] ** 2))
             omega = self.at(np.array([time]))[-1]
@@ -115,7 +115,7 @@ class _Course:
         return True
 
     def time_of(self, energy: float) -> float:
-        """The time at which E falls below a value that lies between the first and the last."""
+        """Return the time at which E falls below a value between its first and its last."""
         after = next(k for k, omega in enumerate(self.omegas) if self.energy(omega) < energy)
         times = np.array(self.times[after - 1 : after + 1])
         above, below = (self.energy(omega) for omega in self.omegas[after - 1 : after + 1])
@@ -130,13 +130,13 @@ class _Course:
 def resolved_forecast(
     start: Variables, strength: Real, averages: RunAverages, ratio: Real
 ) -> Forecast | None:
-    """How a rotation ends, by integration; None if that takes too long.
+    """Return how a rotation ends, by integration; None if that takes too long.
 
     Args:
         start: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
         averages: the laws that hold where little is radiated within one period.
-        ratio: about the L∞/L₀, from which the number of steps is estimated.
+        ratio: an estimate of L∞/L₀, which gives the number of steps.
     """
     course = _Course.of(start, strength)
     if course.is_long(ratio):
@@ -157,7 +157,7 @@ def resolved_forecast(
         return None
     stops = stops / jnp.sum(stops)
     zero = jnp.zeros_like(late.ratio)
-    # The late law with t from the start; a rotation that falls at once has no plateau.
+    # The late law, with t counted from the start; a rotation that falls at once has no plateau.
     lifetime = late.lifetime - course.times[-1] * course.unit
     return late._replace(
         outcome=decided_outcome(stops, late.error),
@@ -175,7 +175,7 @@ def resolved_forecast(
 def resolved_history(
     start: Variables, constants: tuple[Float[Array, "T"], Real], averages: RunAverages
 ) -> Values:
-    """E, |L|, h and √⟨Ω²⟩ at given times, of a rotation that has a resolved forecast."""
+    """Return E, |L|, h and √⟨Ω²⟩ of a rotation with a resolved forecast at given times."""
     times, strength = np.asarray(constants[0]), constants[1]
     course = _Course.of(start, strength)
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
@@ -218,7 +218,7 @@ def _follow_stop(course: _Course, averages: RunAverages) -> bool:
 
 
 def _residual(course: _Course, run: Classification, half_time: float) -> Forecast:
-    """The forecast of a residual rotation."""
+    """Return the forecast of a residual rotation."""
     omega, last = course.omegas[0], course.residual_state(run)
     ratio = jnp.asarray(course.momentum(last) / course.momentum(omega))
     omega_inf = jnp.asarray(run.omega_inf)
@@ -243,7 +243,7 @@ def _residual(course: _Course, run: Classification, half_time: float) -> Forecas
 def _of_states(
     start: Variables, omegas: Float[Array, "T 3"], strength: Real
 ) -> Float[Array, "4 T"]:
-    """E, |L|, h and √⟨Ω²⟩ of the free rotations through given states."""
+    """Return E, |L|, h and √⟨Ω²⟩ of the free rotations through given states."""
 
     def values(omega: Vector) -> Float[Array, "4"]:
         rotation, units = scaled_rotation(jnp.append(start[:12], omega), strength)

@@ -1,4 +1,4 @@
-"""How the residual rotation, and the time to reach it, move with the body and with the start."""
+"""Derivatives of the residual rotation, and of the time to reach it, by the body and the start."""
 
 import math
 from collections.abc import Callable
@@ -49,17 +49,17 @@ def residual_rotation(
     atol: NumberLike | None = None,
     max_steps: int | np.integer = MAX_STEPS,
 ) -> Float[Array, ""]:
-    """ω∞ = lim n·ω(τ), the residual rotation of dω/dτ = equation(ω) from ω(0) = ω₀.
+    """Compute ω∞ = lim n·ω(τ), the residual rotation of dω/dτ = equation(ω) from ω(0) = ω₀.
 
     May be jitted, vmapped, and differentiated with respect to the arrays of the equation and to
-    ω₀: in forward and in reverse mode and repeatedly, at a memory that does not grow with the run.
-    ω∞ is constant along a trajectory, so its derivative is that of the local formula ω∞(p, y) at
-    the end of the run, carried there by the first variations. The run goes on until the
-    derivatives of this formula are certain, so that they are those of the limit.
+    ω₀: in forward and reverse mode, and repeatedly, with a memory that does not grow with the run.
+    ω∞ is constant along a trajectory, so its derivative follows from the local formula ω∞(p, y) at
+    the end of the run and from the first variations there. The run continues until the derivatives
+    of this formula are certain, so that they equal the derivatives of the limit.
 
     | case | derivatives |
     |---|---|
-    | the top stops, as do all near it | 0 |
+    | the top and all its neighbours stop | 0 |
     | undecided, failed, or the estimated error of ω∞ exceeds ω∞ | NaN |
     | a stop so near to a boundary that it is uncertain within the tolerances | NaN |
     | on an axis of decaying spin, which is a boundary, other than axis 3 | NaN |
@@ -67,20 +67,20 @@ def residual_rotation(
     | δ = 0 (a body: equal moments across the dipole), along changes of δ, if ω₁ = 0 | infinite |
     | order 1 with ω₃ = 0, along changes of ω₃, if ω₁ = 0 or δ ≤ −1/2 | infinite |
 
-    The infinite ones stand where ω∞ has a jump or a kink: in the first case all residual rotation
-    ends, in the others ω₁ is no longer constant. Infinity is 1e302, or the like, since that times 0
-    is 0. Partial derivatives are taken component by component: they are infinite even where a
-    combined change, such as a rotation of the whole body, would keep the dipole on its principal
-    axis. If the dipole lies there only to rounding, as in a body with oblique axes, derivatives
-    hold along changes that keep it there. A `sweep` knows the change, and tells these cases apart.
-    A derivative with respect to one element of an inertia tensor breaks its symmetry; only those
+    Derivatives are infinite where ω∞ has a jump or a kink: in the first case all residual rotation
+    ends, in the others ω₁ is no longer constant. Infinity is a number such as 1e302, since its
+    product with 0 is 0. Partial derivatives are taken component by component: they are infinite
+    even where a combined change, such as a rotation of the whole body, would keep the dipole on its
+    principal axis. If the dipole lies there only to rounding, as in a body with oblique axes,
+    derivatives hold along changes that keep it there. A `sweep` knows the change, and distinguishes
+    these cases. A change of one element of an inertia tensor breaks its symmetry; only derivatives
     along symmetric changes have a meaning.
 
     Args:
         equation: an equation with a `verdict`.
         omega0: start ω₀, shape (3,), dimensionless, body axes.
         rtol: relative tolerance of every step. The errors of ω∞ and of its derivatives are larger
-            where these change fast with ω₀; those of second derivatives are about rtol^(4/5).
+            where these change fast with ω₀; errors of second derivatives are about rtol^(4/5).
         atol: absolute tolerance of every step; None means 0, since errors are measured by the
             present |ω|.
         max_steps: largest number of steps; a run that needs more is undecided.
@@ -112,16 +112,16 @@ def residual_rotation(
 
 
 class _Runs(eqx.Module):
-    """Runs of one equation, by the numbers of its arrays and of ω₀."""
+    """Runs of one equation as functions of the numbers in its arrays and in ω₀."""
 
     rest: Any
     """The equation without its arrays."""
     structure: Any = eqx.field(static=True)
-    """How the numbers make the arrays of the equation and ω₀."""
+    """The structure of the arrays of the equation and ω₀."""
     max_steps: int
 
     def omega_inf(self, leaves: list[Array], tolerances: Tolerances) -> Float[Array, ""]:
-        """Give ω∞, with an estimate of its error."""
+        """Return ω∞; NaN if its estimated error exceeds it."""
         arrays, start = jax.tree.unflatten(self.structure, leaves)
         equation = eqx.combine(arrays, self.rest)
         return self._classified(equation, start, tolerances, True).omega_inf
@@ -130,7 +130,7 @@ class _Runs(eqx.Module):
     def omega_inf_and_slopes(
         self, x: Float[Array, "n"], leaves_of: "_Leaves", tolerances: Tolerances
     ) -> Float[Array, "1+n"]:
-        """Give ω∞, and its derivatives by the varying numbers x."""
+        """Return ω∞, and its derivatives by the varying numbers x."""
         arrays, start = jax.tree.unflatten(self.structure, leaves_of(x))
         _, push = jax.linearize(leaves_of, x)
         parameters, starts = jax.tree.unflatten(self.structure, jax.vmap(push)(jnp.eye(x.size)))
@@ -140,13 +140,13 @@ class _Runs(eqx.Module):
         equation = Tangent(*variations, basis=True, **options)
         run = self._classified(equation, start, tolerances, UNCHECKED)
         slopes = jnp.where(jnp.isinf(run.slopes), _infinities(x), run.slopes)
-        by_start = run.slopes[-3:]  # ω₀ is always the last of what varies
+        by_start = run.slopes[-3:]  # the last varying numbers are always ω₀
         gradient = jnp.where(jnp.isinf(by_start), 0.0, by_start) * omega_scale_of(equation)(start)
         known = is_larger_than_its_error(run, length(gradient), tolerances)
         return or_nan(jnp.append(run.omega_inf, slopes), known)
 
     def _classified(self, equation: Any, start: Array, tolerances: Tolerances, value: Value) -> Any:
-        """A `Classification` in arrays of JAX."""
+        """Return a `Classification` in arrays of JAX."""
         rtol, atol = tolerances
         return classify_with_tangents(
             equation, start, rtol=rtol, atol=atol, max_steps=self.max_steps, value=value
@@ -154,20 +154,19 @@ class _Runs(eqx.Module):
 
 
 def _infinities(x: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Large numbers in place of infinity, one for each variable, infinite derivatives included.
+    """Return large numbers in place of infinity, one for each variable.
 
-    They are unequal, so that infinite contributions of several variables cannot cancel to a sum
-    that looks finite.
+    They and their derivatives are unequal, so that infinite contributions of several variables
+    cannot cancel to a sum that looks finite.
     """
     unequal = 2 + jnp.cos(jnp.arange(1.0, 1 + x.size, dtype=x.dtype))
     return infinity(x.dtype) * (unequal + jnp.sum(x - jax.lax.stop_gradient(x)))
 
 
 def _with_gradient(runs: _Runs) -> Callable[..., Float[Array, ""]]:
-    """The function `runs.omega_inf`, with derivatives from `runs.omega_inf_and_slopes`.
+    """Return the function `runs.omega_inf`, with derivatives from `runs.omega_inf_and_slopes`.
 
-    Of the leaves those that vary are put into the vector x of the latter, and the last, ω₀, is in
-    any case.
+    The vector x of the latter holds the leaves that vary, and always the last leaf, ω₀.
     """
     wrapped = jax.custom_jvp(runs.omega_inf)
 
@@ -194,21 +193,21 @@ def _with_gradient(runs: _Runs) -> Callable[..., Float[Array, ""]]:
 
 @eqx.filter_jit
 def _raveled(leaves: list[Array | None]) -> Float[Array, "n"]:
-    """All numbers of the leaves in one vector."""
+    """Return all numbers of the leaves in one vector."""
     return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves if leaf is not None])
 
 
 @eqx.filter_jit
 def _value_and_change(found: Float[Array, "m"], change: Float[Array, "n"]) -> Any:
-    """ω∞, and its derivative along a change, from ω∞ and its derivatives."""
+    """Return ω∞ and its derivative along a change, from ω∞ and its partial derivatives."""
     return found[0], found[1:] @ change
 
 
 class _Leaves(eqx.Module):
-    """From the vector of those that vary to all leaves."""
+    """The function from the vector of varying numbers to all leaves."""
 
     shapes: tuple[tuple[int, ...] | None, ...] = eqx.field(static=True)
-    """The shapes of those that vary; None for the others."""
+    """The shapes of the leaves that vary; None for the others."""
     others: list[Any]
 
     def __call__(self, x: Float[Array, "n"]) -> list[Array]:
@@ -232,7 +231,7 @@ def decay_time(
     atol: NumberLike | None = None,
     max_steps: int | np.integer = MAX_STEPS,
 ) -> Float[Array, ""]:
-    """τ at which a top has lost a share of the energy that it will ever lose.
+    """Return τ at which a top has lost a share of the energy that it will ever lose.
 
     E(τ) = E₀ − share (E₀ − E∞), E = ½ ω·Iω, E∞ = ½ (n·In) ω∞², for the first time. May be jitted,
     vmapped, and differentiated as `residual_rotation` (up to second order).
@@ -291,7 +290,7 @@ def _time_of_energy(
     tolerances: Tolerances,
     max_steps: int,
 ) -> Float[Array, ""]:
-    """τ at which the energy has fallen far enough, target = (ω∞, share)."""
+    """Compute τ at which the energy has fallen far enough, target = (ω∞, share)."""
     omega_inf, share = target
     dipole = equation.body.dipole
     residual_omega = scale(omega_inf / jnp.sqrt(dot(dipole, dipole)), dipole)
@@ -312,9 +311,9 @@ def _time_of_energy(
     run = integrated(equation, t1, y0, Controller(*tolerances, sizes), max_steps, below)
     end, late = run.ys[-1], run.ts[-1]
 
-    # Back from the end of that step to the level, with the energy as the independent variable:
-    # s from 0 to 1 is the part of the way, and the last component is the time over `late`, whose
-    # error is then relative.
+    # Integrate back from the end of that step to the level, with the energy as the independent
+    # variable: s from 0 to 1 is the fraction of the way, and the last component is the time over
+    # `late`, whose error is then relative.
     def by_energy(s: Any, y: Array, args: Any) -> Array:
         rate = equation(late * y[-1], y[:-1], None)
         power = jax.jvp(energy, (y[:-1],), (rate,))[1]

@@ -87,7 +87,7 @@ def simulate(
 ) -> Trajectory:
     """Solve dy/dτ = equation(τ, y) with diffrax, from ω(ts[0]) = ω₀.
 
-    May be jitted, vmapped and differentiated: in reverse mode as it is; in forward mode with
+    May be jitted, vmapped and differentiated: in reverse mode by default; in forward mode with
     `adjoint=diffrax.ForwardMode()`; along a physical branch in both modes.
 
     | option | meaning | default |
@@ -105,14 +105,14 @@ def simulate(
     | `attitude` | the attitude at ts[0], shape (4,); integrate dq/dτ = ½ q∘(0, ω), too | None |
 
     With `throw=False` a run that ends early has no derivatives in reverse mode. After an event all
-    times and states are those of the event. With `saveat` the trajectory holds the times that are
-    saved; in a trace, places that are not used hold inf for the time and NaN for the state.
+    times and states equal the event's. With `saveat` the trajectory holds the times that are
+    saved; in a trace, unused places hold inf for the time and NaN for the state.
 
     Args:
         equation: any equation of motion; or a plain function (τ, ω, args) that gives dω/dτ.
         omega0: start ω₀, shape (3,), dimensionless, body axes; a full equation is then followed
-            along its physical branch. Or a whole state of a full equation: it is integrated as it
-            is, and runs away unless it lies on that branch.
+            along its physical branch. Or a whole state of a full equation, which is integrated as
+            given, and runs away unless it lies on that branch.
         ts: times at which the state is wanted, shape (T,), increasing, T ≥ 2; ω₀ belongs to the
             first.
         rtol: relative tolerance of every step.
@@ -120,15 +120,15 @@ def simulate(
             present |ω|.
         max_steps: largest number of steps, or of windows along a physical branch; with
             `attitude` also of the pieces of 2 radians there.
-        options: see the table. Along a physical branch only `throw`, `balance` and `attitude`. An
-            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes; an
-            equation whose state holds one takes no other.
+        options: see the table; along a physical branch only `throw`, `balance` and `attitude`. An
+            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes. It
+            cannot be given for an equation whose state already holds one.
 
     Returns:
         A `Trajectory`.
 
     Raises:
-        ValueError: bad arguments, among them an option of another name.
+        ValueError: bad arguments, or an unknown option.
         RuntimeError: the run did not reach the last of `ts` (unless `throw=False`).
 
     Example:
@@ -167,7 +167,7 @@ def simulate(
 
 
 def _without_unused(run: Trajectory) -> Trajectory:
-    """The trajectory without the places that were kept for more steps, unless it is traced."""
+    """Cut off the unused places of a trajectory, unless it is traced."""
     if not concrete(run.ts):
         return run
     used = np.isfinite(run.ts)
@@ -176,7 +176,7 @@ def _without_unused(run: Trajectory) -> Trajectory:
 
 
 def _raised(run: Trajectory, failures: dict[str, Any]) -> Trajectory:
-    """The trajectory, unless it failed; if it is traced, equinox raises when it is computed."""
+    """Return the trajectory, or raise if it failed; a traced one raises when it is computed."""
     for sentence, failed in failures.items():
         if not concrete(failed):
             run = eqx.tree_at(lambda run: run.ys, run, eqx.error_if(run.ys, failed, sentence))
@@ -202,7 +202,7 @@ def _follow(
     options: Options,
     q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Float[Array, ""]]:
-    """The motion along the physical branch of a full equation, and the time that it reached."""
+    """Return the motion along the physical branch of a full equation, and its last known time."""
     check_branch_options(options)
     turns = q0 is not None
     motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows, turns)
@@ -224,7 +224,7 @@ def _follow(
 
 
 def _from_start(q0: Float[Array, "4"], attitude: Float[Array, "T 4"]) -> Float[Array, "T 4"]:
-    """The attitudes of a motion that begins at q₀, from those relative to its start."""
+    """Return the attitudes of a motion from q₀, given the attitudes relative to its start."""
     return jax.vmap(lambda q: product(q0, q))(attitude)
 
 
@@ -236,7 +236,7 @@ def _differentiable_motion(
     max_windows: int,
     attitude: bool,
 ) -> march.BranchMotion:
-    """`march.follow` with derivatives in reverse mode, too, by the equation, ω₀ and the first time.
+    """Return `march.follow`, differentiable by the equation, ω₀ and the first time in both modes.
 
     All other times are at fixed distances from the first one.
     """
@@ -253,7 +253,7 @@ def _differentiable_motion(
         motion = march.follow(varied, omega0, times, rtol, max_windows, attitude)
         return motion._replace(windows=motion.windows.astype(variables.dtype))
 
-    # A function with derivatives by `forward_mode` gives one vector, so the motion becomes one.
+    # `forward_mode` differentiates functions with one vector as a result, so the motion is packed.
     constants = times, rtol
     shapes = jax.eval_shape(follow, variables, constants)
     _, to_motion = ravel_pytree(jax.tree.map(jnp.zeros_like, shapes))
@@ -265,9 +265,9 @@ def _differentiable_motion(
 
 
 def _sizes_with_energy(equation: Equation, y: State) -> State:
-    """The sizes that errors of a state are measured by; energies that flow may follow it.
+    """Return the scale of the errors of a state, which may be followed by energy integrals.
 
-    They are measured by the largest component of ω squared, unless they are larger themselves.
+    The scale of the integrals is the largest component of ω squared, or their own size if larger.
     """
     n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
     least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
@@ -275,15 +275,15 @@ def _sizes_with_energy(equation: Equation, y: State) -> State:
 
 
 def _sizes_with_turn(equation: Equation, y: State) -> State:
-    """The same of a state that a turn follows, behind the energies if there are any.
+    """Return the scale of the errors of a state with energy integrals, if any, and a turn behind.
 
-    An error of the turn is an angle, which is measured in radians.
+    An error of the turn is an angle, with the scale of 1 radian.
     """
     return jnp.concatenate([_sizes_with_energy(equation, y[:-5]), jnp.ones_like(y[-5:])])
 
 
 def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
-    """A start of the state, of the energies that flow and of the turn, if wanted."""
+    """Return the initial state, with energy integrals and a turn behind it, if wanted."""
     if not (flows or turns):
         return y0
     parts = [y0, jnp.zeros(flows)]
@@ -293,7 +293,7 @@ def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
 
 
 def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
-    """The rates of a state of n numbers, of the energies that flow and of the turn, if wanted."""
+    """Return the rates of n numbers of the state, and of energy integrals and turn, if wanted."""
 
     def field(t: Any, y: State, args: Any) -> State:
         rate = equation(t, y[:n], args)
@@ -310,7 +310,7 @@ def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
 
 
 def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
-    """The attitudes of states that end with a turn, relative to the first."""
+    """Return the attitudes of states that end with a turn, relative to the first."""
     axis = twist_axis(equation)
     return jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys)
 
@@ -318,9 +318,9 @@ def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
 def _up_to_event(
     times: Float[Array, "T"], solution: Any
 ) -> tuple[Float[Array, "T"], Float[Array, "T m"]]:
-    """Times and states, those of the event behind it; of a run that failed, inf for states.
+    """Return times and states, with the values of an event after it; inf where a run failed.
 
-    diffrax saves the end of the run behind the last of `times` that it reached.
+    diffrax saves the end of the run after the last of `times` that it reached.
     """
     end = jnp.sum(jnp.isfinite(solution.ts)) - 1
     behind, is_event = jnp.arange(times.size) >= end, diffrax.is_event(solution.result)
@@ -339,7 +339,7 @@ def _solve(
     options: Any,
     q0: Float[Array, "4"] | None,
 ) -> tuple[Trajectory, Any]:
-    """The motion by diffrax, and diffrax's result."""
+    """Return the motion by diffrax, and diffrax's result."""
     n = y0.shape[0]
     balance, turns = options.get("balance", False), q0 is not None
     flows = 0
@@ -369,7 +369,7 @@ def _solve(
         times = jnp.asarray(solution.ts)
     elif options.get("event") is not None:
         times, ys = _up_to_event(times, solution)
-    # States that were not reached have NaN for derivatives, too; those of diffrax's inf are 0.
+    # States that were not reached shall have derivatives NaN, but diffrax's inf has derivatives 0.
     # NaN multiplies a number that depends on all inputs, since `where` would put NaN into the
     # reverse-mode derivatives of complete runs.
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))

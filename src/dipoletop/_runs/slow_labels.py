@@ -1,8 +1,8 @@
-"""How exact a motion must be once it has become slow, if no more than its outcome is wanted.
+"""The accuracy that a slow motion needs if only its outcome is wanted.
 
-Where all slow motions have the same outcome it does not matter which of them a run is on. There an
-absolute tolerance saves many steps. Elsewhere a slow motion may still be near the
-boundary between outcomes, and an error that is large against it would decide in its place.
+Where all slow motions have the same outcome, an absolute tolerance saves many steps. Elsewhere a
+slow motion may still be near the boundary between outcomes, and an error that is larger than the
+motion could change the outcome.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from .classification import Value
 
 
 def exact_when_slow(equation: Any, value: Value) -> Any:
-    """Whether runs are to be exact to their ends: one truth value, or one for each δ."""
+    """Return whether runs need a relative accuracy to the end: one value, or one for each δ."""
     if value or type(equation) not in (*TRANSVERSE, *LONGITUDINAL):
         return True
     if type(equation) in LONGITUDINAL:  # always residual
@@ -29,6 +29,6 @@ def exact_when_slow(equation: Any, value: Value) -> Any:
 
 
 def level_of_top(equation: Any) -> Level:
-    """The level whose boundaries a transverse top has; those of the full one are semi-reduced."""
+    """Return the level whose basin boundaries a top has: SEMI for the full equation."""
     order = getattr(equation, "order", None)
     return Level.SEMI if order is None else Level.of_order(order)

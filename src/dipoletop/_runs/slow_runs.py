@@ -1,16 +1,16 @@
-"""Runs that radiate too slowly to be followed: the slow flow tells how they end.
+"""Runs that radiate too slowly to be followed, whose end the slow flow predicts.
 
 A run turns about 1/(τ₀Ω) times before its outcome is certain, so its cost grows without bound as
-the amplitude falls. Where the estimated number of steps exceeds the budget, the engine only looks
-at the first state, and the averages over free rotation (`_averaging`) give what is left open.
+the amplitude falls. Where the estimated number of steps exceeds the budget, the engine only tests
+the first state, and averages over free rotation (`_averaging`) predict what it does not decide.
 
-The number of steps of a run is estimated from the phase of the precession about the dipole that
-passes while the motion comes to it. With the dipole on the axis c of a body (others a, b), angles
-to it fall as exp(−κL∞²|f′|t), f′ = −[J_c(J_a+J_b) − (J_a−J_b)²]/(2J_a²J_b²J_c), and the precession
-has the frequency L∞√|(p_c−p_a)(p_c−p_b)|, p = 1/J. Of a needle, J_a = J_c, it is δz, with
-z = ω₃/ω⊥² that falls as z′ = −(3/2)δz/(1−δ) per unit of phase: the phase is (2/3)(1−δ)z. Most of
-either passes late, so L∞ counts, which the slow flow knows. The factors were measured on 400
-bodies: of 90 % of the runs the number is off by less than a factor of three.
+The number of steps of a run is estimated from the phase of the precession about the dipole until
+the motion is aligned with it. With the dipole on the axis c of a body (others a, b), angles to it
+fall as exp(−κL∞²|f′|t), f′ = −[J_c(J_a+J_b) − (J_a−J_b)²]/(2J_a²J_b²J_c), and the precession has
+the frequency L∞√|(p_c−p_a)(p_c−p_b)|, p = 1/J. For a needle, J_a = J_c, the frequency is δz, where
+z = ω₃/ω⊥² falls as z′ = −(3/2)δz/(1−δ) per unit of phase: the phase is (2/3)(1−δ)z. Most of the
+phase passes late, so it depends on L∞, which the slow flow gives. The factors were measured on 400
+bodies: for 90 % of the runs the number is right within a factor of three.
 """
 
 from collections.abc import Callable
@@ -40,14 +40,14 @@ wherever the first state does not decide (True), or not at all (False)."""
 
 PER_PHASE, PER_NEEDLE = (1.0, 1.2), (1.95, 1.7)
 """Steps per radian, for the outcome and with ω∞, at rtol = 1e-8: of a body, of a needle."""
-WINDOWS = 0.2  # of a run along a physical branch, in units of these steps
-NEAR_AXIS = 1e-4  # sin² of the angle between L and the dipole at which runs end, about
+WINDOWS = 0.2  # windows of a run along a physical branch, in units of these steps
+NEAR_AXIS = 1e-4  # approximate sin² of the angle between L and the dipole at which runs end
 LEAST_RATIO = 1e-3
-"""The L∞/L₀ that is taken for granted before the slow flow is asked; runs that slow down further
-are found when they have exhausted their budget."""
+"""The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
+found when they have exhausted their budget."""
 ROUNDING = ROUNDINGS * float(np.finfo(float).eps)
-MARGIN = 0.75  # of the budget: hardly a run whose estimate exceeds that takes less than half of it
-EQUAL = 0.05  # relative difference of moments up to which the formula of needles is looked at, too
+MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
+EQUAL = 0.05  # relative difference of moments up to which the formula of needles is also used
 
 
 class SlowMotions(NamedTuple):
@@ -62,15 +62,15 @@ class SlowMotions(NamedTuple):
     """Whether the budget counts windows."""
 
     def ends(self, which: Bool[np.ndarray, "N"]) -> ManyEnds:
-        """How those of the motions end."""
+        """Return how the marked motions end."""
         return ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
 
     @property
     def has_law(self) -> Bool[np.ndarray, "N"]:
         """Whether a law is known.
 
-        Order 1 has another limit where a needle with its dipole across is captured. And moments
-        that differ by a rounding only would count as equal.
+        It is not known for the capture of needles at order 1, which has another limit. Nor is it
+        for moments that differ by rounding only, which would count as equal.
         """
         moments, n, _ = _in_principal_axes(self.inertia, self.dipole, self.omega)
         order = np.argsort(moments, axis=1)
@@ -84,9 +84,9 @@ class SlowMotions(NamedTuple):
     def steps(
         self, ratio: Float[np.ndarray, "N"] | float, rtol: float, label_only: bool
     ) -> Float[np.ndarray, "N"]:
-        """The estimated number of steps of the runs (see above), if L∞/L₀ = ratio."""
+        """Estimate the number of steps of the runs (module docstring) if L∞/L₀ = ratio."""
         moments, n, omega = _in_principal_axes(self.inertia, self.dipole, self.omega)
-        c = np.argmax(np.abs(n), axis=1)  # the dipole's axis; the formula is symmetric in a and b
+        c = np.argmax(np.abs(n), axis=1)  # the axis of the dipole
         (jc, ja, jb), (wc, wa, wb) = (
             [_of_axis(values, (c + k) % 3) for k in range(3)] for values in (moments, omega)
         )
@@ -99,7 +99,7 @@ class SlowMotions(NamedTuple):
             pa, pb = (1 / jc - 1 / j for j in (ja, jb))
             folds = np.log1p(across / square / NEAR_AXIS)
             slow = np.sqrt(np.abs(pa * pb)) / (2 * kappa * momentum * ratio * decay) * folds
-            # A stop takes as long as L needs to fall.
+            # A stop lasts until L has fallen.
             gap = np.maximum(np.maximum(np.abs(pa), np.abs(pb)), np.abs(pa - pb))
             slow = np.where(ratio == 0, gap * jc**3 / (2 * kappa * momentum), slow)
             needle = np.zeros_like(slow)
@@ -115,26 +115,26 @@ class SlowMotions(NamedTuple):
 def _of_axis(
     values: Float[np.ndarray, "N 3"], axis: Int[np.ndarray, "N"]
 ) -> Float[np.ndarray, "N"]:
-    """The components along an axis of each body, most often the same one."""
+    """Return the components along an axis of each body; fast if it is the same for all."""
     if np.all(axis == axis[0]):
         return values[:, axis[0]]
     return np.take_along_axis(values, axis[:, None], 1)[:, 0]
 
 
 def _phase_of_needle(j: Any, along: Any, across: Any) -> Any:
-    """The phase of the precession of a needle before its capture, but for a factor."""
+    """Return the phase of the precession of a needle before its capture, up to a factor."""
     return j * np.abs(along) / across
 
 
 def _steps_per_radian(rtol: float, label_only: bool) -> tuple[float, float]:
-    """The steps per radian of a body and of a needle."""
+    """Return the steps per radian of a body and of a needle."""
     of_body, of_needle = (x[int(not label_only)] for x in (PER_PHASE, PER_NEEDLE))
     factor = (1e-8 / rtol) ** 0.125
     return factor * of_body, factor * of_needle
 
 
 def slow_motions(equation: Any, omegas: Any) -> SlowMotions:
-    """The slow motions of N starts, shape (3, N).
+    """Return the slow motions of N starts, shape (3, N).
 
     The array fields of `equation` have a trailing axis of N lanes.
     """
@@ -151,20 +151,20 @@ def slow_motions(equation: Any, omegas: Any) -> SlowMotions:
 
 
 def _is_consistent(equation: Any) -> bool:
-    """Whether the level keeps every term of leading order."""
+    """Return whether the level keeps every term of leading order."""
     return getattr(equation, "order", None) != 1
 
 
 def _long_runs(
     equation: Any, omegas: Any, budget: float, rtol: float, label_only: bool
 ) -> Bool[np.ndarray, "N"]:
-    """The runs whose estimated number of steps exceeds a budget if L∞ is as small as is assumed."""
+    """Return which runs exceed a budget of steps, by the estimate with the assumed L∞."""
     if type(equation) not in TRANSVERSE:
         steps = slow_motions(equation, omegas).steps(LEAST_RATIO, rtol, label_only)
         return steps > budget
     # The same formula for moments 1, 1 and 1 − δ, where most terms vanish: only needles are slow.
     delta, (w1, w2, w3) = np.asarray(equation.delta), np.asarray(omegas)
-    if not _is_consistent(equation):  # their law is not known, so there is no use in waiting
+    if not _is_consistent(equation):  # their law is not known, so a prediction is not possible
         return np.zeros_like(w1, bool)
     budget = budget / WINDOWS if is_full(equation) else budget
     with np.errstate(all="ignore"):
@@ -173,10 +173,10 @@ def _long_runs(
 
 
 def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
-    """Refuse True where nothing can be predicted, and what is none of the choices.
+    """Refuse True where nothing can be predicted, and values that are not among the choices.
 
     Args:
-        slow_flow: as the user gave it.
+        slow_flow: the argument of the user.
         equation: the equation of the runs.
         why_not: another reason why nothing can be predicted.
     """
@@ -188,14 +188,14 @@ def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
 
 
 def is_predictable(equation: Any) -> bool:
-    """Whether the runs of an equation can be predicted."""
+    """Return whether the runs of an equation can be predicted."""
     return not _why_not(equation)
 
 
 def _why_not(equation: Any) -> str:
-    """Why the runs of an equation cannot be predicted; empty if they can.
+    """Return the reason why the runs of an equation cannot be predicted, or an empty text.
 
-    A class of the user's own, or one that adds a torque, has another slow motion.
+    A class of the user, or one with a torque from outside, has another slow motion.
     """
     if jnp.result_type(float) != jnp.float64:
         return "float64 is off"
@@ -213,15 +213,15 @@ def with_predictions(
     label_only: bool,
     every: bool,
 ) -> Classification:
-    """The classifications of N runs, predicted where they would exceed the budget.
+    """Return the classifications of N runs, predicted where they would exceed the budget.
 
     Args:
-        run: classifies the runs, in NumPy; of those that are not marked it only looks at the first
+        run: classifies the runs, in NumPy; for runs that are not marked it tests only the first
             state.
         begin: the predictable equation, with a trailing axis of N lanes, and the starts (3, N).
         limits: their tolerance and budget; a run with t1 ≤ 0 is not wanted.
-        label_only: whether ω∞ is not wanted.
-        every: whether all that the first state does not decide is predicted.
+        label_only: whether only the outcome is wanted.
+        every: whether all runs that the first state does not decide are predicted.
     """
     rtol, most, wanted = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1) > 0
     budget = MARGIN * most
@@ -231,7 +231,7 @@ def with_predictions(
     if not unknown.any():
         return runs
     unknown &= wanted
-    if not every:  # of the runs that were made, those that have exhausted the budget
+    if not every:  # predict the runs that have exhausted the budget
         unknown &= waiting | (runs.steps >= most)
     lanes = np.flatnonzero(unknown)
     if not lanes.size:
@@ -252,14 +252,14 @@ def with_predictions(
 
 
 def _is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
-    """Whether a run lacks its outcome, or an ω∞ that is wanted, which then has no error either."""
+    """Return whether the outcome of a run, or a wanted ω∞, is not known."""
     undecided = np.asarray(runs.outcome == Outcome.UNDECIDED)
     lacks_value = (runs.outcome == Outcome.RESIDUAL) & np.isnan(runs.omega_inf_error)
     return undecided if label_only else undecided | np.asarray(lacks_value)
 
 
 def _scattered(ends: ManyEnds, which: Bool[np.ndarray, "N"]) -> ManyEnds:
-    """The ends at their places among N; the others are FAILED."""
+    """Return N ends, with the given ones at the marked places; the others are FAILED."""
     whole = _unknown_ends(which.size)
     for target, values in zip(whole, ends, strict=True):
         target[which] = values
@@ -267,7 +267,7 @@ def _scattered(ends: ManyEnds, which: Bool[np.ndarray, "N"]) -> ManyEnds:
 
 
 def _unknown_ends(size: int) -> ManyEnds:
-    """FAILED ends of so many motions."""
+    """Return FAILED ends of `size` motions."""
     blank = [np.zeros(size) for _ in range(4)]
     omega_inf, ratio, regime, error = blank
     outcome = np.full(size, int(Outcome.FAILED))
@@ -275,14 +275,14 @@ def _unknown_ends(size: int) -> ManyEnds:
 
 
 def _where(which: Bool[np.ndarray, "N"], new: Any, old: Any) -> Any:
-    """Those of the new runs that are marked, else the old ones."""
+    """Return the new runs where they are marked, else the old ones."""
     return jax.tree.map(lambda a, b: np.where(which, a, b), new, old)
 
 
 def _filled_in(
     runs: Classification, ends: ManyEnds, known: Bool[np.ndarray, "N"], motions: SlowMotions
 ) -> Classification:
-    """What the slow flow knows of runs that lack it; nothing of it is certified."""
+    """Fill in unknown outcomes and ω∞ by the slow flow, which certifies nothing."""
     implied = implied_probability(runs.outcome)
     label = known & (runs.outcome == Outcome.UNDECIDED)
     agrees = (runs.outcome == Outcome.RESIDUAL) & (ends.outcome == Outcome.RESIDUAL)
@@ -301,7 +301,7 @@ def _filled_in(
 
 
 def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
-    """The way in which tops stop, if it is no matter of chance.
+    """Return the way in which tops stop, unless chance decides it.
 
     A top with its dipole across its symmetry axis precesses about that axis while it decays.
     """
@@ -328,7 +328,7 @@ def _in_principal_axes(
     dipole: Float[np.ndarray, "N 3"],
     omega: Float[np.ndarray, "N 3"],
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Moments, the direction of the dipole, and ω, in principal axes of any order."""
+    """Return moments, direction of the dipole, and ω in principal axes, in any order."""
     moments = np.diagonal(inertia, axis1=1, axis2=2)
     n = dipole / np.linalg.norm(dipole, axis=1, keepdims=True)
     turned = inertia[:, [0, 0, 1], [1, 2, 2]] != 0

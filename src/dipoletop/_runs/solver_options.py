@@ -63,7 +63,7 @@ def check_options(options: Options) -> None:
             instance(name, value, kind, must)
     step = options.get("dt0")
     if step is not None:
-        options["dt0"] = positive("dt0", step, batch=False)  # of a number nothing is compiled anew
+        options["dt0"] = positive("dt0", step, batch=False)  # an array, so that nothing recompiles
     elif isinstance(options.get("stepsize_controller"), diffrax.ConstantStepSize):
         refuse("dt0", "be given with `diffrax.ConstantStepSize`, as its step", "is None")
     saveat = options.get("saveat")
@@ -75,7 +75,7 @@ def check_options(options: Options) -> None:
 
 
 def check_branch_options(options: Options) -> None:
-    """Refuse what is for diffrax, which cannot follow a physical branch."""
+    """Refuse options for diffrax, which cannot follow a physical branch."""
     for name, value in options.items():
         if name not in OF_BRANCH and value:
             refuse(
@@ -88,7 +88,7 @@ def check_branch_options(options: Options) -> None:
 
 
 def saved_at(options: Options, times: Float[Array, "T"]) -> diffrax.SaveAt:
-    """What diffrax saves: the states at `times`, and at the event if there is one."""
+    """Return what diffrax saves: the states at `times`, and at the event if there is one."""
     saveat, dense = options.get("saveat"), options.get("dense", False)
     if saveat is None:
         return diffrax.SaveAt(ts=times, t1=options.get("event") is not None, dense=dense)
@@ -96,7 +96,7 @@ def saved_at(options: Options, times: Float[Array, "T"]) -> diffrax.SaveAt:
 
 
 def event_of(options: Options, n: int) -> diffrax.Event | None:
-    """The event, whose conditions see the n numbers of the equation's state only."""
+    """Return the event, whose conditions receive only the n numbers of the equation's state."""
     event = options.get("event")
     if event is None:
         return None
@@ -112,6 +112,6 @@ def event_of(options: Options, n: int) -> diffrax.Event | None:
 
 
 def _takes_more(condition: Callable[..., Any]) -> bool:
-    """Whether a condition takes the keywords with which diffrax calls it, too."""
+    """Return whether a condition takes the keywords with which diffrax calls it."""
     kinds = {x.kind for x in inspect.signature(condition).parameters.values()}
     return inspect.Parameter.VAR_KEYWORD in kinds

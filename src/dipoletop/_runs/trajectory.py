@@ -1,4 +1,4 @@
-"""A simulated motion: its states, and the energies, powers and balance that follow from them."""
+"""A simulated motion: its states, and the energies, powers and balance computed from them."""
 
 import functools
 from typing import Any
@@ -31,22 +31,22 @@ from ..equations.levels import level_of
 
 @compiled_soon
 def _rotated(q: Float[Array, "*all 4"], v: Float[Array, "..."]) -> Float[Array, "*all 3"]:
-    """q∘v∘q*, of one vector or of as many as there are quaternions."""
+    """Compute q∘v∘q*, of one vector or of one vector for each quaternion."""
     v = jnp.broadcast_to(v, (*q.shape[:-1], 3))
     return jnp.moveaxis(rotate(jnp.moveaxis(q, -1, 0), jnp.moveaxis(v, -1, 0)), 0, -1)
 
 
 class BranchSolution(eqx.Module):
-    """How a motion on the physical branch was computed; it stands in for diffrax's `Solution`."""
+    """The counterpart of diffrax's `Solution` for a motion on the physical branch."""
 
     stats: dict[str, Int[Array, ""]]
     """`num_steps`: the number of windows solved."""
     reached: Float[Array, ""]
-    """The last time up to which the motion is known."""
+    """The time up to which the motion is known."""
 
 
 def _batch_axes(trajectory: Any) -> int:
-    """The number of batch axes of a trajectory."""
+    """Return the number of batch axes of a trajectory."""
     ts, ys = trajectory.ts.shape, trajectory.ys.shape
     if ts != ys[:-1]:
         must = "have its batch axes in front of all its arrays, as `jax.vmap` puts them"
@@ -90,7 +90,7 @@ class Trajectory(eqx.Module):
     _attitude: Float[Array, "*batch T 4"] | None = None
 
     def __repr__(self) -> str:
-        """The level, the range of times and the number of steps; shapes of what is traced."""
+        """Return the level, the range of times and the number of steps; if traced, the shapes."""
         steps = self.stats["num_steps"]
         known = [isinstance(x, jax.Array | np.ndarray) for x in (self.ts, self.ys, steps)]
         if not (all(known) and concrete(self.ts, self.ys, steps)):
@@ -133,9 +133,9 @@ class Trajectory(eqx.Module):
     def balance_defect(self) -> Float[Array, "*batch T"]:
         """Change of E − d₁·d₂ + ∫(|d₂|² − Ω·M)dτ since the first time, over the initial energy.
 
-        M is the torque from outside, if there is one. Zero for the full equation, whatever the
-        motion. At a reduced level the defect measures the distance from the full equation. Of a
-        motion that begins at rest it is absolute.
+        M is the torque from outside, if there is one. The defect is zero for any motion of the full
+        equation. At a reduced level it measures the distance from the full equation. For a motion
+        that begins at rest it is absolute.
 
         Raises:
             ValueError: the trajectory was computed without `balance=True`.
@@ -184,7 +184,7 @@ class Trajectory(eqx.Module):
         return self.to_laboratory(self._body.dipole)
 
     def to_laboratory(self, vectors: ArrayLike) -> Float[Array, "*batch T 3"]:
-        """v_lab = q∘v∘q*: vectors in body axes, in the laboratory.
+        """Compute v_lab = q∘v∘q*, the laboratory components of vectors in body axes.
 
         Args:
             vectors: one vector at each time, such as `omega`, shape (T, 3) behind any batch axes;
@@ -224,11 +224,11 @@ class Trajectory(eqx.Module):
 
     @property
     def _body(self) -> Any:
-        """The body; not every equation has one."""
+        """The body of the equation, if it has one."""
         return self.equation.body  # pyright: ignore[reportAttributeAccessIssue]
 
     def evaluate(self, t: NumberLike | ArrayLike) -> Float[Array, "..."]:
-        """ω at any times within the run, by the solver's own interpolation (`dense=True`).
+        """Compute ω at any times within the run, by the solver's own interpolation (`dense=True`).
 
         Args:
             t: τ, of any shape.

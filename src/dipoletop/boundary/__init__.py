@@ -1,9 +1,9 @@
 """The basin boundary, for any problem that `sweep` takes.
 
 `fate` numbers the ways to end, `bisect` finds the boundary on segments to rounding, `normal` and
-`derivative` give its direction and how it moves with a parameter, `trace` follows its curve in a
-plane, `edge_state` the motion on it to its saddle, `minimal_kick` finds its distance from a start,
-and `residual_share` the share of segments inside and its derivatives.
+`derivative` give its direction and how it moves with a parameter. `trace` follows its curve in a
+plane, `edge_state` the motion on it to its saddle. `minimal_kick` finds its distance from a start,
+and `residual_share` the share of segments that ends in residual rotation, with its derivatives.
 """
 
 from .crossings import Crossings, bisect, derivative, normal

@@ -1,7 +1,7 @@
 """Where segments cross a basin boundary, to rounding, and its normals and derivatives there.
 
-The boundary between two fates is found from labels alone: segments are divided into many parts,
-one sweep after another. On its residual side ω∞ itself determines the boundary: there
+The boundary between two fates is found from labels alone: sweep after sweep divides segments into
+many parts. On its residual side ω∞ itself determines the boundary: there
 
     |ω∞| ~ distance^α × (a smooth function),        α > 0,
 
@@ -29,13 +29,13 @@ from .._maps.sweep import sweep
 from .._runs.classification import UNCHECKED
 from .fates import Fate, fate, is_residual
 
-RTOL = 1e-10  # of the runs, unless the user gives another
-ROUNDING = 2.0**-52  # width of a bracket, as a fraction of its segment, that rounding allows
+RTOL = 1e-10  # default relative tolerance of the runs
+ROUNDING = 2.0**-52  # smallest width of a bracket, as a fraction of its segment
 TILE = 128  # points that a sweep integrates at about the cost of one
-DISTANCE = 10.0  # from the boundary to where its normal is taken, in units of rtol
+DISTANCE = 10.0  # distance from the boundary at which its normal is taken, in units of rtol
 
 Coordinates = dict[str, Float[np.ndarray, "N"]]
-"""N points by the names of their coordinates, which are the arguments of a problem."""
+"""The coordinates of N points, by the names of the arguments of a problem."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class Crossings:
     Attributes:
         problem: the problem whose boundary it is.
         a: the coordinates of one end of each segment, name = values of shape (N,).
-        b: those of the other end.
+        b: the coordinates of the other end.
         bracket: fractions of the segments between which the fate changes, shape (N, 2).
         fates: the fates at the two sides of the bracket, shape (N, 2).
-        settings: those of the sweeps.
+        settings: the settings of the sweeps.
 
-    Properties: `found`, whether a segment is crossed; `s`, the fraction at which it is; `width` of
-    the bracket; `before` and `after`, the coordinates of its two sides; and `at(s)`, the
-    coordinates at any fractions.
+    Properties: `found`, whether a segment crosses the boundary; `s`, the fraction at which it does;
+    `width` of the bracket; `before` and `after`, the coordinates of its two sides; and `at(s)`,
+    the coordinates at any fractions.
     """
 
     problem: Problem
@@ -63,7 +63,7 @@ class Crossings:
     settings: dict[str, Any]
 
     def at(self, s: Float[np.ndarray, "N *m"]) -> dict[str, Float[np.ndarray, "N *m"]]:
-        """The coordinates at fractions s of the segments: a + s(b − a)."""
+        """Return the coordinates at fractions s of the segments: a + s(b − a)."""
         shape = (-1,) + (1,) * (s.ndim - 1)
         a = {name: values.reshape(shape) for name, values in self.a.items()}
         return {name: a[name] + s * (self.b[name].reshape(shape) - a[name]) for name in a}
@@ -75,12 +75,12 @@ class Crossings:
 
     @property
     def s(self) -> Float[np.ndarray, "N"]:
-        """The fraction of the segment at which it is crossed, in [0, 1]."""
+        """The fraction of the segment at which it crosses the boundary, in [0, 1]."""
         return self.bracket.mean(axis=1)
 
     @property
     def width(self) -> Float[np.ndarray, "N"]:
-        """Of the bracket, as a fraction of the segment: about 2e-16 if all runs were decided."""
+        """The width of the bracket over the segment: about 2e-16 if all runs were decided."""
         return self.bracket[:, 1] - self.bracket[:, 0]
 
     @property
@@ -101,17 +101,17 @@ class Crossings:
 def bisect(
     problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], **settings: Any
 ) -> Crossings:
-    """The boundary between the fates of a and b on the segments a + s(b − a), to rounding.
+    """Find the boundary between the fates of a and b on the segments a + s(b − a), to rounding.
 
-    All segments are divided at once, each into many parts, and of the parts in which the fate
-    changes the first is divided again. So the change is that nearest to a, among those that the
-    parts showed. A point that is undecided or failed is ignored: the bracket stays between the
-    last decided points, and its `width` shows it.
+    All segments are divided at once, each into many parts. The first part in which the fate changes
+    is divided again. So the crossing is the one nearest to a, among the changes that the parts
+    show. A point that is undecided or failed is ignored: the bracket stays between the last
+    decided points, and its `width` shows it.
 
     Args:
         problem: a problem as for `sweep`.
         a: coordinates of one end, name = a number or shape (N,): the arguments of `problem`.
-        b: those of the other end.
+        b: coordinates of the other end.
         settings: rtol, here 1e-10, atol, max_steps, devices and engine, as in `sweep`. The
             computed boundary is itself uncertain by about `rtol`.
 
@@ -133,7 +133,7 @@ def bisect(
     crossings = narrow(new_crossings(problem, a, b, settings))
     if not crossings.found.any():
         for end in (crossings.a, crossings.b):
-            problem(**{name: x[0] for name, x in end.items()})  # says why, if it cannot be made
+            problem(**{name: x[0] for name, x in end.items()})  # raises if the arguments are bad
         fates = crossings.fates[0].tolist()
         refuse("b", "end otherwise than `a` in some segment", f"the fates are {fates} in the first")
     return crossings
@@ -142,13 +142,13 @@ def bisect(
 def new_crossings(
     problem: Problem, a: Mapping[str, Any], b: Mapping[str, Any], settings: dict[str, Any]
 ) -> Crossings:
-    """The segments of a user, checked, before anything is known of them."""
+    """Check a user's segments, and return them with the whole segment as the bracket."""
     check_problem(problem)
     return unsearched(jax.jit(problem), *_broadcast_ends(a, b), settings)
 
 
 def _broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordinates, Coordinates]:
-    """Both ends as arrays of one length."""
+    """Return both ends as arrays of one length."""
     if not (isinstance(a, Mapping) and a):
         refuse("a", "map the names of coordinates to values", f"is {a!r}")
     if not (isinstance(b, Mapping) and set(b) == set(a)):
@@ -166,7 +166,7 @@ def _broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordin
 def unsearched(
     problem: Problem, a: Coordinates, b: Coordinates, settings: dict[str, Any]
 ) -> Crossings:
-    """Segments before anything is known of them: the bracket is the whole segment."""
+    """Return segments whose bracket is the whole segment."""
     check_settings(settings)
     length = len(next(iter(a.values())))
     bracket = np.tile([0.0, 1.0], (length, 1))
@@ -175,7 +175,7 @@ def unsearched(
 
 
 def unsearched_rows(crossings: Crossings, rows: Int[np.ndarray, "n"]) -> Crossings:
-    """The segments of these rows, before anything is known of them."""
+    """Return the segments of the given rows, with the whole segment as the bracket."""
     a = {name: values[rows] for name, values in crossings.a.items()}
     b = {name: values[rows] for name, values in crossings.b.items()}
     return unsearched(crossings.problem, a, b, crossings.settings)
@@ -184,15 +184,15 @@ def unsearched_rows(crossings: Crossings, rows: Int[np.ndarray, "n"]) -> Crossin
 def _sweep_at(
     crossings: Crossings, s: Float[np.ndarray, "N *m"], derivatives: tuple[str, ...] = ()
 ) -> Basin:
-    """A sweep over the points at these fractions, in C order."""
+    """Sweep over the points at the given fractions, in C order."""
     points = Points(**{name: x.ravel() for name, x in crossings.at(s).items()})
-    # Unchecked: near the boundary of the computed map the sign of ω∞ is not certain.
+    # Unchecked, since near the computed boundary the sign of ω∞ is not certain.
     settings = crossings.settings | {"value": UNCHECKED, "derivatives": derivatives}
     return sweep(crossings.problem, points, **settings)
 
 
 def fates_at(crossings: Crossings, s: Float[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
-    """The fates of the points at these fractions."""
+    """Return the fates of the points at the given fractions."""
     return fate(_sweep_at(crossings, np.nan_to_num(s))).reshape(s.shape)
 
 
@@ -201,8 +201,8 @@ def narrow(
 ) -> Crossings:
     """Divide the brackets until they are as narrow as `width`.
 
-    A segment whose ends have the same fate is not crossed, unless `ends_may_agree`: then its first
-    part with another fate counts.
+    A segment whose ends have the same fate has no crossing, unless `ends_may_agree`: then its
+    first part with another fate counts.
     """
     bracket, fates = crossings.bracket, crossings.fates
     parts = int(np.clip(TILE // len(bracket), 16, TILE)) - 1  # at least 4 bits a sweep, nearly
@@ -211,7 +211,7 @@ def narrow(
         s = bracket[:, :1] + (bracket[:, 1:] - bracket[:, :1]) * np.linspace(0, 1, parts + 1)
         s[:, -1] = bracket[:, 1]
         seen = fates_at(crossings, s)
-        if division > 0:  # the ends have their fates from the division before
+        if division > 0:  # the fates of the ends are known from the division before
             seen[:, [0, -1]] = fates
         change, crossed = first_change(seen)
         ends_differ = (seen[:, 0] != seen[:, -1]) & (seen[:, -1] > Fate.UNDECIDED)
@@ -226,9 +226,9 @@ def narrow(
 def first_change(
     fates: Int[np.ndarray, "N m"],
 ) -> tuple[Int[np.ndarray, "N 2"], Bool[np.ndarray, "N"]]:
-    """The first place with another fate than place 0 and the last before it; whether there is one.
+    """Return the last place before a change of fate and the first after it, and whether it exists.
 
-    Places without a fate are passed over.
+    Places without a fate are skipped.
     """
     decided = fates > Fate.UNDECIDED
     other = decided & (fates != fates[:, :1])
@@ -241,23 +241,23 @@ def first_change(
 def normal(
     crossings: Crossings, names: str | Sequence[str], *, distance: float | None = None
 ) -> Float[np.ndarray, "N k"]:
-    """The unit normal ∇|ω∞| / |∇|ω∞|| of the boundary in these coordinates, at each crossing.
+    """Compute ∇|ω∞| / |∇|ω∞||, the unit normal of the boundary, at each crossing.
 
-    It points into the side of residual rotation; between two of opposite senses, into that of a.
+    It points to the side of residual rotation; between two opposite senses, to the side of a.
 
     Args:
         crossings: a result of `bisect`.
         names: coordinates of the problem, k of them, parameters such as δ among them.
-        distance: from the boundary, in units of the segment, where ω∞ is differentiated; None
-            means 10 rtol. The error of the direction is of this size; but nearer than rtol the
-            runs may lie on the other side.
+        distance: the distance from the boundary, in units of the segment, at which ω∞ is
+            differentiated; None means 10 rtol. The error of the direction is of this size; but
+            nearer than rtol the runs may lie on the other side.
 
     Returns:
-        Shape (N, k); NaN where neither side is one of residual rotation, or where that is
-        thinner than `distance`.
+        Shape (N, k); NaN where neither side is of residual rotation, or where that side is thinner
+        than `distance`.
 
     Raises:
-        ValueError: a name that is no coordinate; a distance that is not positive.
+        ValueError: a name that is not a coordinate; a distance that is not positive.
 
     Example:
         >>> import dipoletop as dt
@@ -279,7 +279,7 @@ def normal(
 def residual_gradient(
     crossings: Crossings, names: tuple[str, ...], distance: float | None
 ) -> Float[np.ndarray, "N k"]:
-    """∇|ω∞| at a small distance from the boundary, on the side of residual rotation."""
+    """Compute ∇|ω∞| at a small distance from the boundary, on the side of residual rotation."""
     for name in names:
         if name not in crossings.a:
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
@@ -296,14 +296,14 @@ def residual_gradient(
 
 
 def residual_at_a(crossings: Crossings) -> Bool[np.ndarray, "N"]:
-    """Whether the side of a is one of residual rotation."""
+    """Return whether the side of a is of residual rotation."""
     return is_residual(crossings.fates[:, 0])
 
 
 def derivative(
     crossings: Crossings, of: str, by: str | Sequence[str], *, distance: float | None = None
 ) -> Float[np.ndarray, "N *k"]:
-    """dx/dp = −(∂ω∞/∂p)/(∂ω∞/∂x): how the boundary moves along x = `of` with p = `by`.
+    """Compute dx/dp = −(∂ω∞/∂p)/(∂ω∞/∂x), by which the boundary moves along x = `of` with p = `by`.
 
     Args:
         crossings: a result of `bisect`; both names are among its coordinates.
@@ -316,7 +316,7 @@ def derivative(
         `normal`.
 
     Raises:
-        ValueError: a name that is no coordinate, or twice the same; a distance not positive.
+        ValueError: a name that is not a coordinate, or twice the same; a distance not positive.
 
     Example:
         The universal boundary of slow tops moves by dz_s/dδ = 32.6859 at φ = 0:

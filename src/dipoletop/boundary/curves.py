@@ -1,6 +1,6 @@
 """The boundary curve in a plane of two coordinates, by pseudo-arclength continuation.
 
-From a boundary point with unit normal n the next one is sought near
+From a boundary point with unit normal n the next point is sought near
 
     point + h R(β/2) t,        t ⊥ n,
 
@@ -24,12 +24,12 @@ from .._base.tolerances import budget
 from .._base.types import Equation
 from .crossings import DISTANCE, Crossings, narrow, residual_at_a, residual_gradient, unsearched
 
-PRECISION = 1e-10  # of the points of a curve, in units of the box
+PRECISION = 1e-10  # error of the points of a curve, in units of the box
 GOOD_TURN, MOST_TURN = 0.35, 0.5  # radians from one point of a curve to the next
-LEAST_TURN = 1e-9  # radians: as good as straight, so that a step never grows without bound
-LEAST_STEP = 2.0**-16  # in units of the longest step: with less the curve counts as lost
+LEAST_TURN = 1e-9  # radians: a lower bound, so that a step never grows without bound
+LEAST_STEP = 2.0**-16  # in units of the longest step; below it the curve counts as lost
 GROWTH = 1.5  # largest factor from one step to the next
-REACHES = (1 / 8, 1 / 2)  # to both sides of the predicted point, in units of the step
+REACHES = (1 / 8, 1 / 2)  # half lengths of the segments across the curve, in units of the step
 
 Vector = Float[np.ndarray, "2"]
 
@@ -38,11 +38,11 @@ class CurveEnd(enum.StrEnum):
     """Why a boundary curve ends."""
 
     CLOSED = "closed"
-    """It came back to its first point."""
+    """The curve came back to its first point."""
     BOUNDS = "bounds"
-    """It leaves the box."""
+    """The curve leaves the box."""
     POINTS = "points"
-    """It has as many points as asked for."""
+    """The curve has as many points as asked for."""
     LOST = "lost"
     """No next point was found with the smallest step, as in a tongue that becomes too thin."""
 
@@ -53,11 +53,11 @@ class Curve(NamedTuple):
     points: Float[np.ndarray, "n 2"]
     """Boundary points in order; a closed curve ends at its first point."""
     normals: Float[np.ndarray, "n 2"]
-    """Unit normals, from the fate of a to that of b of the crossing."""
+    """Unit normals, from the side of a to the side of b of the crossing."""
     shift: Float[np.ndarray, "n 2"] | None
     """How the boundary moves along its normal (in the plane scaled by `bounds`) with `by`."""
     end: CurveEnd
-    """Why it ends; each member equals its word "closed", "bounds", "points" or "lost"."""
+    """The reason why it ends; a member equals its word "closed", "bounds", "points" or "lost"."""
 
     def __repr__(self) -> str:
         return summary(self, "normals", "shift")
@@ -80,21 +80,22 @@ def trace(
     n: int = 200,
     by: str | None = None,
 ) -> Curve:
-    """The boundary curve through a crossing, in the plane of two coordinates, by pseudo-arclength.
+    """Follow the boundary curve through a crossing in a plane of two coordinates.
 
-    After a step along the tangent the boundary is sought across it, between the same two fates,
-    to 1e-10 of the box. A step is halved if that fails or if the curve turns by more than half a
-    radian; so folds are passed, and tongues followed until they are too thin. Where neither side
-    is of residual rotation, the tangent is that of the last two points.
+    The method is pseudo-arclength continuation. After a step along the tangent the boundary is
+    sought across it, between the same two fates, to 1e-10 of the box. A step is halved if that
+    fails or if the curve turns by more than half a radian; so folds are passed, and tongues are
+    followed until they are too thin. Where neither side is of residual rotation, the tangent runs
+    through the last two points.
 
     Args:
-        crossing: one crossing, as `bisect` finds it. All other coordinates are fixed.
+        crossing: one crossing by `bisect`. All other coordinates are fixed.
         bounds: the plane and its box: two coordinates, name = (least, largest).
         step: the longest step, in units of the box. For positive steps the fate of b is on the
             right (the first coordinate to the right, the second upwards); for negative, left.
-        n: how many points at most.
-        by: a coordinate of the problem, such as "delta": `shift` is then computed, the derivative
-            of the boundary by it.
+        n: the largest number of points.
+        by: a coordinate of the problem, such as "delta", for which the derivative `shift` of the
+            boundary is computed.
 
     Returns:
         A `Curve`.
@@ -130,7 +131,7 @@ def trace(
 def _follow(
     start: Crossings, low: Vector, step: float, n: int, by: str | None
 ) -> tuple[list[_BoundaryPoint], CurveEnd]:
-    """From point to point, until the curve closes, leaves the box, is lost, or has n points."""
+    """Step along the curve until it closes, leaves the box, is lost, or has n points."""
     points = [_first_point(start, by)]
     side, h, curvature = np.sign(step), abs(step), 0.0
     while len(points) < n:
@@ -153,7 +154,7 @@ def _follow(
 
 
 def _reaches(point: _BoundaryPoint, goal: _BoundaryPoint, side: float, h: float) -> bool:
-    """Whether the next step would come to the goal, along the same piece of the curve."""
+    """Return whether the next step would come to the goal, along the same piece of the curve."""
     ahead = goal.point - point.point
     along, across = side * _quarter_turn(point.normal) @ ahead, point.normal @ ahead
     same_side = point.normal @ goal.normal > 0
@@ -161,7 +162,7 @@ def _reaches(point: _BoundaryPoint, goal: _BoundaryPoint, side: float, h: float)
 
 
 def _box(crossing: Crossings, bounds: Mapping[str, Any]) -> tuple[Vector, Vector]:
-    """The least corner of the box in units of its size, and that size."""
+    """Return the least corner of the box in units of its size, and that size."""
     instance("crossing", crossing, Crossings)
     low, high = corners_of_box("bounds", bounds)
     if len(crossing.s) != 1 or not crossing.found.all():
@@ -173,7 +174,7 @@ def _box(crossing: Crossings, bounds: Mapping[str, Any]) -> tuple[Vector, Vector
 
 
 def _in_units_of_box(crossing: Crossings, plane: tuple[str, ...], size: Vector) -> Crossings:
-    """The same crossing with the coordinates of the plane in front and in units of the box."""
+    """Return the crossing with the coordinates of the plane first, in units of the box."""
     units = dict(zip(plane, size, strict=True))
     names = [*plane, *(name for name in crossing.a if name not in units)]
 
@@ -186,7 +187,7 @@ def _in_units_of_box(crossing: Crossings, plane: tuple[str, ...], size: Vector) 
 
 
 def _in_plane(point: dict[str, np.ndarray]) -> Vector:
-    """The first two coordinates of a single point."""
+    """Return the first two coordinates of a single point."""
     return np.concatenate(list(point.values())[:2])
 
 
@@ -202,7 +203,7 @@ def _first_point(start: Crossings, by: str | None) -> _BoundaryPoint:
 def _next_point(
     start: Crossings, last: _BoundaryPoint, step: Any, bend: Any, by: str | None
 ) -> _BoundaryPoint | None:
-    """The boundary point a step further on; None if it is not between the same fates."""
+    """Return the boundary point a step further on; None if it is not between the same fates."""
     ahead = last.point + step * _quarter_turn(_rotated(last.normal, bend / 2))
     normal = _rotated(last.normal, bend)
     fixed, (first, second, *_) = start.at(start.s), start.a
@@ -225,10 +226,10 @@ def _next_point(
 def _boundary_point(
     crossing: Crossings, by: str | None, across: Vector, length: Any
 ) -> _BoundaryPoint:
-    """Position, normal and shift at a crossing whose segment has this direction and length.
+    """Return position, normal and shift at a crossing, given its segment's direction and length.
 
-    Without a gradient, that is, without a side of residual rotation, the direction of the segment
-    stands for the normal, and the shift is NaN.
+    Without a side of residual rotation there is no gradient: the normal is then the direction of
+    the segment, and the shift is NaN.
     """
     names = (*list(crossing.a)[:2], *(() if by is None else (by,)))
     distance = DISTANCE * float(crossing.settings["rtol"]) / length
@@ -243,7 +244,7 @@ def _boundary_point(
 
 
 def _quarter_turn(v: Vector) -> Vector:
-    """Rotation by π/2, to the left."""
+    """Rotate by π/2, to the left."""
     return np.array([-v[1], v[0]])
 
 
@@ -252,5 +253,5 @@ def _rotated(v: Vector, angle: Any) -> Vector:
 
 
 def _angle(v: Vector, w: Vector) -> Any:
-    """From v to w, in (−π, π]."""
+    """Return the angle from v to w, in (−π, π]."""
     return np.arctan2(_quarter_turn(v) @ w, v @ w)

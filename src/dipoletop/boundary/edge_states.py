@@ -1,8 +1,8 @@
-"""Edge tracking: the motion on the basin boundary, to the saddle where it ends.
+"""Edge tracking: the motion on the basin boundary, up to the saddle where it ends.
 
-Two neighbours on both sides of the boundary are integrated until they have parted, then the
-boundary between them is bisected again. The neighbours part along the unstable direction only;
-along all others the motion on the boundary approaches the edge state.
+Two neighbours on both sides of the boundary are integrated until they separate, then the boundary
+between them is bisected again. They separate along the unstable direction only; along all other
+directions the motion on the boundary approaches the edge state.
 
 Source: J. D. Skufca, J. A. Yorke and B. Eckhardt, Edge of chaos in a parallel shear flow, Phys.
 Rev. Lett. 96, 174101 (2006).
@@ -31,42 +31,42 @@ from .crossings import Coordinates, Crossings, bisect, fates_at, narrow, unsearc
 NAMES = ("w1", "w2", "w3")  # coordinates of a start
 PARTS = 8  # times at which the distance of two neighbours is measured between bisections
 NEIGHBOURS = 10.0
-"""Their first distance, in units of rtol·|ω|: with less, errors could put both on one side."""
+"""The first distance of neighbours over rtol·|ω|; at less, errors could put both on one side."""
 APART = 1e-5
-"""Their largest distance, in units of |ω|: their middle leaves a curved boundary like APART²."""
+"""Their largest distance over |ω|; their middle leaves a curved boundary like APART²."""
 WIDER = 10.0 ** np.arange(8)
-"""Factors by which the segment through both is made longer until it crosses the boundary."""
+"""Factors by which the segment through both is extended until it crosses the boundary."""
 ENCLOSED = 1e-7
-"""Width of the bracket on that segment: ENCLOSED·APART is far below NEIGHBOURS·rtol."""
+"""The width of the bracket on that segment: ENCLOSED·APART is far below NEIGHBOURS·rtol."""
 SPAN = 4.0
-"""Factor of τ over which a settled shape stays the same: ω decays as a power of τ, so that equal
-factors of τ, not equal times, are equal progress."""
+"""The factor of τ over which a settled shape stays constant: ω decays as a power of τ, so that
+progress is measured by factors of τ, not by times."""
 
 Shape = Callable[[Float[np.ndarray, "3"]], Any]
-"""From ω to the numbers that settle on the way to the edge state."""
+"""A function from ω to the numbers that settle on the way to the edge state."""
 Pair = Float[np.ndarray, "2 3"]
 """Two neighbours on the two sides of the boundary."""
 
 
 def problem_of_starts(equation: Equation) -> Problem:
-    """The problem whose coordinates are the components of ω₀."""
+    """Return the problem whose coordinates are the components of ω₀."""
     check_verdict(equation)
     check_single(equation)
     return jax.jit(lambda w1, w2, w3: (equation, jnp.stack([w1, w2, w3])))
 
 
 def to_coordinates(omegas: Float[np.ndarray, "N 3"]) -> Coordinates:
-    """Starts as the coordinates of a problem."""
+    """Return starts as the coordinates of a problem."""
     return dict(zip(NAMES, omegas.T, strict=True))
 
 
 def to_array(point: dict[str, Float[np.ndarray, "*n"]]) -> Float[np.ndarray, "*n 3"]:
-    """The starts with these coordinates."""
+    """Return the starts with the given coordinates."""
     return np.stack([point[name] for name in NAMES], axis=-1)
 
 
 def planar_shape(omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
-    """(φ, z) = (atan2(ω₂, ω₁), ω₃/ω⊥²): the variables of the planar system."""
+    """Compute (φ, z) = (atan2(ω₂, ω₁), ω₃/ω⊥²), the variables of the planar system."""
     w1, w2, w3 = omega
     return np.array([np.arctan2(w2, w1), w3 / (w1**2 + w2**2)])
 
@@ -83,7 +83,7 @@ class Edge(NamedTuple):
     width: Float[np.ndarray, "T"]
     """The distance of the neighbours in units of |ω|."""
     settled: bool
-    """Whether the last of `shape` is where the motion ends: the edge state."""
+    """Whether the last of `shape` is the edge state, where the motion ends."""
 
     def __repr__(self) -> str:
         return summary(self)
@@ -101,20 +101,19 @@ def edge_state(
 ) -> Edge:
     """Follow dω/dτ = equation(ω) along the basin boundary between a and b to its saddle.
 
-    Neighbours on both sides of the boundary are integrated until they have parted, then the
-    boundary is found again between them, and so on. They part along the unstable direction only;
-    along all others the motion approaches the edge state.
+    Neighbours on both sides of the boundary are integrated until they separate, then the boundary
+    is found again between them, and so on. They separate along the unstable direction only; along
+    all other directions the motion approaches the edge state.
 
     Args:
         equation: an equation of motion with a `verdict`.
         a: a start, shape (3,), dimensionless, body axes.
-        b: one with another fate.
+        b: a start with another fate.
         shape: a function of ω whose value settles, since ω itself decays; the default is (φ, z) of
             the transverse top, which `planar.saddle` gives for small amplitudes.
-        shape_tol: settled means: `shape` changed by less than this while τ became four times
-            larger.
-        rounds: how often the boundary is found again at most.
-        settings: of the sweeps, as in `bisect`.
+        shape_tol: the largest change of a settled `shape` while τ becomes four times larger.
+        rounds: how often the boundary is found again, at most.
+        settings: the settings of the sweeps, as in `bisect`.
 
     Returns:
         An `Edge`.
@@ -130,7 +129,7 @@ def edge_state(
         >>> edge.settled, edge.shape[-1].round(3).tolist()
         (True, [0.615, 2.357])
     """
-    if isinstance(equation, DrivenEquation):  # its time and attitude do not begin again
+    if isinstance(equation, DrivenEquation):  # its time and attitude would start anew
         must = "have no torque from outside, since motions are begun again from late states"
         refuse("equation", must, f"is {type(equation).__name__}")
     problem, tol = problem_of_starts(equation), float(tolerance("shape_tol", shape_tol))
@@ -147,7 +146,7 @@ def edge_state(
 def _follow(
     equation: Equation, crossing: Crossings, shape: Shape, tol: float, rounds: int
 ) -> tuple[Float[np.ndarray, "T"], Float[np.ndarray, "T 2 3"], bool]:
-    """Times at which the boundary was found again, the neighbours then, and whether it settled."""
+    """Return the times at which the boundary was found again, the neighbours, and `settled`."""
     now, pair = 0.0, _neighbours(crossing)
     times, pairs = [now], [pair]
     interval = 2 / np.sum(pair[0] ** 2)  # twice the time of braking, 1/ω²
@@ -177,19 +176,19 @@ def _follow(
 
 
 def _shape_of(shape: Shape, pair: Pair) -> np.ndarray:
-    """The shape in the middle between two neighbours."""
+    """Return the shape in the middle between two neighbours."""
     return np.asarray(shape(pair.mean(axis=0)))
 
 
 def _still_together(pairs: Float[np.ndarray, "T 2 3"]) -> int:
-    """At how many of the times, from the first on, the two are still neighbours."""
+    """Return the number of times up to which the two are still neighbours."""
     distance = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
     near = distance <= APART * np.linalg.norm(pairs[:, 0], axis=1)
     return int(np.cumprod(near).sum())
 
 
 def _neighbours(crossing: Crossings) -> Pair:
-    """Two states on both sides of a single crossing, as near as errors leave them different."""
+    """Return two states on both sides of a single crossing, as near as errors allow."""
     a, b = to_array(crossing.a)[0], to_array(crossing.b)[0]
     gap = NEIGHBOURS * crossing.settings["rtol"] * np.linalg.norm(a) / np.linalg.norm(b - a)
     fractions = crossing.s[:, None] + gap * np.array([[-0.5, 0.5]])
@@ -197,9 +196,9 @@ def _neighbours(crossing: Crossings) -> Pair:
 
 
 def _between(crossing: Crossings, pair: Pair) -> Crossings | None:
-    """The boundary between the same two fates, near two states that errors may have moved.
+    """Find the boundary between the same two fates, near two states that errors may have moved.
 
-    None if no segment through both, up to 10⁷ times longer, has ends of these fates.
+    Return None if no segment through both, up to 10⁷ times longer, has ends of these fates.
     """
     half = (pair[1] - pair[0]) / 2 * WIDER[:, None]
     middle = pair.mean(axis=0)
@@ -213,7 +212,7 @@ def _between(crossing: Crossings, pair: Pair) -> Crossings | None:
 def _states_at(
     equation: Equation, pair: Pair, ts: Float[np.ndarray, "T"], settings: dict[str, Any]
 ) -> Float[np.ndarray, "T 2 3"]:
-    """ω of two starts at several times; each start and time is a lane of its own."""
+    """Return ω of two starts at several times; each start and time is a lane of its own."""
     omegas = jnp.asarray(np.tile(pair, (len(ts), 1)).T)
     arrays, rest = eqx.partition(physical(equation), eqx.is_array)
     count = omegas.shape[1]

@@ -1,4 +1,4 @@
-"""The fate of a trajectory: in which of the possible ways it ends, as one number."""
+"""The fate of a trajectory: the way in which it ends, as one number."""
 
 import enum
 
@@ -11,7 +11,7 @@ from .._maps.basin import Basin
 
 
 class Fate(enum.IntEnum):
-    """In which way a trajectory ends: outcome, sense of the residual rotation, kind of stop.
+    """The way in which a trajectory ends: outcome, sense of a residual rotation, kind of a stop.
 
     The members from STOP on are `STOP + kind` for the kinds of stop in `Stop`. FAILED and
     UNDECIDED, the members up to 0, mean that the fate is not known.
@@ -25,7 +25,7 @@ class Fate(enum.IntEnum):
     NEGATIVE = 2
     """Residual rotation with ω∞ < 0."""
     STOP = 3
-    """A stop whose equation does not tell the kind."""
+    """A stop of unknown kind."""
     STOP_AXIS = 4
     STOP_ROTATING = 5
     STOP_WOBBLING = 6
@@ -36,7 +36,7 @@ RESIDUAL = (Fate.POSITIVE, Fate.NEGATIVE)
 
 
 def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
-    """The fate of every start, as the number of a member of `Fate`.
+    """Return the fate of every start, as the number of a member of `Fate`.
 
     Args:
         basin: a result of `sweep` with `value=True` or `value="unchecked"`, since the sign of ω∞
@@ -66,5 +66,5 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
 
 
 def is_residual(fates: Int[np.ndarray, "*shape"]) -> np.ndarray:
-    """Whether these are fates with a residual rotation."""
+    """Return whether fates are a residual rotation."""
     return np.isin(fates, RESIDUAL)

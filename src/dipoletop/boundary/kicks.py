@@ -26,21 +26,21 @@ from .edge_states import NAMES, problem_of_starts, to_array, to_coordinates
 from .fates import Fate
 
 SHORTLIST, COARSE = 64, 1e-4  # nearest rays that are bisected, and the width of their brackets
-BEST, ALIKE = 6, np.cos(0.3)  # directions that Newton's method starts from, and how far apart
-REACH = 1.5  # rays are searched up to this multiple of the distance known
-FINE = 1e-12  # width of their brackets then
-NEWTON = 12  # steps of Newton's method at most
-PROBE = 1e-4  # radians, for second derivatives
-FLATTEST = 1e-3  # least curvature of log r: with less, a step would be too long
-LONGEST = 0.5  # radians in a step
-FRACTIONS = np.array([1.0, 0.5, 0.125, 1 / 64])  # of a step that are tried
+BEST, ALIKE = 6, np.cos(0.3)  # starts of Newton's method, and the cosine of their least distance
+REACH = 1.5  # rays are then searched up to this multiple of the known distance
+FINE = 1e-12  # width of the brackets of these rays
+NEWTON = 12  # largest number of steps of Newton's method
+PROBE = 1e-4  # radians of a difference for second derivatives
+FLATTEST = 1e-3  # least curvature of log r in a step, which would be too long otherwise
+LONGEST = 0.5  # radians of the longest step
+FRACTIONS = np.array([1.0, 0.5, 0.125, 1 / 64])  # fractions of a step that are tried
 SETTLED = 1e-8  # radians: a shorter step ends the search
 
 Directions = Float[np.ndarray, "n m"]
 """Unit vectors in the m components of ω₀ that may be changed."""
 Lengths = Float[np.ndarray, "n"]
 Chosen = tuple[Float[np.ndarray, "chosen m"], Float[np.ndarray, "chosen"]]
-"""Some of the directions, and the distances of the boundary there."""
+"""Some of the directions, and the distances of the boundary along them."""
 
 
 class Kick(NamedTuple):
@@ -51,7 +51,7 @@ class Kick(NamedTuple):
     size: float
     """|kick|: the distance of ω₀ from the boundary; inf if no other fate was met."""
     fates: Int[np.ndarray, "2"]
-    """Fates of ω₀ and of ω₀ + kick, members of `Fate`; UNDECIDED if no other fate was met."""
+    """The fates of ω₀ and of ω₀ + kick, members of `Fate`; UNDECIDED if no other fate was met."""
     defect: float
     """The sine of the angle between the kick and the normal of the boundary, 0 at a minimum; NaN
     if neither side is of residual rotation."""
@@ -70,22 +70,22 @@ def minimal_kick(
     components: Sequence[int] = (1, 2, 3),
     **settings: Any,
 ) -> Kick:
-    """The smallest |κ| such that ω₀ + κ has another fate than ω₀: its distance to the boundary.
+    """Compute the smallest |κ| such that ω₀ + κ has another fate than ω₀.
 
-    Rays in many directions are searched, all in one sweep, for the first change of fate. From the
-    nearest of them the distance r(direction) is minimised by Newton's method with the gradient
-    −r n_⊥/(n·direction), n being the normal of the boundary. So it is the global minimum, except
-    for what lies between the rays, such as a tongue that is thinner than their spacing.
+    This is the distance of ω₀ to the boundary. Rays in many directions are searched, all in one
+    sweep, for the first change of fate. From the nearest of them the distance r(direction) is
+    minimised by Newton's method with the gradient −r n_⊥/(n·direction), n being the normal of the
+    boundary. So it is the global minimum, unless a tongue is thinner than the spacing of the rays.
 
     Args:
         equation: an equation of motion with a `verdict`.
         omega0: the start ω₀, shape (3,), dimensionless, body axes.
         largest: the largest kick that is tried; None means |ω₀|, which can stop any top if all
             components may be changed.
-        directions: how many rays.
-        radii: how many points on each.
-        components: numbers of the components of ω₀ that may be changed, among 1, 2 and 3.
-        settings: of the sweeps, as in `bisect`.
+        directions: the number of rays.
+        radii: the number of points on each ray.
+        components: the components of ω₀ that may be changed, among 1, 2 and 3.
+        settings: the settings of the sweeps, as in `bisect`.
 
     Returns:
         A `Kick`.
@@ -116,7 +116,7 @@ def minimal_kick(
 
 
 def _kick(rays: "_Rays", direction: Float[np.ndarray, "m"], r: Float[np.ndarray, "1"]) -> Kick:
-    """The kick to the boundary in this direction, near this distance."""
+    """Return the kick to the boundary in a direction, near the distance r."""
     crossing, normals = rays.crossings_and_normals(direction[None], r)
     kick = to_array(crossing.after)[0] - rays.omega0
     tangential = normals[0] - (normals[0] @ direction) * direction
@@ -127,7 +127,7 @@ def _kick(rays: "_Rays", direction: Float[np.ndarray, "m"], r: Float[np.ndarray,
 def _checked(
     omega0: Any, largest: Any, components: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The start, the unit vectors of the components that may change, and the largest kick."""
+    """Check and return the start, the unit vectors of the components, and the largest kick."""
     start = np.asarray(finite("omega0", omega0, (3,), batch=False))
     filled = isinstance(components, Sequence) and len(components) > 0
     if not (filled and len(set(components)) == len(components) and set(components) <= {1, 2, 3}):
@@ -139,7 +139,7 @@ def _checked(
 
 
 def _directions(m: int, count: int) -> Directions:
-    """Unit vectors spread evenly: on a line, a circle or a sphere (a Fibonacci spiral)."""
+    """Return unit vectors spread evenly: on a line, a circle or a sphere (a Fibonacci spiral)."""
     if m == 1:
         return np.array([[1.0], [-1.0]])
     k = np.arange(count) + 0.5
@@ -162,13 +162,13 @@ class _Rays:
     settings: dict[str, Any]
 
     def segments(self, kicks: Directions) -> Crossings:
-        """Segments from ω₀ to ω₀ + kick."""
+        """Return segments from ω₀ to ω₀ + kick."""
         ends = self.omega0 + kicks @ self.basis
         starts = np.broadcast_to(self.omega0, ends.shape)
         return unsearched(self.problem, to_coordinates(starts), to_coordinates(ends), self.settings)
 
     def nearest(self, d: Directions, radii: int) -> Chosen:
-        """Directions, well apart, in which the boundary is near, and its distances there."""
+        """Return well-separated directions in which the boundary is near, and its distances."""
         s = np.tile(np.linspace(0, 1, radii + 1), (len(d), 1))
         fates = fates_at(self.segments(self.largest * d), s)
         if fates[0, 0] <= Fate.UNDECIDED:
@@ -186,23 +186,23 @@ class _Rays:
         return d[distinct], r[distinct]
 
     def crossings(self, v: Directions, r: Lengths) -> Crossings:
-        """The first crossings in the directions v, near the distances r."""
+        """Return the first crossings in the directions v, near the distances r."""
         return narrow(self.segments(REACH * r[:, None] * v), FINE, ends_may_agree=True)
 
     def crossings_and_normals(self, v: Directions, r: Lengths) -> tuple[Crossings, Directions]:
-        """The same, and the unit normals there in the components that may change."""
+        """Return the first crossings, and the unit normals in the components that may change."""
         crossings = self.crossings(v, r)
         normals = normal(crossings, NAMES) @ self.basis.T
         return crossings, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def distances(self, v: Directions, r: Lengths) -> Lengths:
-        """Distances of the boundary in the directions v, near r; inf where it is not met."""
+        """Return the distances of the boundary along v, near r; inf where it is not met."""
         crossings = self.crossings(v, r)
         return np.where(crossings.found, crossings.s * REACH * r, np.inf)
 
 
 def _distinct(d: Directions, r: Lengths) -> list[int]:
-    """The nearest first, without those whose direction is like that of a nearer one."""
+    """Return indices by distance, without directions that are close to a nearer one."""
     chosen: list[int] = []
     for i in np.argsort(r).tolist():
         if np.all(d[chosen] @ d[i] < ALIKE):
@@ -211,13 +211,13 @@ def _distinct(d: Directions, r: Lengths) -> list[int]:
 
 
 def _newton_step(rays: _Rays, d: Directions, r: Lengths) -> tuple[Directions, Lengths, Lengths]:
-    """One step of Newton's method for every direction; new directions, distances and angles.
+    """Make one step of Newton's method; return new directions, distances and angles.
 
-    Of a step and its fractions that is taken which makes r smallest, if any makes it smaller.
+    Line search: take the fraction of the step with the smallest r; stay if none decreases r.
     """
     if d.shape[1] == 1:
         return d, r, np.zeros(len(d))
-    plane = np.linalg.svd(d[:, None, :])[2][:, 1:]  # across d: shape (n, m − 1, m)
+    plane = np.linalg.svd(d[:, None, :])[2][:, 1:]  # basis across d, shape (n, m − 1, m)
     step = _step_in_plane(*_derivatives(rays, d, r, plane))
     trials = d[:, None] + FRACTIONS[:, None] * np.einsum("kf,kfm->km", step, plane)[:, None]
     trials /= np.linalg.norm(trials, axis=2, keepdims=True)
@@ -234,7 +234,7 @@ def _newton_step(rays: _Rays, d: Directions, r: Lengths) -> tuple[Directions, Le
 def _derivatives(
     rays: _Rays, d: Directions, r: Lengths, plane: Float[np.ndarray, "n f m"]
 ) -> tuple[Float[np.ndarray, "n f"], Float[np.ndarray, "n f f"]]:
-    """Gradient and second derivatives of log r at q = 0, for directions v = d + q·plane."""
+    """Compute gradient and Hessian of log r at q = 0, for directions v = d + q·plane."""
     free, m = plane.shape[1:]
     q = np.concatenate([np.zeros((1, free)), PROBE * np.eye(free)])
     v = d[:, None] + q @ plane
@@ -248,7 +248,7 @@ def _derivatives(
 def _step_in_plane(
     gradient: Float[np.ndarray, "n f"], second: Float[np.ndarray, "n f f"]
 ) -> Float[np.ndarray, "n f"]:
-    """Newton's step downhill, at most `LONGEST`, with curvatures made positive."""
+    """Return Newton's step downhill, at most `LONGEST`, with curvatures made positive."""
     curvatures, axes = np.linalg.eigh((second + np.swapaxes(second, 1, 2)) / 2)
     parts = np.einsum("kfi,kf->ki", axes, gradient) / np.maximum(np.abs(curvatures), FLATTEST)
     step = -np.einsum("kfi,ki->kf", axes, parts)

@@ -1,4 +1,4 @@
-"""The share of a segment that ends in residual rotation, and its derivatives, by the boundary.
+"""The share of a segment that ends in residual rotation, and its derivatives, from the boundary.
 
 The fates at equally spaced points of a segment show between which of them residual rotation begins
 or ends; each such place s_j is then bisected to rounding. The share of the segment is the sum of
@@ -33,14 +33,14 @@ class ResidualShare(NamedTuple):
 
     share: float
     error: float
-    """Standard error of `share` if the segments are independent random ones; NaN for one."""
+    """Standard error of `share` for independent random segments; NaN for a single segment."""
     slopes: dict[str, float]
     """∂share/∂p for each p of `by`; NaN if a normal of the boundary is not known."""
     errors: dict[str, float]
-    """Standard errors of `slopes`, likewise."""
+    """Standard errors of `slopes`, in the same sense."""
     undecided: float
-    """Share of the points that are undecided or failed. Each counts as the last one before it that
-    is decided; if a segment has no decided point, all numbers but this are NaN."""
+    """Share of the points that are undecided or failed. Each counts like the last decided point
+    before it; if a segment has no decided point, all other numbers are NaN."""
 
     def __repr__(self) -> str:
         return summary(self, share="error", slopes="errors")
@@ -55,25 +55,25 @@ def residual_share(
     parts: int = 64,
     **settings: Any,
 ) -> ResidualShare:
-    """How much of the segments a + s(b − a), 0 ≤ s ≤ 1, ends in residual rotation, and ∂/∂p of it.
+    """Compute the share of segments that ends in residual rotation, and its derivatives.
 
-    The share of a segment follows from the places s_j where it crosses the boundary of residual
-    rotation, which are found to rounding; so its derivative is that of these places,
+    The segments are a + s(b − a), 0 ≤ s ≤ 1. The share of a segment follows from the places s_j
+    where it crosses the boundary of residual rotation, which are found to rounding:
 
         ∂share/∂p = Σ_j ± ∂s_j/∂p,        ∂s_j/∂p = −(∂ω∞/∂p)/(∂ω∞/∂s),
 
-    + where residual rotation lies before s_j. With segments along one coordinate, their other
-    coordinates drawn at random, the mean is the residual fraction of that population, far more
-    exact than by counting; and its derivative has no noise of its own, as a difference of counts.
+    + where residual rotation lies before s_j. With segments along one coordinate, and the other
+    coordinates drawn at random, the mean is the residual fraction of that population. It is far
+    more accurate than by counting, and its derivative has no noise of a difference of counts.
 
     Args:
         problem: a problem as for `sweep`.
         a: coordinates of one end, name = a number or shape (N,): the arguments of `problem`.
-        b: those of the other end.
+        b: coordinates of the other end.
         by: coordinates or parameters, such as "delta", to differentiate by.
-        parts: in how many parts each segment is searched: an interval of residual rotation, or
-            a gap between two, that is shorter than a part may be missed.
-        settings: of the sweeps, as in `bisect`.
+        parts: the number of parts of each segment: an interval of residual rotation, or a gap
+            between two, that is shorter than a part may be missed.
+        settings: the settings of the sweeps, as in `bisect`.
 
     Returns:
         A `ResidualShare`.
@@ -106,7 +106,7 @@ def residual_share(
 def _shares_and_slopes(
     segments: Crossings, names: tuple[str, ...], parts: int
 ) -> tuple[Float[np.ndarray, "N columns"], float]:
-    """The share of each segment and its derivatives, in columns; the share of unknown points."""
+    """Return the share of each segment and its derivatives, and the share of unknown points."""
     s = np.tile(np.linspace(0, 1, parts + 1), (len(segments.bracket), 1))
     fates = fates_at(segments, s)
     known = fates > Fate.UNDECIDED
@@ -126,13 +126,13 @@ def _shares_and_slopes(
 
 
 def _last_known(known: Bool[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
-    """The last known place up to each place; for those before the first known one, that one."""
+    """Return the last known place up to each place, or the first known place before it."""
     first = np.argmax(known, axis=1)[:, None]
     return np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), first), axis=1)
 
 
 def _slopes_of_s(crossings: Crossings, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
-    """∂s/∂p of the crossings, by the implicit function theorem."""
+    """Return ∂s/∂p of the crossings, by the implicit function theorem."""
     if not names:
         return np.zeros((len(crossings.bracket), 0))
     a, b = crossings.a, crossings.b

@@ -1,7 +1,7 @@
 """Code that several equations share: converters of fields, order reduction, optional members.
 
-An equation may lack any member of `OptionalMembers`. One function reads each of them, here or in
-`levels`, and supplies the default.
+An equation need not have the `OptionalMembers`. For each of them one function, here or in `levels`,
+reads it and supplies the default.
 """
 
 import dataclasses
@@ -20,32 +20,32 @@ from ..radiation import radiated_power
 
 
 def shape_parameter(delta: Any) -> Float[Array, "*lanes"]:
-    """δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
+    """Compute δ = 1 − I₃/I₁ as an array; −1 ≤ δ < 1 (−1 a disc, 0 a sphere, towards 1 a needle)."""
     array = real("delta", delta)
     known = on_host(array)
     return where_valid("delta", array, (known >= -1) & (known < 1), "lie in [-1, 1)")
 
 
 def rigid_body(body: Any) -> Body:
-    """A `Body`; anything else is refused."""
+    """Return a `Body`; refuse anything else."""
     return instance("body", body, Body)
 
 
 def reduced_order(order: Any) -> int:
-    """An order from 1 to 4; beyond, each costs about four times more, and the series diverges."""
+    """Return an order from 1 to 4; each costs four times as much, and the series diverges."""
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 4:
         refuse("order", "be 1, 2, 3 or 4", f"is {order!r}")
     return order
 
 
 def one_order_up(lower: Any, t: Any, y: Vector) -> tuple[Vector, Vector]:
-    """Ω̇ = F and Ω̈ = DF·F of an equation F of order m, which order m + 1 inserts into the torque."""
+    """Compute Ω̇ = F and Ω̈ = DF·F of an equation F of order m, for the torque of order m + 1."""
     return jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
 
 
 @jax.custom_jvp
 def reciprocal(x: Real) -> Real:
-    """1/x with derivatives made of products: a division costs as much as a dozen of them."""
+    """Return 1/x, with derivatives made of products: a division costs as much as a dozen."""
     return 1 / x
 
 
@@ -57,12 +57,12 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
 
 
 def rate_of_omega(equation: Equation, t: Any, y: State) -> Vector:
-    """The rate of the angular velocity of a state."""
+    """Return the rate of the angular velocity of a state."""
     return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]
 
 
 def energy_flows(equation: Any, t: Any, y: State) -> Float[Array, "k"]:
-    """The radiated power |d₂|², and ω·M if the equation has a torque M from outside."""
+    """Return the radiated power |d₂|², and ω·M if the equation has a torque M from outside."""
     omega = equation.omega(y)
     power = radiated_power(equation.body, omega, rate_of_omega(equation, t, y))
     torque = getattr(equation, "torque", None)
@@ -70,34 +70,34 @@ def energy_flows(equation: Any, t: Any, y: State) -> Float[Array, "k"]:
 
 
 def follows_attitude(equation: Any) -> bool:
-    """Whether states of the equation hold an attitude."""
+    """Return whether states of the equation hold an attitude."""
     return getattr(equation, "start", None) is not None
 
 
 def is_full(equation: Any) -> bool:
-    """Whether an equation has runaways, so that its physical branch has to be followed."""
+    """Return whether an equation has runaways, so that its physical branch has to be followed."""
     return getattr(equation, "runaway_rate", None) is not None
 
 
 def elements_of(equation: Any) -> int:
-    """The elements of a window of a full equation: `equation.elements`, else 4."""
+    """Return the number of elements of a window of a full equation: `equation.elements`, else 4."""
     return getattr(equation, "elements", 4)
 
 
 def physical(equation: Any) -> Any:
-    """The equation to integrate from an initial condition ω₀: its `branch` if any, else itself."""
+    """Return the equation to integrate from an initial condition ω₀: its `branch`, else itself."""
     return getattr(equation, "branch", equation)
 
 
 def has_body_field(equation: Any) -> bool:
-    """Whether the body is a parameter of the equation: a field, not a top derived from δ."""
+    """Return whether the body is a parameter of the equation: a field, not a top derived from δ."""
     fields = dataclasses.fields(equation) if dataclasses.is_dataclass(equation) else ()
     is_field = any(field.name == "body" for field in fields)
     return is_field and isinstance(getattr(equation, "body", None), Body)
 
 
 def twist_axis(equation: Any) -> Vector:
-    """The axis about which the turns of an attitude are counted (`_base.attitudes`).
+    """Return the axis about which the turns of an attitude are counted (`_base.attitudes`).
 
     It is the dipole, along which a residual rotation ends. Without a dipole any axis serves. No
     attitude depends on it, so it has no derivatives.
@@ -112,22 +112,22 @@ def twist_axis(equation: Any) -> Vector:
 
 
 def omega_scale_of(equation: Any) -> OmegaScale:
-    """The scale of relative errors of ω: `equation.omega_scale`, else the largest component."""
+    """Return the scale of the error of ω: `equation.omega_scale`, else the largest component."""
     return getattr(equation, "omega_scale", largest_component)
 
 
 def error_scale_of(equation: Any) -> ErrorScale:
-    """The scale of relative errors of a state: `equation.error_scale`, else `present_scale`."""
+    """Return the scale of the error of a state: `equation.error_scale`, else `present_scale`."""
     return getattr(equation, "error_scale", Partial(present_scale, equation))
 
 
 def largest_component(omega: Vector) -> Vector:
-    """The largest component of |ω|, for all three components."""
+    """Return the largest component of |ω|, for all three components."""
     return jnp.broadcast_to(largest(jnp.abs(omega))[None], omega.shape)
 
 
 def present_scale(equation: Equation, y: State) -> State:
-    """The scale of ω if ω is the state, else |y| or the largest component of ω.
+    """Return the scale of ω if ω is the state, else |y| or the largest component of ω.
 
     A component that passes through 0 then does not force short steps.
     """
@@ -138,7 +138,7 @@ def present_scale(equation: Equation, y: State) -> State:
 
 
 def transverse_omega_scale(omega: Vector) -> Vector:
-    """The scale for a transverse top: ω⊥ for ω₁ and ω₂, max(|ω₃|, ω⊥ min(ω⊥, 1)) for ω₃.
+    """Return the scale for a transverse top: ω⊥ for ω₁ and ω₂, max(|ω₃|, ω⊥ min(ω⊥, 1)) for ω₃.
 
     Near the residual line, and where a top is captured by it, ω₃ ~ ω⊥² if ω⊥ is small.
     """
@@ -150,10 +150,7 @@ def transverse_omega_scale(omega: Vector) -> Vector:
 def planar_rates(
     delta: Real, c: Real | float, y: Float[Array, "2 *#lanes"]
 ) -> Float[Array, "2 *#lanes"]:
-    """The small-amplitude limit: φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − …cos²φ} − c sin 2φ/(1−δ).
-
-    See `dipoletop.planar`.
-    """
+    """Compute φ_σ = −δz − ½ sin 2φ, z_σ = z{1 − …cos²φ} − c sin 2φ/(1−δ) (`dipoletop.planar`)."""
     phi, z = y
     sine = jnp.sin(2 * phi)
     growth = z * (1 - (2 + delta) / (1 - delta) * jnp.cos(phi) ** 2)

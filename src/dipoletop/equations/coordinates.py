@@ -10,7 +10,7 @@ from .._base.types import Real, Vector
 
 
 def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
-    """Angular velocity ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃) in body axes.
+    """Compute the angular velocity ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃) in body axes.
 
     Args:
         w_perp: ω⊥ ≥ 0 across the symmetry axis, dimensionless.
@@ -38,14 +38,14 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
 
 
 def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
-    """ω of cylindrical variables of one size.
+    """Compute ω of cylindrical variables of equal shapes.
 
     At multiples of π/2 one component is exactly 0, because those planes decide outcomes.
     """
     w_perp, w3, phi = jnp.broadcast_arrays(w_perp, w3, phi)
     quarter = jnp.round(phi / (jnp.pi / 2))
     turned = quarter * (jnp.pi / 2)
-    # A compiler may round the product and the difference only once, which leaves a rest.
+    # A compiler may fuse product and difference, so that a rounding error would be left over.
     rest = jnp.where(phi == turned, 0.0, phi - turned)
     cos, sin = jnp.cos(rest), jnp.sin(rest)
     quadrant = jnp.mod(quarter, 4)
@@ -55,6 +55,6 @@ def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
 
 
 def to_cylindrical(omega: Vector) -> Vector:
-    """(ω⊥, ω₃, φ) of a Cartesian ω."""
+    """Compute (ω⊥, ω₃, φ) of a Cartesian ω."""
     w1, w2, w3 = omega
     return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])

@@ -6,7 +6,7 @@ from typing import Any
 from .._base.checks import refuse
 
 WITH_TORQUE = ", with a torque"
-"""What follows the label of the level where a torque from outside is added."""
+"""The end of the label of a level with a torque from outside."""
 
 
 class Level(enum.StrEnum):
@@ -14,36 +14,36 @@ class Level(enum.StrEnum):
 
     The radiation torque contains ω′ and ω″. The full equation keeps both and has runaways; the
     other levels replace one or both by functions of ω, as in the order reduction of the
-    Abraham–Lorentz equation by Landau and Lifshitz. The value is the word of the command line.
+    Abraham–Lorentz equation by Landau and Lifshitz. The values are the words of the command line.
     """
 
     ORDER_1 = "order-1"
-    """The paper's reduced equation: ω′ and ω″ in the torque are those of free rotation."""
+    """The paper's reduced equation: ω′ and ω″ in the torque are taken from free rotation."""
     ORDER_2 = "order-2"
-    """ω′ and ω″ in the torque are those of order 1, and so on for the next orders. The sequence is
-    the asymptotic expansion of the physical branch."""
+    """ω′ and ω″ in the torque are taken from order 1, and so on for the next orders. The sequence
+    is the asymptotic expansion of the physical branch."""
     ORDER_3 = "order-3"
     ORDER_4 = "order-4"
     SEMI = "semi"
-    """Semi-reduced: ω″ in the torque is that of free rotation; ω′ is kept and solved for."""
+    """Semi-reduced: ω″ in the torque is taken from free rotation; ω′ is kept and solved for."""
     FULL = "full"
     """The full equation, restricted to its physical branch: the slow manifold without runaways."""
 
     @classmethod
     def of_order(cls, order: int) -> "Level":
-        """The reduced level of an order from 1 to 4."""
+        """Return the reduced level of an order from 1 to 4."""
         return cls(f"order-{order}")
 
     @classmethod
     def named(cls, level: str, argument: str = "level") -> "Level":
-        """The level of a name; `argument` is what an error calls it."""
+        """Return the level with a given value; errors call the argument `argument`."""
         if level not in list(cls):
             refuse(argument, f"be one of {', '.join(cls)}", f"is {level!r}")
         return cls(level)
 
     @classmethod
     def labelled(cls, label: str) -> "Level":
-        """The level that has a label."""
+        """Return the level with a given label."""
         return next(level for level in cls if level.label == label)
 
     @property
@@ -63,15 +63,15 @@ class Level(enum.StrEnum):
 
     @property
     def consistent(self) -> bool:
-        """Whether every term of leading order in small |ω| is kept; order 1 lacks one."""
+        """Whether every term of leading order in small |ω| is kept; order 1 omits one."""
         return self is not Level.ORDER_1
 
     @property
     def caveat(self) -> str:
-        """What to know before trusting the level; empty if it is consistent."""
+        """A warning about the level; empty if it is consistent."""
         return "" if self.consistent else "Order 1 lacks a leading term of the full equation"
 
 
 def level_of(equation: Any) -> str:
-    """The label of an equation: its `level`, else the name of its class."""
+    """Return the label of an equation: its `level`, else the name of its class."""
     return getattr(equation, "level", type(equation).__name__)

@@ -25,7 +25,7 @@ SLOW = 0.1  # |ω|² up to which orders 2–4 are taken to follow the physical b
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
-    """ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
+    """Return ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
     w1, w2, w3 = w
     square = w1**2 + w2**2 + w3**2
     return jnp.stack(
@@ -38,7 +38,7 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
 
 
 def _settled(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
-    """The verdict ω → (0, 0, ω₃) where that is certain, else undecided."""
+    """Return the verdict ω → (0, 0, ω₃) where it is certain, else undecided."""
     rotating = w[2] != 0
     outcome = jnp.where(rotating, int(Outcome.RESIDUAL), int(Outcome.STOP))
     return Verdict(
@@ -73,7 +73,7 @@ class LongitudinalReduced(eqx.Module):
     order: int = eqx.field(static=True, default=1, converter=reduced_order)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dω/dτ, shape (3,) or (3, B)."""
+        """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
         if self.order > 1:
             lower = LongitudinalReduced(d, self.order - 1)
@@ -83,15 +83,15 @@ class LongitudinalReduced(eqx.Module):
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Certain at once and certified at order 1; at orders 2–4 where |ω|² ≤ 0.1, uncertified."""
+        """Return RESIDUAL: certified at order 1; at orders 2–4 uncertified, where |ω|² ≤ 0.1."""
         square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
         certain = jnp.isfinite(square) if self.order == 1 else square <= SLOW
         verdict = _settled(y, certain, self.order == 1)
@@ -104,14 +104,14 @@ class LongitudinalReduced(eqx.Module):
 
     @property
     def level(self) -> str:
-        """Which equation this is, for labels."""
+        """The label of the level."""
         return Level.of_order(self.order).label
 
 
 class LongitudinalSemi(eqx.Module):
     """Semi-reduced equation: (1 − 2iω₃)w′ = −(ω² + δ²ω₃² + iδω₃)w of w = ω₁ + iω₂.
 
-    Only ω″ is replaced, by that of free precession. There are no runaways.
+    Only ω″ is replaced, by its value in free precession. There are no runaways.
 
     Args:
         delta: shape δ = 1 − I₃/I₁ in [−1, 1), dimensionless.
@@ -125,7 +125,7 @@ class LongitudinalSemi(eqx.Module):
     level = Level.SEMI.label
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dω/dτ, shape (3,) or (3, B)."""
+        """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
         w1, w2, w3 = y
         drag = w1**2 + w2**2 + (1 + d**2) * w3**2
@@ -136,15 +136,15 @@ class LongitudinalSemi(eqx.Module):
         return jnp.stack([p1, p2, jnp.zeros_like(w3)])
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """Certain at once and certified, since ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
+        """Return RESIDUAL, certified, since ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
         verdict = _settled(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
         return verdict._replace(equation=LongitudinalSemi)
 
@@ -172,21 +172,21 @@ class LongitudinalFull(eqx.Module):
     level = Level.FULL.label
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
-        """dy/dτ, shape (5,) or (5, B)."""
+        """Return dy/dτ, shape (5,) or (5, B)."""
         rate = jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
         balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
         return jnp.concatenate([rate, (rate - balance)[:2]])
 
     def lift(self, omega0: Vector) -> FullState:
-        """The state near the physical branch, by the reduction of order 3."""
+        """Return the state near the physical branch, by the reduction of order 3."""
         return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
     def omega(self, y: FullState) -> Vector:
-        """The first three components."""
+        """Return the first three components."""
         return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
-        """Certain at once for a state on the physical branch, uncertified.
+        """Return RESIDUAL, uncertified, for a state on the physical branch.
 
         By the balance of energy a bounded motion ends where the radiated power |d₂|² vanishes,
         which is rotation about the dipole. It is not proven that the branch continues to that end.
@@ -195,11 +195,11 @@ class LongitudinalFull(eqx.Module):
         return verdict._replace(equation=LongitudinalFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
-        """The part of ω′ that belongs to the state and runs away: (ω₁′, ω₂′)."""
+        """Return the fast part of ω′, which is a part of the state: (ω₁′, ω₂′)."""
         return omega_dot[:2]
 
     def reduced(self, order: int) -> LongitudinalReduced:
-        """The reduced level of that order."""
+        """Return the reduced level of that order."""
         return LongitudinalReduced(self.delta, order)
 
     @property

@@ -14,15 +14,15 @@ class PlainFunction(eqx.Module):
     function: Callable[..., Any] = eqx.field(static=True)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """The function's value."""
+        """Return the function's value."""
         return self.function(t, y, args)
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     @property

@@ -1,8 +1,8 @@
 """Any rigid body, any dipole: the full equation of motion and its reductions.
 
 The equation of motion (3.3) is IΩ̇ + N = T(Ω, Ω̇, Ω̈) with N = Ω×IΩ and T the radiation torque.
-The levels differ in the Ω̇ and Ω̈ that they insert into T. The rates by these levels are functions
-of the load, N here; N − M where a torque M acts from outside (`torque_driven`).
+The levels differ in the Ω̇ and Ω̈ that they insert into T. The rates are functions of the load: N
+here, N − M where a torque M acts from outside (`torque_driven`).
 """
 
 from typing import Any
@@ -25,8 +25,8 @@ FullState = Float[Array, "6 *lanes"]
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
-    """Ω̇ and Ω̈ of free rotation: Ω̇ = −I⁻¹N, Ω̈ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (below (3.3))."""
-    reciprocal = inverse(body.inertia)  # once, since operations are counted as they are written
+    """Compute Ω̇ and Ω̈ of free rotation: Ω̇ = −I⁻¹N, Ω̈ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (below (3.3))."""
+    reciprocal = inverse(body.inertia)  # once: repeated operations are not merged
 
     def rate(w: Vector) -> Vector:
         return -matvec(reciprocal, gyroscopic_torque(body, w))
@@ -36,13 +36,13 @@ def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
 
 
 def reduced_rate(body: Body, omega: Vector, rates: tuple[Vector, Vector], load: Vector) -> Vector:
-    """Ω̇ = I⁻¹{T(Ω, Ω̇, Ω̈) − load}, with the rates (Ω̇, Ω̈) of a lower order in T."""
+    """Compute Ω̇ = I⁻¹{T(Ω, Ω̇, Ω̈) − load}, with the rates (Ω̇, Ω̈) of a lower order in T."""
     torque = radiation_torque(body, omega, *rates) - load
     return matvec(inverse(body.inertia), torque)
 
 
 def semi_reduced_rate(body: Body, omega: Vector, second: Vector, load: Vector) -> Vector:
-    """Ω̇ of IΩ̇ = T(Ω, Ω̇, Ω̈) − load, with Ω̈ of a lower order in T, which is linear in Ω̇."""
+    """Solve IΩ̇ = T(Ω, Ω̇, Ω̈) − load for Ω̇, in which T is linear, with Ω̈ of a lower order."""
     known = radiation_torque(body, omega, jnp.zeros_like(omega), second)
 
     def column(i: int) -> Vector:
@@ -54,27 +54,27 @@ def semi_reduced_rate(body: Body, omega: Vector, second: Vector, load: Vector) -
 
 
 def full_rate(body: Body, a: Vector, load: Vector) -> Vector:
-    """Ω̇ = a + s n, s = −[n·load + n·(I a)]/(n·I n), at which no radiation torque is along n."""
+    """Compute Ω̇ = a + s n, s = −[n·load + n·(I a)]/(n·I n): no radiation torque is along n."""
     inertia_d = matvec(body.inertia, body.dipole)  # d·(I a) = (I d)·a, since I is symmetric
     along = dot(body.dipole, load) + dot(inertia_d, a)
     return a - scale(along / dot(inertia_d, body.dipole), body.dipole)
 
 
 def full_fast_rate(body: Body, omega: Vector, rate: Vector, load: Vector) -> Vector:
-    """ȧ = PΩ̈ = P[IΩ̇ + load − T(Ω, Ω̇, 0)]/|d|²."""
+    """Compute ȧ = PΩ̈ = P[IΩ̇ + load − T(Ω, Ω̇, 0)]/|d|²."""
     torque = radiation_torque(body, omega, rate, jnp.zeros_like(omega))
     unbalanced = matvec(body.inertia, rate) + load - torque
     return across_dipole(body, scale(1 / dot(body.dipole, body.dipole), unbalanced))
 
 
 def across_dipole(body: Body, v: Vector) -> Vector:
-    """Pv = v − n (n·v), n = d/|d|."""
+    """Compute Pv = v − n (n·v), n = d/|d|."""
     d = body.dipole
     return v - scale(dot(d, v) / dot(d, d), d)
 
 
 def runaway_rate(body: Body) -> Real:
-    """The slower of the two eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|²."""
+    """Return the slower of the two eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|²."""
     inertia, d = jnp.asarray(body.inertia), jnp.asarray(body.dipole)  # NumPy's on the host
     square, inertia_d = dot(d, d), matvec(inertia, d)
     along = dot(inertia_d, d)
@@ -108,7 +108,7 @@ class Reduced(eqx.Module):
     order: int = eqx.field(static=True, default=1, converter=reduced_order)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dΩ/dτ, shape (3,) or (3, B)."""
+        """Return dΩ/dτ, shape (3,) or (3, B)."""
         body = self.body
         if self.order == 1:
             rates = free_rotation(body, y)
@@ -117,32 +117,32 @@ class Reduced(eqx.Module):
         return reduced_rate(body, y, rates, gyroscopic_torque(body, y))
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
-        """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
+        """Return RESIDUAL by a Lyapunov function, STOP by balance or slow flow; uncertified."""
         seen = self.prepare() if seen is None else seen
         return any_body.verdict(seen, y, Level.of_order(self.order))._replace(equation=Reduced)
 
     def prepare(self) -> any_body.SeenBody:
-        """What verdicts need of the body alone."""
+        """Return the numbers that verdicts need and that depend on the body alone."""
         return any_body.seen(self.body)
 
     @property
     def level(self) -> str:
-        """Which equation this is, for labels."""
+        """The label of the level."""
         return Level.of_order(self.order).label
 
 
 class SemiReduced(eqx.Module):
     """Semi-reduced equation: {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = −N + d×(d×(Ω²Ω − Ω̈)), Ω̈ of (3.4).
 
-    Only Ω̈ is replaced, by that of free rotation; Ω̇ is kept, which requires a 3×3 solve. There
+    Only Ω̈ is replaced, by Ω̈ of free rotation; Ω̇ is kept, which requires a 3×3 solve. There
     are no runaways, and residual rotation has no spurious threshold.
 
     Args:
@@ -157,25 +157,25 @@ class SemiReduced(eqx.Module):
     level = Level.SEMI.label
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dΩ/dτ, shape (3,) or (3, B)."""
+        """Return dΩ/dτ, shape (3,) or (3, B)."""
         _, second = free_rotation(self.body, y)
         return semi_reduced_rate(self.body, y, second, gyroscopic_torque(self.body, y))
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
-        """Residual rotation by a Lyapunov function, stop by balance or slow flow; uncertified."""
+        """Return RESIDUAL by a Lyapunov function, STOP by balance or slow flow; uncertified."""
         seen = self.prepare() if seen is None else seen
         return any_body.verdict(seen, y, Level.SEMI)._replace(equation=SemiReduced)
 
     def prepare(self) -> any_body.SeenBody:
-        """What verdicts need of the body alone."""
+        """Return the numbers that verdicts need and that depend on the body alone."""
         return any_body.seen(self.body)
 
 
@@ -200,24 +200,24 @@ class Full(eqx.Module):
     level = Level.FULL.label
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
-        """d(Ω, a)/dτ, shape (6,) or (6, B)."""
+        """Return d(Ω, a)/dτ, shape (6,) or (6, B)."""
         body, omega = self.body, y[:3]
         load = gyroscopic_torque(body, omega)
         rate = full_rate(body, y[3:], load)
         return jnp.concatenate([rate, full_fast_rate(body, omega, rate, load)])
 
     def verdict(self, y: FullState) -> Verdict:
-        """For a state on the physical branch, by the tests of the other levels; uncertified."""
+        """Return the verdict on a state of the physical branch; see `Reduced.verdict`."""
         return any_body.verdict(any_body.seen(self.body), self.omega(y), Level.FULL)._replace(
             equation=Full
         )
 
     def fast(self, omega_dot: Vector) -> Vector:
-        """The part of Ω̇ that belongs to the state and runs away: a = PΩ̇."""
+        """Compute the fast part of Ω̇, which is a part of the state: a = PΩ̇."""
         return across_dipole(self.body, omega_dot)
 
     def reduced(self, order: int) -> Reduced:
-        """The reduced level of that order."""
+        """Return the reduced level of that order."""
         return Reduced(self.body, order)
 
     @property
@@ -235,10 +235,10 @@ class Full(eqx.Module):
         return runaway_rate(self.body)
 
     def lift(self, omega0: Vector) -> FullState:
-        """The state near the physical branch, by the reduction of order 3."""
+        """Return the state near the physical branch, by the reduction of order 3."""
         rate = Reduced(self.body, 3)(0.0, omega0)
         return jnp.concatenate([omega0, self.fast(rate)])
 
     def omega(self, y: FullState) -> Vector:
-        """The first three components."""
+        """Return the first three components."""
         return y[:3]

@@ -21,19 +21,19 @@ FullState = Float[Array, "2 *lanes"]
 
 
 def _speed(omega0: Vector) -> Real:
-    """Component 3 of ω₀; a plane rotator has no other."""
+    """Return component 3 of ω₀; refuse other components, which a plane rotator does not have."""
     flat = (omega0[0] == 0) & (omega0[1] == 0)
     return where_valid("omega0", omega0[2], flat, "lie along axis 3 (a plane rotator)")
 
 
 def _about_axis_3(y: Float[Array, "n *lanes"]) -> Vector:
-    """(0, 0, ω) of a state whose first component is ω."""
+    """Return (0, 0, ω) of a state whose first component is ω."""
     zero = jnp.zeros_like(y[0])
     return jnp.stack([zero, zero, y[0]])
 
 
 def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
-    """The verdict STOP: on the physical branch ω always decays, like (2τ)^{−1/2}."""
+    """Return STOP: on the physical branch ω always decays, like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
     outcome = jnp.where(jnp.isfinite(y[0]), int(Outcome.STOP), int(Outcome.FAILED))
     return Verdict(outcome.astype("int32"), zero, zero == 0, int(Stop.AXIS))
@@ -51,19 +51,19 @@ class RotatorReduced(eqx.Module):
     level = Level.ORDER_1.label
 
     def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
-        """dω/dτ, shape (1,) or (1, B)."""
+        """Return dω/dτ, shape (1,) or (1, B)."""
         return -(y**3)
 
     def lift(self, omega0: Vector) -> BranchState:
-        """Component 3 of ω₀; the others must be 0."""
+        """Return component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
     def omega(self, y: BranchState) -> Vector:
-        """(0, 0, ω)."""
+        """Return (0, 0, ω)."""
         return _about_axis_3(y)
 
     def verdict(self, y: BranchState) -> Verdict:
-        """STOP, proven."""
+        """Return STOP, certified."""
         return _always_stops(y)._replace(equation=RotatorReduced)
 
     @property
@@ -78,19 +78,19 @@ class RotatorBranch(eqx.Module):
     level = Level.FULL.label
 
     def __call__(self, t: Any, y: BranchState, args: Any = None) -> BranchState:
-        """dω/dτ, shape (1,) or (1, B)."""
+        """Return dω/dτ, shape (1,) or (1, B)."""
         return critical_manifold(y)
 
     def lift(self, omega0: Vector) -> BranchState:
-        """Component 3 of ω₀; the others must be 0."""
+        """Return component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
     def omega(self, y: BranchState) -> Vector:
-        """(0, 0, ω)."""
+        """Return (0, 0, ω)."""
         return _about_axis_3(y)
 
     def verdict(self, y: BranchState) -> Verdict:
-        """STOP, proven."""
+        """Return STOP, certified."""
         return _always_stops(y)._replace(equation=RotatorBranch)
 
     @property
@@ -100,7 +100,7 @@ class RotatorBranch(eqx.Module):
 
 
 class Domain(NamedTuple):
-    """The signs of ω at the two blow-ups, in the past and in the future, of a full motion.
+    """The signs of ω at the blow-ups of a full motion in the past and in the future.
 
     The curves AOC (`critical_manifold`) and BOD (`separatrix`) divide the phase plane into four
     domains, one for each pair of signs.
@@ -128,28 +128,28 @@ class RotatorFull(eqx.Module):
     level = Level.FULL.label
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
-        """d(ω, ϖ)/dτ, shape (2,) or (2, B)."""
+        """Return d(ω, ϖ)/dτ, shape (2,) or (2, B)."""
         return jnp.stack([y[1], y[1] + y[0] ** 3])
 
     def lift(self, omega0: Vector) -> FullState:
-        """The state (ω, f(ω)) on the physical branch."""
+        """Return the state (ω, f(ω)) on the physical branch."""
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
 
     def omega(self, y: FullState) -> Vector:
-        """(0, 0, ω)."""
+        """Return (0, 0, ω)."""
         return _about_axis_3(y)
 
     def verdict(self, y: FullState) -> Verdict:
-        """STOP, proven for a state on the physical branch."""
+        """Return STOP, certified for a state on the physical branch."""
         return _always_stops(y)._replace(equation=RotatorFull)
 
     def lyapunov(self, y: FullState) -> Real:
-        """V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""
+        """Compute V = ω(ϖ − ω/2), which grows along every motion: V′ = ϖ² + ω⁴ (appendix A)."""
         return y[0] * (y[1] - y[0] / 2)
 
     def domain(self, y: FullState) -> Domain:
-        """The domain of the phase plane that contains a state (ω, ϖ)."""
+        """Return the domain of the phase plane that contains a state (ω, ϖ)."""
         past = jnp.sign(separatrix(y[0]) - y[1])
         future = jnp.sign(y[1] - critical_manifold(y[0]))
         return Domain(past.astype("int32"), future.astype("int32"))

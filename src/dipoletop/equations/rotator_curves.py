@@ -22,13 +22,13 @@ from .._base.chebyshev import collocation_rule
 from .._base.checks import real
 
 SERIES_UP_TO = 0.11  # |ω| up to which the divergent series of f are exact to rounding
-TERMS = 34  # terms decrease until (2n + 8)ω² = 1; the error is as large as the last one
+TERMS = 34  # terms decrease until (2n + 8)ω² = 1; the last one estimates the error
 PANELS, WIDTH, NODES = 160, 0.25, 16  # of the tables over ln ω, from SERIES_UP_TO to 10¹⁶
 NEWTON_STEPS = 8
 
 
 def critical_manifold(w: Any) -> Float[Array, "*n"]:
-    """f(ω) of the physical branch ϖ = f(ω): f f′ = f + ω³, f ~ −ω³ at 0 (A.16), curve AOC.
+    """Compute f(ω) of the physical branch ϖ = f(ω): f f′ = f + ω³, f ~ −ω³ at 0 (A.16), curve AOC.
 
     Relative error below 1e-14 for any ω. May be jitted, vmapped and differentiated.
 
@@ -47,7 +47,7 @@ def critical_manifold(w: Any) -> Float[Array, "*n"]:
 
 
 def separatrix(w: Any) -> Float[Array, "*n"]:
-    """g(ω) of the curve BOD, the motions that come from rest: g g′ = g + ω³, g ~ ω at 0.
+    """Compute g(ω) of the curve BOD, the motions that come from rest: g g′ = g + ω³, g ~ ω at 0.
 
     Args:
         w: ω, dimensionless, any shape; g is odd.
@@ -59,7 +59,7 @@ def separatrix(w: Any) -> Float[Array, "*n"]:
 
 
 def closed_manifold(w: Any) -> Float[Array, "*n"]:
-    """The paper's closed approximation of f(ω): −ω³/√(1 + 2ω²).
+    """Return the paper's closed approximation of f(ω): −ω³/√(1 + 2ω²).
 
     Exact to leading order at 0 and at infinity; 22 % too large at ω = 1.
 
@@ -87,7 +87,7 @@ def _curve(sign: int, array: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 @functools.cache
 def _coefficients(sign: int) -> tuple[int | float, ...]:
-    """cₙ of Σ cₙω^{2n+1}, from c₀ on: of f (sign −1, c₀ = 0, integers) or of g (sign 1, c₀ = 1)."""
+    """Compute cₙ of Σ cₙω^{2n+1}: of f (sign −1, c₀ = 0, integers) or of g (sign 1, c₀ = 1)."""
     c: list[int | float] = [max(sign, 0)]
     for n in range(1, TERMS):
         products = sum((2 * j + 1) * c[n - j] * c[j] for j in range(1, n))
@@ -104,13 +104,13 @@ def _series(sign: int, w: Any) -> Any:
 
 
 def _ratio_slope(sign: int, w: Any, r: Any) -> Any:
-    """dr/d ln ω of r = |ϖ|/ω²."""
+    """Compute dr/d ln ω of r = |ϖ|/ω²."""
     return 1 / r + sign / w - 2 * r
 
 
 @functools.cache
 def _table(sign: int) -> np.ndarray:
-    """Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES_UP_TO.
+    """Return Chebyshev coefficients of r over ln ω, panel by panel upwards from SERIES_UP_TO.
 
     Collocation, solved by Newton's method. Beyond the last panel 1/ω is below the rounding of r.
     """
@@ -131,7 +131,7 @@ def _table(sign: int) -> np.ndarray:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _tabulated_ratio(sign: int, w: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, from the table."""
+    """Return the ratio |ϖ|/ω² at ω ≥ SERIES_UP_TO, from the table."""
     position = jnp.log(w / SERIES_UP_TO) / WIDTH
     panel = jnp.clip(jnp.floor(position), 0, PANELS - 1)
     x = jnp.minimum(2 * (position - panel) - 1, 1.0)

@@ -1,4 +1,4 @@
-"""An equation together with its first variations, as an equation of its own."""
+"""An equation together with its first variations, as one equation."""
 
 import functools
 from collections.abc import Callable
@@ -24,7 +24,7 @@ class Tangent(eqx.Module):
     """y′ = F(p, y) with m first variations of it, yₖ′ = (∂F/∂y) yₖ + (∂F/∂p) pₖ.
 
     The state is (y, y₁, …, y_m), n(1 + m) numbers. It is an equation like any other: simulate,
-    classify or sweep it. Its runs end as those of F do, once the derivatives of ω∞ are certain,
+    classify or sweep it. Its runs end like the runs of F, once the derivatives of ω∞ are certain,
     too; `omega_inf_tangents` gives these.
 
     Args:
@@ -33,16 +33,15 @@ class Tangent(eqx.Module):
             front.
         start_variations: the variations of ω₀, shape (m, 3).
         start_size: |ω₀|, to which `start_variations` are compared.
-        basis: whether the variations are unit changes of single numbers, whose linear
-            combinations are wanted (a gradient), instead of directions that each stand alone. For
-            one lane they are batched by `jax.vmap` then: XLA compiles that in half the time and
-            runs it two to three times as fast. For many lanes, and in the native engine,
-            variations written out one by one are faster.
-        tangent_slack: how much larger, relative to its largest component, the error of a
-            variation may be than that of the state.
+        basis: whether the variations are unit changes of single numbers whose linear combinations
+            are wanted (a gradient), instead of independent directions. For one lane they are then
+            batched by `jax.vmap`: XLA compiles that in half the time and runs it two to three
+            times as fast. For many lanes, and in the native engine, unrolled variations are faster.
+        tangent_slack: the factor by which the relative error of a variation may exceed the
+            relative error of the state.
         varying: for each variation, which leaves of `parameter_variations` are not 0 throughout;
-            None: any may differ from 0. The terms of the others are left out, up to a quarter of
-            the operations.
+            None: any may differ from 0. Terms of leaves that are 0 are left out, up to a quarter
+            of the operations.
     """
 
     equation: DecidingEquation
@@ -54,28 +53,28 @@ class Tangent(eqx.Module):
     varying: tuple[tuple[bool, ...], ...] | None = eqx.field(static=True, default=None)
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
-        """The rates of the state and of its variations."""
+        """Return the rates of the state and of its variations."""
         state, *variations = self._split(y)
         rate, rates = self._linearised(lambda equation, y: equation(t, y, args), state, variations)
         return jnp.concatenate([rate, *rates])
 
     def lift(self, omega0: Vector) -> State:
-        """The initial state at `omega0`, with its variations."""
+        """Return the initial state at `omega0`, with its variations."""
         state, variations = self._linearised(
             lambda equation, omega: equation.lift(omega), omega0, list(self.start_variations)
         )
         return jnp.concatenate([state, *variations])
 
     def omega(self, y: State) -> Vector:
-        """The angular velocity of a state."""
+        """Return the angular velocity of a state."""
         return self.equation.omega(self._split(y)[0])
 
     def prepare(self) -> Any:
-        """What the equation prepares for its verdicts, if it does."""
+        """Return the result of `equation.prepare`, or None."""
         return prepared_verdicts(self.equation)
 
     def verdict(self, y: State, prepared: Any = None) -> Verdict:
-        """That of the equation, whose motions these are."""
+        """Return the verdict of the equation on the state without its variations."""
         verdict = verdict_on(self.equation, self._split(y)[0], prepared)
         own = verdict.belongs_to(self.equation)
         return verdict._replace(equation=Tangent if own else None)
@@ -97,19 +96,19 @@ class Tangent(eqx.Module):
 
     @property
     def runaway_rate(self) -> Any:
-        """That of a full equation, else None."""
+        """The runaway rate of a full equation, else None."""
         return getattr(self.equation, "runaway_rate", None)
 
     @property
     def omega_scale(self) -> OmegaScale:
-        """That of the equation."""
+        """The scale of the error of ω of the equation."""
         return omega_scale_of(self.equation)
 
     def error_scale(self, y: State) -> State:
-        """What the relative error of each component refers to.
+        """Return the scale of the error of each component.
 
-        For a variation its largest component times `tangent_slack`; at least a part of |ω|, since
-        after a cancellation only rounding is left.
+        For a variation it is the largest component times `tangent_slack`, but at least a fraction
+        of |ω|, since after a cancellation only rounding is left.
         """
         state, *variations = self._split(y)
         own = error_scale_of(self.equation)(state)
@@ -121,10 +120,10 @@ class Tangent(eqx.Module):
         return jnp.concatenate([own, *(jnp.broadcast_to(scale, state.shape) for scale in scales)])
 
     def may_cross_boundary(self, y: State, rtol: Real) -> Flag:
-        """Whether changes within the tolerance may take the state to another outcome.
+        """Return whether changes within the tolerance may take the state to another outcome.
 
-        Changes of ω₀ count up to rtol·|ω₀|; those of parameters, taken to be of order 1, up to
-        rtol. They may if the linearised change of the state is as large as the state.
+        Changes of ω₀ count up to rtol·|ω₀|, changes of parameters, taken to be of order 1, up to
+        rtol. The outcome may change if the linearised change of the state is as large as the state.
         """
         state, *variations = (largest(jnp.abs(part)) for part in self._split(y))
         starts = largest(jnp.abs(jnp.moveaxis(self.start_variations, 1, 0)))
@@ -137,11 +136,11 @@ class Tangent(eqx.Module):
         return jnp.any(jnp.stack(changes) >= state[None], axis=0)
 
     def omega_inf_tangents(self, y: State) -> Float[Array, "m *lanes"]:
-        """The variations of ω∞, where the verdict on a state says that they are certain.
+        """Return the variations of ω∞, where the verdict on a state says that they are certain.
 
-        A variation that takes the dipole off its principal axis ends all residual rotation: its
-        derivative is infinite if there is any rotation to end, else 0, whatever else varies.
-        Infinite, too, is one that leaves the set on which ω∞ is what the verdict says.
+        A variation that takes the dipole off its principal axis ends all residual rotation: the
+        derivative is infinite if ω∞ ≠ 0, else 0, whatever else varies. The derivative is also
+        infinite if the variation leaves the set on which the value of ω∞ holds.
         """
         state, *variations = self._split(y)
         value, changes = self._linearised(
@@ -149,18 +148,18 @@ class Tangent(eqx.Module):
         )
         tangents = jnp.stack(changes)
         tangents = jnp.where(infinite(tangents), jnp.inf, tangents)
-        if has_body_field(self.equation):  # any other body is a top, whatever varies
+        if has_body_field(self.equation):  # any other body remains a top
             leans, leaves = self._broken_constraints(state, variations)
             tangents = jnp.where(leaves, jnp.inf, tangents)
             rotates = value != 0
-            if self.basis:  # in combination with others this variation may make the top rotate
+            if self.basis:  # a combination with other variations may make the top rotate
                 rotates = rotates | jnp.any(tangents != 0, axis=0)
             ended = jnp.where(rotates, jnp.inf, 0.0)
             tangents = jnp.where(leans, ended[None], tangents)
         return tangents
 
     def _broken_constraints(self, state: State, variations: list[Array]) -> tuple[Array, Array]:
-        """Which variations break, by more than rounding, each of the two `constraints`."""
+        """Return which variations break, by more than rounding, each of the two `constraints`."""
         order = getattr(self.equation, "order", None)
         level = Level.SEMI if order is None else Level.of_order(order)
 
@@ -177,22 +176,22 @@ class Tangent(eqx.Module):
         ]
         leans, leaves = map(jnp.stack, zip(*broken, strict=True))
         if self.basis:
-            # Of a body that lies askew, aligned except for rounding, nearly every number turns the
-            # dipole; only their sum may tell that it does not.
+            # If the principal axes are not the body axes, nearly every single number turns the
+            # dipole; only the sum of all changes shows that it stays on its axis.
             body: Any = self.body
             aligned = jnp.all(cross(body.dipole, matvec(body.inertia, body.dipole)) == 0, axis=0)
             leans = aligned & leans
         return leans, leaves
 
     def _split(self, y: State) -> list[Array]:
-        """The state of the equation and its variations."""
+        """Return the state of the equation and its variations."""
         n = y.shape[0] // (1 + self.m)
         return [y[n * k : n * (k + 1)] for k in range(1 + self.m)]
 
     def _linearised(
         self, function: Callable[[Any, Array], Any], point: Array, variations: list[Array]
     ) -> tuple[Any, list[Any]]:
-        """function(equation, point): its value and its variations."""
+        """Return function(equation, point): its value and its variations."""
         arrays, rest = eqx.partition(self.equation, eqx.is_inexact_array)
         masks = self._masks(arrays)
 
@@ -213,7 +212,7 @@ class Tangent(eqx.Module):
         return value, self._of_variations(change, variations)
 
     def _masks(self, arrays: Any) -> list[tuple[bool, ...]]:
-        """For each variation, which arrays of the equation vary; the same for all of a `basis`."""
+        """Return which arrays of the equation each variation changes; the same for a `basis`."""
         every = (True,) * len(jax.tree.leaves(arrays))
         masks = list(self.varying or [every] * self.m)
         if self.basis:
@@ -223,9 +222,9 @@ class Tangent(eqx.Module):
     def _of_variations(
         self, function: Callable[[int, Any, Array], Any], variations: list[Array]
     ) -> list[Any]:
-        """function(k, parameter variation, variation of a point), k from 0 to m − 1.
+        """Return function(k, parameter variation, variation of a point), k from 0 to m − 1.
 
-        Of a `basis`, for which the function is the same for every k, all at once.
+        For a `basis`, whose function is the same for every k, they are computed all at once.
         """
         if self.basis:
             images = jax.vmap(functools.partial(function, 0))(
@@ -241,12 +240,12 @@ class Tangent(eqx.Module):
 
 
 def _unflatten(mask: tuple[bool, ...], arrays: Any) -> Any:
-    """The mask as a pytree like `arrays`."""
+    """Return the mask as a pytree like `arrays`."""
     return jax.tree.unflatten(jax.tree.structure(arrays), mask)
 
 
 def _sizes(equation: Any, state: State, varied: Any, change: State) -> tuple[Real, Real]:
-    """The relative sizes of a variation: that of the body, and that of its rotation."""
+    """Return the relative sizes of a variation of the body and of its rotation."""
     pairs = (
         (equation.body.inertia, varied.body.inertia, (0, 1)),
         (equation.body.dipole, varied.body.dipole, (0,)),
@@ -260,5 +259,5 @@ def _sizes(equation: Any, state: State, varied: Any, change: State) -> tuple[Rea
 
 
 def _exceeds(moved: Vector, size: Real) -> Bool[Array, "*lanes"]:
-    """Whether a change is more than the rounding of terms of that size."""
+    """Return whether a change exceeds the rounding of terms of the given size."""
     return jnp.max(jnp.abs(moved), axis=0) > rounding(size) * size

@@ -1,8 +1,8 @@
 """Rigid bodies with a torque M from outside, at every level.
 
-The equation of motion is IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): the load N − M stands where N alone does in
-`rigid`. At a reduced level the Ω̇ and Ω̈ in the radiation torque T are those of a motion with M, so
-that a dipole which M alone accelerates radiates, too.
+The equation of motion is IΩ̇ + N − M = T(Ω, Ω̇, Ω̈): the load N − M replaces N of `rigid`. At a
+reduced level the Ω̇ and Ω̈ in the radiation torque T include the effect of M, so that a dipole
+which only M accelerates radiates, too.
 """
 
 import abc
@@ -46,7 +46,7 @@ class OfFunction(eqx.Module):
     function: Torque = eqx.field(static=True)
 
     def __call__(self, t: Any, *state: Array) -> Vector:
-        """The function's value."""
+        """Return the function's value."""
         return self.function(t, *state)
 
 
@@ -58,7 +58,7 @@ class Torques(eqx.Module):
     """Whether each depends on the attitude."""
 
     def __call__(self, t: Any, slow: Slow) -> Vector:
-        """Their sum."""
+        """Return the sum of the torques."""
         total = jnp.zeros_like(slow[:3])
         for part, follows in zip(self.parts, self.follow, strict=True):
             attitude = (normalised(slow[3:]),) if follows else ()
@@ -73,16 +73,16 @@ class Loaded(eqx.Module):
     torques: Torques
 
     def load(self, t: Any, slow: Slow) -> Vector:
-        """N − M."""
+        """Return N − M."""
         return gyroscopic_torque(self.body, slow[:3]) - self.torques(t, slow)
 
     def with_attitude(self, rate: Vector, slow: Slow) -> Slow:
-        """Ω̇, and behind it q̇ where q belongs to the slow state."""
+        """Return Ω̇, followed by q̇ if q belongs to the slow state."""
         turning = [quaternion_rate(slow[3:], slow[:3])] if slow.shape[0] > 3 else []
         return jnp.concatenate([rate, *turning])
 
     def rates(self, order: int | None, t: Any, slow: Slow) -> Slow:
-        """The rates at a reduced level, or at the semi-reduced one (None).
+        """Return the rates at a reduced level, or at the semi-reduced one (None).
 
         Order 0 is the motion without radiation, IΩ̇ = M − N.
         """
@@ -104,7 +104,7 @@ class Loaded(eqx.Module):
 
 
 class DrivenEquation(eqx.Module):
-    """What equations with torques from outside share.
+    """The members that equations with torques from outside share.
 
     With an attitude the state begins with (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
     """
@@ -118,22 +118,22 @@ class DrivenEquation(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
-        """dy/dτ."""
+        """Return dy/dτ."""
 
     @abc.abstractmethod
     def lift(self, omega0: Vector) -> State:
-        """The state at the start."""
+        """Return the state at the start."""
 
     def omega(self, y: State) -> Vector:
-        """The first three components."""
+        """Return the first three components."""
         return y[:3]
 
     def attitude(self, y: State) -> Quaternion | None:
-        """The unit quaternion of a state; None if the attitude is not followed."""
+        """Return the unit quaternion of a state; None if the attitude is not followed."""
         return None if self.start is None else normalised(y[3:7])
 
     def torque(self, t: Any, y: State) -> Vector:
-        """M at a state."""
+        """Return M at a state."""
         return self.loaded.torques(t, y[: 3 if self.start is None else 7])
 
     @property
@@ -143,7 +143,7 @@ class DrivenEquation(eqx.Module):
 
     @property
     def level(self) -> str:
-        """The label of the level, and that a torque is added."""
+        """The label of the level, with `WITH_TORQUE`."""
         return self.kind.label + WITH_TORQUE
 
     def _slow_start(self, omega0: Vector) -> Slow:
@@ -157,18 +157,18 @@ class Driven(DrivenEquation):
     """
 
     omega_scale: OmegaScale = eqx.field(static=True)
-    """That of the equation without torques."""
+    """The scale of the error of ω of the equation without torques."""
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
-        """dy/dτ, shape (3,) or (7,), lanes (if any) behind."""
+        """Return dy/dτ, shape (3,) or (7,), lanes (if any) behind."""
         return self.loaded.rates(self.kind.order, jnp.asarray(t, y.dtype), y)
 
     def lift(self, omega0: Vector) -> State:
-        """ω itself, or with the attitude at the start behind."""
+        """Return ω₀, followed by the initial attitude if that is followed."""
         return self._slow_start(omega0)
 
     def error_scale(self, y: State) -> State:
-        """That of ω; errors of the attitude are angles."""
+        """Return the scale of ω; errors of the attitude are angles."""
         return jnp.concatenate([self.omega_scale(y[:3]), jnp.ones_like(y[3:])])
 
 
@@ -182,7 +182,7 @@ class DrivenFull(DrivenEquation):
     elements = 8  # a body may swing to and fro while a runaway dies away
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
-        """dy/dτ, shape (6,) or (10,), lanes (if any) behind."""
+        """Return dy/dτ, shape (6,) or (10,), lanes (if any) behind."""
         loaded, slow, a = self.loaded, y[:-3], y[-3:]
         load = loaded.load(jnp.asarray(t, y.dtype), slow)
         rate = full_rate(loaded.body, a, load)
@@ -190,34 +190,34 @@ class DrivenFull(DrivenEquation):
         return jnp.concatenate([loaded.with_attitude(rate, slow), fast])
 
     def lift(self, omega0: Vector) -> State:
-        """The state near the physical branch at τ = 0, by the reduction of order 3."""
+        """Compute the state near the physical branch at τ = 0, by the reduction of order 3."""
         slow = self._slow_start(omega0)
         rate = self.reduced(3)(jnp.zeros((), slow.dtype), slow)
         return jnp.concatenate([slow, self.fast(rate[:3])])
 
     def fast(self, omega_dot: Vector) -> Vector:
-        """The part of Ω̇ that belongs to the state and runs away."""
+        """Return the fast part of Ω̇, which is a part of the state."""
         return across_dipole(self.body, omega_dot)
 
     def reduced(self, order: int) -> Callable[[Any, Slow], Slow]:
-        """The rates of (ω, q) at a reduced level."""
+        """Return the rates of (ω, q) at a reduced level."""
         return functools.partial(self.loaded.rates, order)
 
     @property
     def semi(self) -> Callable[[Any, Slow], Slow]:
-        """The same at the semi-reduced level."""
+        """The rates of (ω, q) at the semi-reduced level."""
         return functools.partial(self.loaded.rates, None)
 
     @property
     def runaway_rate(self) -> Real:
-        """That without torques. One that drives ω away from rest makes it smaller."""
+        """The runaway rate without torques. A torque that drives ω away from rest decreases it."""
         return runaway_rate(self.body)
 
 
 def driven(
     equation: Any, torque: Torque, verdict: Callable[[State], Any] | None, start: Array | None
 ) -> Driven | DrivenFull:
-    """The equation with a torque, its parts checked."""
+    """Return the equation with a torque, its parts checked."""
     check_single(equation)
     if not callable(torque):
         refuse("torque", "be a function of τ and ω", f"is {torque!r}")
@@ -228,7 +228,7 @@ def driven(
         torque = OfFunction(torque)
     follows = start is not None or getattr(equation, "start", None) is not None
     parts, follow = (torque,), (follows,)
-    if isinstance(equation, DrivenEquation):  # these torques are added to those
+    if isinstance(equation, DrivenEquation):  # the torque is added to its torques
         if start is not None and equation.start is not None:
             refuse("attitude", "be None, as `equation` has one", "is another one")
         before, body, kind = equation.loaded.torques, equation.body, equation.kind
@@ -246,7 +246,7 @@ def driven(
 
 
 def _check_constants(function: Any) -> None:
-    """Refuse a function that holds traced numbers: they would leave their trace with it."""
+    """Refuse a function that holds traced numbers, which would leak out of their trace."""
     held = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
     if any(not concrete(leaf) for leaf in jax.tree.leaves(held)):
         must = "take parameters that vary as arguments (`jax.tree_util.Partial(f, gamma)`)"
@@ -254,7 +254,7 @@ def _check_constants(function: Any) -> None:
 
 
 def _in_lanes(torque: Torque, t: Any, omega: Vector, *attitude: Quaternion) -> Vector:
-    """The torque of one top, or of each lane; then its arrays have a lane axis behind, too."""
+    """Return the torque of one top, or of each lane; arrays of `torque` then have a lane axis."""
     if omega.ndim == 1:
         return torque(t, omega, *attitude)
     arrays, rest = eqx.partition(torque, eqx.is_array)

@@ -52,7 +52,7 @@ __all__ = [
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
-    """ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
+    """Return ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
     w1, w2, w3 = w
     p1, p2, p3 = rate
     square = w1**2 + w2**2 + w3**2
@@ -66,7 +66,7 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
 
 
 def _reduced(delta: Real, w: Vector, order: int) -> Vector:
-    """ω′ of a reduced level."""
+    """Return ω′ of a reduced level."""
     if order > 1:
         rate, second = one_order_up(lambda t, w: _reduced(delta, w, order - 1), 0.0, w)
         return _balance(delta, w, rate, second)
@@ -107,19 +107,19 @@ class TransverseReduced(eqx.Module):
     omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dω/dτ, shape (3,) or (3, B)."""
+        """Return dω/dτ, shape (3,) or (3, B)."""
         return _reduced(self.delta, y, self.order)
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """The proven regions at order 1; at orders 2–4 the semi-reduced ones, uncertified."""
+        """Return the verdict: certified at order 1; by semi-reduced regions at orders 2–4."""
         verdict = regions.of_level(self.delta, y, Level.of_order(self.order))
         return verdict._replace(equation=TransverseReduced)
 
@@ -130,12 +130,12 @@ class TransverseReduced(eqx.Module):
 
     @property
     def level(self) -> str:
-        """Which equation this is, for labels."""
+        """The label of the level."""
         return Level.of_order(self.order).label
 
 
 class TransverseSemi(eqx.Module):
-    """Semi-reduced equation: only ω″ is replaced, by that of free precession.
+    """Semi-reduced equation: only ω″ is replaced, by its value in free precession.
 
         [[1, 2ω₁], [−2ω₁, 1−δ]] (ω₂′, ω₃′)ᵀ
             = (−δω₁ω₃ − ω²ω₂ − δ(1+δ)ω₂ω₃², −ω²ω₃ + δω₂²ω₃)ᵀ,   ω₁′ = δω₂ω₃.
@@ -155,7 +155,7 @@ class TransverseSemi(eqx.Module):
     omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """dω/dτ, shape (3,) or (3, B)."""
+        """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
         w1, w2, w3 = y
         square = w1**2 + w2**2 + w3**2
@@ -167,15 +167,15 @@ class TransverseSemi(eqx.Module):
         return jnp.stack([d * w2 * w3, p2, p3])
 
     def lift(self, omega0: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return ω₀, since the state is ω itself."""
         return omega0
 
     def omega(self, y: Vector) -> Vector:
-        """The state is ω itself."""
+        """Return the state, which is ω itself."""
         return y
 
     def verdict(self, y: Vector) -> Verdict:
-        """The regions of the semi-reduced level: residual rotation, rotating and wobbling stop."""
+        """Return residual rotation, a rotating or a wobbling stop, by semi-reduced regions."""
         return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
     @property
@@ -203,7 +203,7 @@ class TransverseFull(eqx.Module):
     omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
-        """dy/dτ, shape (5,) or (5, B)."""
+        """Return dy/dτ, shape (5,) or (5, B)."""
         w, p2, p3 = y[:3], y[3], y[4]
         zero = jnp.zeros_like(w)
         rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
@@ -211,24 +211,24 @@ class TransverseFull(eqx.Module):
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
 
     def lift(self, omega0: Vector) -> FullState:
-        """The state near the physical branch, by the reduction of order 3: error O(ω⁹) at most."""
+        """Return the state near the physical branch, by the reduction of order 3: error O(ω⁹)."""
         rate = TransverseReduced(self.delta, 3)(0.0, omega0)
         return jnp.concatenate([omega0, rate[1:]])
 
     def omega(self, y: FullState) -> Vector:
-        """The first three components."""
+        """Return the first three components."""
         return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
-        """For a state on the physical branch: the semi-reduced regions, uncertified."""
+        """Return the verdict on a state of the physical branch, uncertified."""
         return regions.full(self.delta, self.omega(y))._replace(equation=TransverseFull)
 
     def fast(self, omega_dot: Vector) -> Float[Array, "2 *lanes"]:
-        """The part of ω′ that belongs to the state and runs away: (ω₂′, ω₃′)."""
+        """Return the fast part of ω′, which is a part of the state: (ω₂′, ω₃′)."""
         return omega_dot[1:]
 
     def reduced(self, order: int) -> TransverseReduced:
-        """The reduced level of that order."""
+        """Return the reduced level of that order."""
         return TransverseReduced(self.delta, order)
 
     @property
@@ -250,7 +250,7 @@ class TransverseFull(eqx.Module):
 def equation_at(
     level: Level | str, delta: Any
 ) -> TransverseReduced | TransverseSemi | TransverseFull:
-    """The equation of the transverse top at a level.
+    """Return the equation of the transverse top at a level.
 
     Args:
         level: a `Level`, or its value, such as "semi".

@@ -40,7 +40,7 @@ class TransverseCylindrical(eqx.Module):
     omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        """Return d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
         d = self.delta
         w, w3, phi = y
         sin, cos = jnp.sin(phi), jnp.cos(phi)
@@ -49,15 +49,15 @@ class TransverseCylindrical(eqx.Module):
         return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
 
     def lift(self, omega0: Vector) -> Vector:
-        """(ω⊥, ω₃, φ) of ω₀."""
+        """Compute (ω⊥, ω₃, φ) of ω₀."""
         return to_cylindrical(omega0)
 
     def omega(self, y: Vector) -> Vector:
-        """ω of a state (ω⊥, ω₃, φ)."""
+        """Compute ω of a state (ω⊥, ω₃, φ)."""
         return from_cylindrical(y[0], y[1], y[2])
 
     def verdict(self, y: Vector) -> Verdict:
-        """That of order 1 in Cartesian components."""
+        """Return the verdict of order 1 in Cartesian components."""
         verdict = regions.first_order(self.delta, self.omega(y))
         return verdict._replace(equation=TransverseCylindrical)
 
@@ -86,7 +86,7 @@ class TransverseAveraged(eqx.Module):
     level = f"{Level.ORDER_1.label}, averaged"
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """d(ω⊥, ω₃, φ̄)/dτ, shape (3,) or (3, B)."""
+        """Return d(ω⊥, ω₃, φ̄)/dτ, shape (3,) or (3, B)."""
         d = self.delta
         w, w3, _ = y
         return jnp.stack(
@@ -98,11 +98,11 @@ class TransverseAveraged(eqx.Module):
         )
 
     def lift(self, omega0: Vector) -> Vector:
-        """(ω⊥, ω₃, φ) of ω₀."""
+        """Compute (ω⊥, ω₃, φ) of ω₀."""
         return to_cylindrical(omega0)
 
     def omega(self, y: Vector) -> Vector:
-        """ω of a state (ω⊥, ω₃, φ)."""
+        """Compute ω of a state (ω⊥, ω₃, φ)."""
         return from_cylindrical(y[0], y[1], y[2])
 
     @property
@@ -132,18 +132,18 @@ class TransverseLinearised(eqx.Module):
     level = f"{Level.ORDER_1.label}, linearised"
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
-        """d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
+        """Return d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
         d, square = self.delta, self.w**2
         _, w3, phi = y
         axial = (1 + 2 * d) / (1 - d) * square * w3
         return jnp.stack([jnp.zeros_like(w3), -axial, -d * w3 - square * phi])
 
     def lift(self, omega0: Vector) -> Vector:
-        """(ω⊥, ω₃, φ) of ω₀."""
+        """Compute (ω⊥, ω₃, φ) of ω₀."""
         return to_cylindrical(omega0)
 
     def omega(self, y: Vector) -> Vector:
-        """ω of a state (ω⊥, ω₃, φ)."""
+        """Compute ω of a state (ω⊥, ω₃, φ)."""
         return from_cylindrical(y[0], y[1], y[2])
 
     @property

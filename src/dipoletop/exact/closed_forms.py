@@ -1,7 +1,7 @@
 """Exact solutions and asymptotics of the rotator and of the axisymmetric top.
 
-Dimensionless, body axes; τ = 0 at the initial condition ω₀. A negative time is refused (NaN, if
-traced).
+All quantities are dimensionless and in body axes; τ = 0 at the initial condition ω₀. A negative
+time is refused (NaN, if traced).
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ Times = Float[Array, "*n"]
 
 
 def rotator(w: Any, tau: Any) -> Times:
-    """ω = ω₀/√(1 + 2ω₀²τ): the reduced plane rotator (2.4).
+    """Compute ω = ω₀/√(1 + 2ω₀²τ), the reduced plane rotator (2.4).
 
     Args:
         w: ω₀, one number.
@@ -43,7 +43,9 @@ def rotator(w: Any, tau: Any) -> Times:
 
 
 def rotator_closed_time(w: Any) -> Times:
-    """G(ω) = √(1+2ω²)/(2ω²) + arsinh(1/(√2 ω)): τ − τᵢ = G(ω) − G(ωᵢ) for `closed_manifold`.
+    """Compute G(ω) = √(1+2ω²)/(2ω²) + arsinh(1/(√2 ω)), τ − τᵢ = G(ω) − G(ωᵢ).
+
+    This is the solution of ω′ = f(ω) with f by `closed_manifold`.
 
     Args:
         w: ω > 0, any shape.
@@ -60,9 +62,9 @@ def rotator_closed_time(w: Any) -> Times:
 
 
 def rotator_late(tau: Any) -> Times:
-    """ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)] on the physical branch, up to terms of O(1/τ) (A.4).
+    """Compute ω → (2τ)^{−1/2} [1 + 3 ln(2τ)/(4τ)], the late physical motion of the rotator (A.4).
 
-    The logarithm is missing in the paper. The terms of O(1/τ) depend on ω₀.
+    The logarithm is missing in the paper. The neglected terms, O(1/τ) in the bracket, depend on ω₀.
 
     Args:
         tau: τ > 0, shape () or (T,).
@@ -78,12 +80,12 @@ def rotator_late(tau: Any) -> Times:
 
 
 def longitudinal(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
-    """ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), s = ζω₃, φ = φ₀ − δω₃τ, ω₃ constant (3.11)–(3.12).
+    """Compute ω⊥ = s/√((1 + s²/u₀)e^{2s²τ} − 1), s = ζω₃, φ = φ₀ − δω₃τ, ω₃ constant (3.11)–(3.12).
 
     Order 1. The limits s → 0 are included: a rod, δ = 1, and ω₃ = 0 (3.13).
 
     Args:
-        delta: shape δ = 1 − ζ in [−1, 1]; 1, a rod without inertia about its axis, is allowed.
+        delta: shape δ = 1 − ζ in [−1, 1], including 1, a rod without inertia about its axis.
         omega0: ω₀, shape (3,).
         tau: τ, shape () or (T,).
 
@@ -114,9 +116,9 @@ def _longitudinal(d: Real, omega0: Vector, time: Times) -> Float[Array, "*n 3"]:
 
 
 def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
-    """α₋, α₊ = ½ ∓ ½√(½(1 + √(1+16s²))) and B = s/(1 − 2α₋), s = ζω₃ (B.10)–(B.11).
+    """Compute α₋, α₊ = ½ ∓ ½√(½(1 + √(1+16s²))) and B = s/(1 − 2α₋), s = ζω₃ (B.10)–(B.11).
 
-    In the full equation ω⊥ ~ e^{α₋τ} and φ′ → B − ω₃ on the physical branch; off it, e^{α₊τ}.
+    In the full equation ω⊥ ~ e^{α₋τ} and φ′ → B − ω₃ on the physical branch; off it, ω⊥ ~ e^{α₊τ}.
 
     Args:
         delta: shape δ in [−1, 1).
@@ -136,7 +138,7 @@ def longitudinal_exponents(delta: Any, w3: Any) -> tuple[Times, Times, Times]:
 
 
 def transverse(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
-    """The closed solutions of order 1 of the transverse top: (4.5), (4.6), and the sphere.
+    """Compute the closed solutions of order 1 of the transverse top: (4.5), (4.6), and the sphere.
 
         ω₃ = 0, or δ = 0:   ω₁ constant, x = |(ω₂, ω₃)|:  x′ = −(ω₁² + x²)x
         ω⊥ = 0:             ω₃ = ω₃₀/√(1 + 2ω₃₀²τ/(1−δ))
@@ -176,7 +178,7 @@ def _transverse(d: Real, omega0: Vector, time: Times) -> Float[Array, "*n 3"]:
 
 
 def averaged(delta: Any, omega0: Any, tau: Any) -> Float[Array, "*n 3"]:
-    """The averaged transverse top (4.13)–(4.15) at given times, by (4.16)–(4.19).
+    """Compute the averaged transverse top (4.13)–(4.15) at given times, by (4.16)–(4.19).
 
         v = Cξ^{−q}|(1+2δ)ξ + 1+δ³|^p,   u = ξv,   τ = (1−δ) ∫ dξ/{ξv[(1+2δ)ξ + 1+δ³]}
 
@@ -211,7 +213,7 @@ def _averaged(d: Real, w: Vector, time: Times) -> Float[Array, "*n 3"]:
     off_axes = (u > 0) & (v > 0)
     orbit = AveragedOrbit(d, jnp.where(off_axes, u, 1.0), jnp.where(off_axes, v, 1.0))
     point, turned = solve(orbit, jnp.atleast_1d(time))
-    # Where one of u, v is 0 the other has a closed solution.
+    # If u or v is 0, the other has a closed solution.
     across = _decay_factor(u / 2, jnp.zeros(()), time)
     along = _decay_factor(v, jnp.zeros(()), time / (1 - d))
     across = jnp.where(off_axes, jnp.exp(point.log_u / 2).reshape(time.shape), across)
@@ -224,7 +226,7 @@ def _averaged(d: Real, w: Vector, time: Times) -> Float[Array, "*n 3"]:
 
 
 def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
-    """Time at which ω⊥²/ω₃² of the averaged top reaches ξ: the integral (4.17).
+    """Compute the time at which ω⊥²/ω₃² of the averaged top reaches ξ, by the integral (4.17).
 
     Args:
         delta: shape δ in [−1, 1).
@@ -249,14 +251,14 @@ def averaged_time(delta: Any, omega0: Any, xi: Any) -> Float[Array, ""]:
 
 
 def averaged_late(delta: Any, omega0: Any, tau: Any) -> tuple[Times, Times]:
-    """ω⊥² and ω₃² of the averaged top for τ → ∞, to leading order: (4.20), (4.21).
+    """Compute ω⊥² and ω₃² of the averaged top for τ → ∞, to leading order: (4.20), (4.21).
 
         −1 < δ < −1/2:  v → (1−δ)/{[(2+δ)ξ* + 2]τ},  u → ξ*v,  ξ* = −(1+δ³)/(1+2δ)
         −1/2 < δ < 1:   u → 1/τ,  v → K(Kτ)^{−(2+δ)/(1−δ)},  K = C(1+2δ)^p
         δ = −1/2:       u → 1/τ,  v → (12/7)/(τ ln τ)
         δ = −1:         u → 2/(τ ln τ),  v → 1/τ
 
-    The logarithms of the last two are missing in the paper.
+    The logarithms of the last two cases are missing in the paper.
 
     Args:
         delta: shape δ in [−1, 1), one number.
@@ -292,7 +294,7 @@ def _averaged_late(d: Real, w: Vector, time: Times) -> tuple[Times, Times]:
 
 @compiled_soon
 def _decay_factor(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Times:
-    """√(u/u₀) of u′ = −2(s² + u)u: e^{−s²τ}/√(1 + 2u₀τ (1 − e^{−2s²τ})/(2s²τ))."""
+    """Compute √(u/u₀) of u′ = −2(s² + u)u: e^{−s²τ}/√(1 + 2u₀τ (1 − e^{−2s²τ})/(2s²τ))."""
     x = 2 * s**2 * time
     divisor = jnp.where(x > 0, x, 1.0)
     mean = jnp.where(x > 0, -jnp.expm1(-divisor) / divisor, 1.0)
@@ -300,7 +302,7 @@ def _decay_factor(u: Float[Array, ""], s: Float[Array, ""], time: Times) -> Time
 
 
 def _times(tau: Any) -> Times:
-    """τ ≥ 0 as an array of at least one time."""
+    """Return τ ≥ 0 as an array of at least one time."""
     time = finite("tau", tau)
     if time.size == 0:
         refuse("tau", "hold at least one time", "holds none")

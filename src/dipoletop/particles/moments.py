@@ -1,4 +1,4 @@
-"""Moments of inertia that a unit or a braking time is made of."""
+"""Moments of inertia for units and braking times."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from .._base.linalg import dot, length, matvec, trace
 
 
 def middle(inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """The middle one of the principal moments."""
+    """Return the middle one of the principal moments."""
     # A power of two brings I near 1 and changes no digit.
     _, exponent = jnp.frexp(trace(inertia))
     unit = jax.lax.stop_gradient(jnp.ldexp(1.0, exponent))
@@ -19,7 +19,7 @@ def middle(inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
 
 
 def about(axis: Any, inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """n·In, with n the direction of `axis`."""
+    """Return n·In, with n the direction of `axis`."""
     axis = finite("axis", axis, (3,), batch=False)
     axis = where_valid("axis", axis, (on_host(axis) != 0).any(), "not be zero")
     n = axis / length(axis)
@@ -27,7 +27,7 @@ def about(axis: Any, inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
 
 
 def across(dipole: Float[Array, "3"], inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """The moment about the axes across the dipole, if it is the same about all of them."""
+    """Return the moment about the axes across the dipole, if it is the same about all of them."""
     n = dipole / length(dipole)
     along = dot(n, matvec(inertia, n))
     moment = (trace(inertia) - along) / 2

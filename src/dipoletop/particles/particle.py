@@ -1,4 +1,4 @@
-"""A particle in SI or Gaussian units: its units of inertia and time, and what they convert."""
+"""A particle in SI or Gaussian units: its units of inertia and time, and conversions by them."""
 
 from typing import Any
 
@@ -27,28 +27,28 @@ from .units import (
 
 
 def _batch_axes(particle: Any) -> int:
-    """The number of batch axes of a particle."""
+    """Return the number of batch axes of a particle."""
     return particle.mass.ndim
 
 
 class Particle(eqx.Module):
     """A rigid body in SI units, for which τ₀ = k d²/I₁, k = 1/(6πε₀c³).
 
-    I₁ is the middle one of the principal moments, J₁ ≤ J₂ ≤ J₃. That is the transverse moment of
-    every axisymmetric body, as everywhere in the library; it changes continuously with the body
-    and is no less than J₃/2. Most methods take an `axis` of another I₁, the moment about it. The
-    SI values of a motion do not depend on that choice, if all its conversions share it.
+    I₁ is the middle one of the principal moments, J₁ ≤ J₂ ≤ J₃. For an axisymmetric body this is
+    the transverse moment, as everywhere in the library; it changes continuously with the body and
+    is at least J₃/2. Most methods take an `axis`; I₁ is then the moment about it. The SI values of
+    a motion do not depend on that choice, if all its conversions share it.
 
     SI values need float64, because float32 ends near 1e-38. `jax.vmap` makes a batch, whose
-    methods return arrays with the batch axes in front: all particles get the same arguments. For
-    one argument each, write `jax.vmap(Particle.angular_velocity)(particles, omega_inf)`.
+    methods return arrays with the batch axes in front, with the same arguments for all particles.
+    For an argument of each, write `jax.vmap(Particle.angular_velocity)(particles, omega_inf)`.
 
     Args:
         mass: mass, kg.
         inertia: inertia tensor I in body axes, shape (3, 3), kg m².
         dipole: dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
         radius: the largest distance R of a point of the body from the centre of mass, m; None if
-            it is not known. Nothing but `rim_speed` needs it.
+            it is not known. Only `rim_speed` needs it.
 
     Raises:
         ValueError: a `mass` that is not positive; a bad `inertia` or `dipole`, as for `Body`; a
@@ -94,7 +94,7 @@ class Particle(eqx.Module):
             self.radius = on_device(where_valid("radius", given, large, must))
 
     def __repr__(self) -> str:
-        """The numbers of one particle, ranges of many; shapes of what is traced."""
+        """Return the numbers of one particle, or ranges of many; if traced, the shapes."""
         leaves = jax.tree.leaves(self)
         known = all(isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves)
         if len(leaves) < 3 or not (known and concrete(self)):
@@ -105,7 +105,7 @@ class Particle(eqx.Module):
     def sphere(
         cls, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
-        """The homogeneous sphere, I = 2mR²/5, m = 4πR³ρ/3.
+        """Return the homogeneous sphere, I = 2mR²/5, m = 4πR³ρ/3.
 
         Args:
             radius: radius R, m.
@@ -124,7 +124,7 @@ class Particle(eqx.Module):
     def spheroid(
         cls, a: Any, c: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
-        """The homogeneous spheroid about the third body axis, m = 4πa²cρ/3.
+        """Return the homogeneous spheroid about the third body axis, m = 4πa²cρ/3.
 
         Args:
             a: equatorial semi-axis, m.
@@ -143,7 +143,7 @@ class Particle(eqx.Module):
     def ellipsoid(
         cls, semi_axes: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
-        """The homogeneous ellipsoid, I = m/5 diag(b²+c², c²+a², a²+b²), m = 4πabcρ/3.
+        """Return the homogeneous ellipsoid, I = m/5 diag(b²+c², c²+a², a²+b²), m = 4πabcρ/3.
 
         Args:
             semi_axes: semi-axes a, b, c along the body axes, shape (3,), m.
@@ -161,7 +161,7 @@ class Particle(eqx.Module):
     def cuboid(
         cls, lengths: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
-        """The homogeneous cuboid with its edges along the body axes, m = l₁l₂l₃ρ.
+        """Return the homogeneous cuboid with its edges along the body axes, m = l₁l₂l₃ρ.
 
         Args:
             lengths: edges, shape (3,), m.
@@ -179,7 +179,7 @@ class Particle(eqx.Module):
     def rod(
         cls, length: Any, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
-        """The homogeneous cylinder about the third body axis, m = πr²lρ.
+        """Return the homogeneous cylinder about the third body axis, m = πr²lρ.
 
         Args:
             length: length l, m.
@@ -200,7 +200,7 @@ class Particle(eqx.Module):
 
     @classmethod
     def gaussian(cls, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> "Particle":
-        """A particle from values in Gaussian units.
+        """Return a particle from values in Gaussian units.
 
         Args:
             mass: mass, g.
@@ -218,13 +218,13 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def moment(self, axis: Any = None) -> Float[Array, "*batch"]:
-        """I₁ = n·In, the moment of inertia about the direction n of `axis`.
+        """Compute I₁ = n·In, the moment of inertia about the direction n of `axis`.
 
         Args:
             axis: in body axes, shape (3,), of any length except 0. None is a principal axis with
-                the middle moment J₂: of an axisymmetric body any axis across its symmetry axis.
-                Where J₂ equals another moment it has a kink: the first derivative is that of one
-                of the two, and second derivatives need an `axis`.
+                the middle moment J₂; for an axisymmetric body, any axis across its symmetry axis.
+                Where J₂ equals another moment it has a kink: the first derivative belongs to one
+                of the two moments, and second derivatives need an `axis`.
 
         Returns:
             The moment, kg m².
@@ -238,7 +238,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def tau0(self, axis: Any = None) -> Float[Array, "*batch"]:
-        """τ₀ = k d²/I₁, with I₁ the moment about `axis`: the unit of time.
+        """Compute τ₀ = k d²/I₁, the unit of time, with I₁ the moment about `axis`.
 
         Args:
             axis: as for `moment`; for a plane rotator its axis of rotation.
@@ -252,7 +252,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def body(self, axis: Any = None) -> Body:
-        """The dimensionless body: I in units of I₁, the moment about `axis`, and |d| = 1.
+        """Return the dimensionless body, with I in units of I₁ about `axis`, and |d| = 1.
 
         Args:
             axis: as for `tau0`, which is then the unit of time.
@@ -264,7 +264,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def omega(self, angular_velocity: Any, axis: Any = None) -> Float[Array, "..."]:
-        """ω = τ₀Ω, dimensionless, of an angular velocity, of a component or of a speed.
+        """Compute ω = τ₀Ω, dimensionless, of an angular velocity, a component or a speed.
 
         Args:
             angular_velocity: Ω, rad/s: vectors in body axes or scalars, of any shape; or a text
@@ -280,7 +280,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def angular_velocity(self, omega: Any, axis: Any = None) -> Float[Array, "..."]:
-        """Ω = ω/τ₀ in rad/s, of an angular velocity ω, of a component or of an ω∞.
+        """Compute Ω = ω/τ₀ in rad/s, of an angular velocity ω, a component or an ω∞.
 
         Args:
             omega: dimensionless: vectors in body axes or scalars, of any shape. NaN, the ω∞ of a
@@ -294,7 +294,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def tau(self, seconds: Any, axis: Any = None) -> Float[Array, "..."]:
-        """The dimensionless time τ = t/τ₀.
+        """Compute the dimensionless time τ = t/τ₀.
 
         Args:
             seconds: t, s, of any shape.
@@ -307,7 +307,7 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def seconds(self, tau: Any, axis: Any = None) -> Float[Array, "..."]:
-        """The time t = τ₀τ in seconds.
+        """Compute the time t = τ₀τ in seconds.
 
         Args:
             tau: dimensionless time τ, of any shape. NaN, a time that is not known, stays NaN.
@@ -320,12 +320,13 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def braking_time(self, speed: Any, axis: Any = None) -> Float[Array, "*batch"]:
-        """T = I/(k d²Ω₀²), the time in which a rotator slows down from Ω₀ to Ω₀/√3.
+        """Compute T = I/(k d²Ω₀²), the time in which a rotator slows down from Ω₀ to Ω₀/√3.
 
         Args:
             speed: angular speed Ω₀ > 0, shape () or (B,), rad/s; or a text (`angular_speed`).
             axis: axis of rotation, shape (3,), across the dipole. It may be left out if the moment
-                I is the same about all of these, as of a sphere or along a symmetry axis.
+                I is the same about all such axes, as for a sphere or a dipole along a symmetry
+                axis.
 
         Returns:
             T, of the same shape, s.
@@ -347,11 +348,10 @@ class Particle(eqx.Module):
 
     @over_batch(_batch_axes)
     def rim_speed(self, angular_velocity: Any) -> Float[Array, "*batch"]:
-        """|Ω|R/c: no point of the body moves faster, in units of the velocity of light c.
+        """Compute |Ω|R/c, an upper bound of the speed of points of the body in units of c.
 
-        R is the field `radius`. About an axis through the centre a point at that distance has
-        this speed if its distance is across the axis. The theory is not relativistic: it holds
-        where this is small.
+        R is the field `radius`. A point at this distance has this speed if it lies across the axis
+        of rotation from the centre. The theory is not relativistic: it holds where this is small.
 
         Args:
             angular_velocity: a speed |Ω| in rad/s, shape (), or a text (`angular_speed`); or Ω in

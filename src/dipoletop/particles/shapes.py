@@ -21,7 +21,7 @@ class Solid(NamedTuple):
 
 
 def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
-    """The spheroid with semi-axes a, a, c."""
+    """Return the spheroid with semi-axes a, a, c."""
     a, c = positive_si("a", a), positive_si("c", c)
     mass = _mass(4 * math.pi / 3 * a**2 * c, mass, density)
     inertia = bodies.spheroid(mass, a, c, dipole=_ANY_DIPOLE).inertia
@@ -29,7 +29,7 @@ def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
 
 
 def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
-    """The ellipsoid with its semi-axes along the body axes."""
+    """Return the ellipsoid with its semi-axes along the body axes."""
     semi_axes = positive_si("semi_axes", semi_axes, (3,))
     mass = _mass(4 * math.pi / 3 * semi_axes.prod(), mass, density)
     a, b, c = mass * semi_axes**2 / 5
@@ -37,7 +37,7 @@ def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
 
 
 def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
-    """The cuboid with its edges along the body axes."""
+    """Return the cuboid with its edges along the body axes."""
     lengths = positive_si("lengths", lengths, (3,))
     mass = _mass(lengths.prod(), mass, density)
     return Solid(
@@ -48,7 +48,7 @@ def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
 
 
 def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
-    """The cylinder about the third axis."""
+    """Return the cylinder about the third axis."""
     length, radius = positive_si("length", length), positive_si("radius", radius)
     mass = _mass(math.pi * radius**2 * length, mass, density)
     inertia = bodies.rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia
@@ -56,7 +56,7 @@ def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
 
 
 def _mass(volume: Any, mass: Any, density: Any) -> Any:
-    """The mass that is given, or that follows from the density, kg."""
+    """Return the mass that is given, or that follows from the density, kg."""
     if (mass is None) == (density is None):
         was = "neither is" if mass is None else "both are"
         refuse("mass", "be given or else `density`", was)

@@ -17,7 +17,7 @@ from .units import speed_in_rad
 def start(
     body: Any, spin: Any, *, momentum: Any = None, axis: Any = None
 ) -> Float[Array, "*batch 3"]:
-    """The angular velocity Ω with rotation frequency L·Ω/L = `spin`, along a direction of L or Ω.
+    """Compute Ω with rotation frequency L·Ω/L = `spin`, along a direction of L or of Ω.
 
     For a direction l of L = IΩ it is Ω = s I⁻¹l/(l·I⁻¹l), for a direction n of Ω it is
     Ω = s n |In|/(n·In), with s the spin. About a principal axis s = |Ω|.
@@ -27,11 +27,11 @@ def start(
         spin: for a particle in rad/s, or a text such as "1 GHz" (`angular_speed`); for a body
             dimensionless; positive, shape () or (B,).
         momentum: direction of L in body axes, shape (3,) or (B, 3), of any length except 0; or else
-        axis: direction of Ω, likewise.
+        axis: direction of Ω, of the same form.
 
     Returns:
         For a particle Ω in rad/s, for a body the dimensionless ω₀; in body axes, shape (3,) or
-        (B, 3). `Particle.omega` makes a dimensionless start of the former.
+        (B, 3). `Particle.omega` converts the former to a dimensionless start.
 
     Raises:
         ValueError: a `spin` that is not positive, or a text for a dimensionless body; a direction
@@ -64,7 +64,7 @@ def start(
 
 
 def _spin(body: Body | Particle, spin: Any) -> Float[Array, "*batch"]:
-    """A positive spin, in the units of the body."""
+    """Return a positive spin, in the units of the body."""
     if isinstance(body, Body):
         if isinstance(spin, str):
             refuse("spin", "be a number, since a Body has no unit of time", f"is {spin!r}")
@@ -81,8 +81,8 @@ def _start(
     direction: Float[Array, "*batch 3"],
     of_momentum: bool,
 ) -> Float[Array, "*all 3"]:
-    """`start` of one body."""
-    # Of SI values the determinant would be near 1e-120, so I is divided by its trace.
+    """Return `start` of one body."""
+    # In SI units the determinant would be near 1e-120, so I is divided by its trace.
     inertia = body.inertia / trace(body.inertia)
 
     def along(s: Float[Array, ""], vector: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -1,4 +1,4 @@
-"""Particles with an axis that they rotate about, those of the paper, and their table."""
+"""Particles with an axis of rotation, such as the paper's, and their table."""
 
 import math
 from collections.abc import Iterable
@@ -13,12 +13,12 @@ from .units import CHARGE, DEBYE
 
 
 class Rotator(NamedTuple):
-    """A particle and the axis that it rotates about."""
+    """A particle and its axis of rotation."""
 
     name: str
     particle: Particle
     axis: tuple[float, float, float]
-    """In body axes, across the dipole."""
+    """The axis of rotation in body axes, across the dipole."""
 
 
 class Row(NamedTuple):
@@ -26,9 +26,9 @@ class Row(NamedTuple):
 
     name: str
     mass: float
-    """kg."""
+    """The mass, kg."""
     moment: float
-    """About the axis of rotation, kg m²."""
+    """The moment of inertia about the axis of rotation, kg m²."""
     debye: float
     """Dipole moment |d|, debye."""
     tau0: float
@@ -38,7 +38,7 @@ class Row(NamedTuple):
 
 
 def paper_particles() -> tuple[Rotator, ...]:
-    """The particles of the paper's conclusions, each with its axis of rotation.
+    """Return the particles of the paper's conclusions, each with its axis of rotation.
 
     The dipole lies along the first body axis. The masses of CdSe and CdS, 3.80e-22 kg and
     3.15e-22 kg, come from the densities 5.81 g/cm³ and 4.82 g/cm³ of the crystals.
@@ -74,7 +74,7 @@ def paper_particles() -> tuple[Rotator, ...]:
 
 
 def particle_table(rotators: Iterable[Rotator], speed: Any = 2e9 * math.pi) -> list[Row]:
-    """τ₀ = k d²/I and T = 1/(τ₀Ω₀²) of each rotator, as Python numbers.
+    """Compute τ₀ = k d²/I and T = 1/(τ₀Ω₀²) of each rotator, as Python numbers.
 
     Args:
         rotators: particles with their axes, such as `paper_particles()`.

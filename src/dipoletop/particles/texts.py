@@ -9,7 +9,7 @@ from .units import DEBYE
 
 
 def text(particle: Any) -> str:
-    """The numbers of one particle, ranges of many."""
+    """Return the numbers of one particle, or ranges of many."""
     dipole = np.asarray(particle.dipole)
     size = np.linalg.norm(dipole, axis=-1)
     moments = np.linalg.eigvalsh(np.asarray(particle.inertia))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._base.checks import finite, on_host, real, refuse, where_valid
 
-# Of CODATA 2022. `scipy.constants` has them too, but takes 60 ms to import.
+# CODATA 2022. `scipy.constants` has them, too, but takes 60 ms to import.
 LIGHT = 299_792_458.0
 """The speed of light c, in m/s."""
 CHARGE = 1.602_176_634e-19
@@ -19,7 +19,7 @@ PERMITTIVITY = 8.854_187_818_8e-12
 """The electric constant ε₀, in F/m."""
 
 RADIATION = 1 / (6 * math.pi * PERMITTIVITY * LIGHT**3)
-"""k = 1/(6πε₀c³), in kg m² s/(C m)²: the strength of the radiation torque in SI units."""
+"""k = 1/(6πε₀c³), the strength of the radiation torque, in kg m² s/(C m)²."""
 DEBYE = 1e-21 / LIGHT
 """One debye, 1e-18 statC cm, in C m (c is its number in m/s)."""
 STATCOULOMB_CM = 1e18 * DEBYE
@@ -35,12 +35,12 @@ _UNITS = {
     "rad/s": 1.0,
     "rpm": _TURN / 60,
 }
-"""Units of a rotation frequency, in rad/s. Their case counts: mHz would be a millihertz."""
+"""Units of a rotation frequency, in rad/s; upper and lower case matter."""
 _TEXT = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z/]+)\s*", re.ASCII)
 
 
 def angular_speed(spin: Any) -> Float[Array, "*batch"]:
-    """Ω = 2πf, an angular speed in rad/s, from a text such as "1 GHz" or from a number.
+    """Compute Ω = 2πf in rad/s from a text such as "1 GHz", or take a number in rad/s.
 
     Args:
         spin: a number in rad/s, shape () or (B,); or a text, a number with its unit Hz, kHz, MHz,
@@ -62,7 +62,7 @@ def angular_speed(spin: Any) -> Float[Array, "*batch"]:
 
 
 def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
-    """`angular_speed` of an argument with another name."""
+    """Return `angular_speed` of an argument that errors call `name`."""
     if isinstance(value, str):
         given = _TEXT.fullmatch(value)
         if given is None or given[2] not in _UNITS:
@@ -73,7 +73,7 @@ def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
 
 
 def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Any:
-    """A positive number in SI units, or an array of them; in NumPy if it is known."""
+    """Return a positive number in SI units, or an array of them; in NumPy if it is known."""
     array = on_host(finite(name, value, shape, batch=False))
     if array.dtype != jnp.float64:
         hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
@@ -82,12 +82,12 @@ def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Any:
 
 
 def numbers(name: str, value: Any) -> Float[Array, "..."]:
-    """Real numbers of any shape."""
+    """Return real numbers of any shape."""
     return real(name, value, _shape(value), batch=False)
 
 
 def finite_numbers(name: str, value: Any) -> Float[Array, "..."]:
-    """Finite numbers of any shape."""
+    """Return finite numbers of any shape."""
     return finite(name, value, _shape(value), batch=False)
 
 

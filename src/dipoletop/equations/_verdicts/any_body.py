@@ -5,16 +5,17 @@ and y = (x_a, ±x_b)/|w|, the motion across the residual line Ω = w n is (`resi
 
     y′ = ℓ(μ) y + odd terms from the third power on,   w′/w = g y_a y_b exactly,   μ = |d|²|w|/J_d.
 
-A residual rotation is shown by a Lyapunov function. Let P solve ℓᵀP + Pℓ = −1 at the present w,
-V = yᵀPy, and V₀ its present value. Suppose that V ≤ V₀, and that w has changed by no more than a
-part η. If −(ℓᵀP + Pℓ) ≥ ¾ in that range of w (checked at its ends), and the odd terms are so small
-that they take no more than a third of that, then V′ ≤ −½|y|², hence ∫|y|² ≤ 2V₀, and the change of
-ln |w| is at most ½|g| ∫|y|² ≤ |g| V₀ = η. So each of the two bounds follows from the other, and
-both hold for all later times: y → 0, and w tends to a limit within η of its present value.
+A Lyapunov function shows residual rotation. Let P solve ℓᵀP + Pℓ = −1 at the present w, V = yᵀPy,
+and V₀ its present value. Suppose that V ≤ V₀, and that w has changed by no more than a fraction η.
+If −(ℓᵀP + Pℓ) ≥ ¾ in that range of w (checked at its ends), and the odd terms are at most a third
+of that, then V′ ≤ −½|y|², hence ∫|y|² ≤ 2V₀, and the change of ln |w| is at most
+½|g| ∫|y|² ≤ |g| V₀ = η. So each of the two bounds follows from the other, and both hold for all
+later times: y → 0, and w tends to a limit within η of its present value.
 
-A stop is shown by balance. d/dt(E − d₁·d₂) = −|d₂|², d₁ and d₂ the derivatives of d in space, is
-exact for the full equation. At small amplitude it holds for the reduced levels, too, up to smaller
-terms. So a motion ends where d₂ = 0 for ever: at rest or, if n is a principal axis, on the line. A
+The balance of energy shows a stop. d/dt(E − d₁·d₂) = −|d₂|², d₁ and d₂ the derivatives of d in
+space, is exact for the full equation. At small amplitude it also holds for the reduced levels, up
+to smaller terms. So a motion ends where d₂ = 0 for ever: at rest or, if n is a principal axis, on
+the line. A
 dipole off its principal axes always leads to a stop; on one, there is a stop if no stable part of
 the line can be reached, because E is too small or because the slow flow has a barrier
 (`slow_flow`). `SMALL` limits the amplitude up to which balance is used. The amplitude itself
@@ -49,20 +50,20 @@ from .slow_flow import behind_barrier, ends_on_axis, flow_at_nodes
 SMALL = 0.2  # |d|²|Ω|/J up to which the reduced levels keep the balance law well enough
 
 WITHOUT_RUNAWAYS = (Level.ORDER_1, Level.SEMI)
-"""Levels no motion of which runs away, at any amplitude.
+"""Levels whose motions do not run away at any amplitude.
 
-At large amplitude motions of orders 2–4 do. The full equation is treated with the same caution:
-every motion off its physical branch runs away, and beyond `SMALL` the branch is not known to go on,
-nor has the bound of its odd terms been tested there.
+Motions of orders 2–4 run away at large amplitude. The full equation is treated like these: every
+motion off its physical branch runs away, and beyond `SMALL` it is not known whether the branch
+continues, nor has the bound of the odd terms been tested.
 """
 
 ODD_TERMS = 3.0
-"""A bound C of the odd terms: |those of x′_i| ≤ C |d|²|x|²|x_i|/J_i.
+"""The bound C of the odd terms of x′_i: at most C |d|²|x|²|x_i|/J_i.
 
 It holds at order 1, because J_a ≤ J_b + J_d and so on. In samples C is at most 1.0 at order 1 and
 2.1 at the other levels, for orders 2–4 up to `SMALL`.
 """
-ODD_GROWTH = 6  # beyond `SMALL` C grows with this power: that of |Ω| at order 4 over the cube
+ODD_GROWTH = 6  # beyond `SMALL` C grows with this power of |Ω|: at order 4 the terms reach |Ω|⁹
 
 DRIFT = 0.1  # largest η
 DECAY = 0.75  # least eigenvalue of −(ℓᵀP + Pℓ) while w drifts
@@ -73,7 +74,7 @@ class Attraction(NamedTuple):
     """Whether the residual line attracts a state, and to which point."""
 
     shown: Flag
-    """Whether the Lyapunov function shows it."""
+    """Whether the Lyapunov function shows the attraction."""
     omega_inf: Real
     """The limit of w."""
     error: Real
@@ -87,13 +88,13 @@ class SeenBody(NamedTuple):
 
     frame: BodyFrame
     weakness: Real
-    """|d|²√tr(I⁻²): times |Ω| a measure of the amplitude, |d|²|Ω|/J or more."""
+    """|d|²√tr(I⁻²); times |Ω| an amplitude not below |d|²|Ω|/J for any moment J."""
     flow: Array
     """The slow flow of h at some nodes."""
 
 
 def seen(body: Body) -> SeenBody:
-    """A body as the verdicts on its states need it."""
+    """Return the numbers of a body that the verdicts on its states need."""
     rows = inverse(body.inertia)
     frame = body_frame(body)
     weakness = frame.strength * jnp.sqrt(sum(dot(rows[i], rows[i]) for i in range(3)))
@@ -101,12 +102,12 @@ def seen(body: Body) -> SeenBody:
 
 
 def verdict(body: SeenBody, y: Vector, level: Level) -> Verdict:
-    """The verdict on a state of the equation of any body.
+    """Return the verdict on a state of the equation of any body.
 
     Args:
         body: the body, `seen` once for all states.
         y: Ω, shape (3,) or (3, B).
-        level: that of the equation; a state of the full one is on its physical branch.
+        level: the level of the equation; a state of the full one must be on the physical branch.
 
     Returns:
         RESIDUAL where a Lyapunov function shows that the residual line attracts y; STOP where no
@@ -132,7 +133,7 @@ def _of_general_body(
     flags: tuple[Flag, Flag],
     attraction: Attraction,
 ) -> Verdict:
-    """The verdict except for an axisymmetric body with its dipole across the axis.
+    """Return the verdict except for an axisymmetric body with its dipole across the axis.
 
     The flags: whether the symmetry axis lies along the dipole, and whether h is `behind_barrier`.
     """
@@ -171,9 +172,9 @@ def _of_general_body(
 
 
 def _of_transverse_top(frame: DipoleFrame, level: Level, attraction: Attraction) -> Verdict:
-    """The verdict on an axisymmetric body with its dipole across the axis: its own regions.
+    """Return the verdict on an axisymmetric body with its dipole across the axis, by its regions.
 
-    Their ω∞ is more exact than that of `attraction`, but is a function of δ only: its derivatives
+    Their ω∞ is more accurate than in `attraction`, but is a function of δ only: the derivatives
     with respect to J_a and J_b are taken from `attraction`, where the line attracts.
     """
     delta, unit, omega = transverse_top(frame)
@@ -196,9 +197,9 @@ def _of_transverse_top(frame: DipoleFrame, level: Level, attraction: Attraction)
 
 
 def _attraction(frame: DipoleFrame, level: Level, excess: Real) -> Attraction:
-    """Whether a Lyapunov function shows that the line attracts the state (module docstring).
+    """Return whether a Lyapunov function shows that the line attracts the state (module docstring).
 
-    y_b is measured in s = `balancing_scale`, so that η = |g| s V₀.
+    The unit of y_b is s = `balancing_scale`, so that η = |g| s V₀.
     """
     w = safe_divisor(jnp.abs(frame.w))
     a, b, mu = frame.ja / frame.jd, frame.jb / frame.jd, frame.strength / frame.jd * w
@@ -222,7 +223,7 @@ def _attraction(frame: DipoleFrame, level: Level, excess: Real) -> Attraction:
         shown = shown & (line.least_decay(drifted, p) * part >= DECAY)
     form = line.solve_lyapunov(linear, (zero, s / 2, zero))  # gS
     size = jnp.maximum(*map(jnp.abs, line.extreme_eigenvalues(form)))
-    # The terms of fourth power in y that ω∞ = w(1 + yᵀSy) leaves out, and their derivatives with
+    # The terms of fourth power in y that ω∞ = w(1 + yᵀSy) neglects, and their derivatives with
     # respect to y and to g.
     quartic = v0 * (eta * s / 2 + size * odd)
     slope = (4 * jnp.abs(g) / jnp.sqrt(safe_divisor(square)) + 1) * quartic
@@ -234,11 +235,11 @@ def _attraction(frame: DipoleFrame, level: Level, excess: Real) -> Attraction:
 
 
 def _line_out_of_reach(frame: DipoleFrame, level: Level) -> Flag:
-    """Dipole on the middle axis: whether the energy is too small for a stable part of the line.
+    """Return whether E is too small for a stable part of the line, for a dipole on the middle axis.
 
     The line is unstable while μ² + (1 − a)(1 − b) < 0, by the characteristic polynomial of the full
-    equation; the reduced levels change that by a factor near 1 + μ. Energy bounds w by J_d w² ≤ 2E,
-    except for the energy of the near field. μ is taken twice as large to allow for both.
+    equation; at the reduced levels it differs by a factor near 1 + μ. Energy bounds w by
+    J_d w² ≤ 2E, except for the energy of the near field. Twice the μ allows for both.
     """
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     energy = frame.w**2 + a * frame.xa**2 + b * frame.xb**2

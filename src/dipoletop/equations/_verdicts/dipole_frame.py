@@ -22,8 +22,8 @@ from ..._base.types import Flag, Real, Vector
 from ...bodies import Body
 from ..levels import Level
 
-ULPS = 4096  # moments or directions that differ by so many roundings count as the same
-STILL = 8  # so many roundings of |Ω| count as no rotation about an axis
+ULPS = 4096  # roundings up to which moments or directions count as equal
+STILL = 8  # roundings of |Ω| up to which a component of Ω counts as 0
 
 
 class BodyFrame(NamedTuple):
@@ -42,12 +42,12 @@ class BodyFrame(NamedTuple):
     jb: Real
     """b·Ib."""
     jab: Real
-    """a·Ib. It is 0, but its derivatives are not where J_a = J_b, which leaves a and b free."""
+    """a·Ib. It is 0, but has derivatives where J_a = J_b, since a and b are then arbitrary."""
     principal: Flag
     """Whether n is a principal axis, to rounding."""
 
     def of(self, omega: Vector) -> "DipoleFrame":
-        """The state of that angular velocity."""
+        """Return the state of an angular velocity."""
         parts = dot(self.n, omega), dot(self.a, omega), dot(self.b, omega)
         moments = self.jd, self.ja, self.jb, self.jab
         return DipoleFrame(
@@ -76,16 +76,16 @@ class DipoleFrame(NamedTuple):
 
 
 def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
-    """A state in the frame (n, a, b) of its body."""
+    """Return a state in the frame (n, a, b) of its body."""
     return body_frame(body).of(omega)
 
 
 def body_frame(body: Body) -> BodyFrame:
-    """The frame (n, a, b), right-handed, by one Jacobi rotation about n."""
+    """Return the frame (n, a, b), right-handed, by one Jacobi rotation about n."""
     inertia, d = body.inertia, body.dipole
     strength = dot(d, d)
     n = scale(1 / jnp.sqrt(strength), d)
-    # From the coordinate axis least along n, so that body axes across n stay exactly body axes.
+    # Start from the coordinate axis least along n: body axes across n then stay exact.
     least = jnp.argmin(jnp.abs(n), axis=0)
     e = jnp.stack([jnp.where(least == i, 1.0, 0.0) for i in range(3)])
     e = cross(n, e)
@@ -93,7 +93,7 @@ def body_frame(body: Body) -> BodyFrame:
     f = cross(n, e)
     ie, jf = matvec(inertia, e), matvec(inertia, f)
     half, mixed = (dot(e, ie) - dot(f, jf)) / 2, dot(e, jf)
-    equal = (half == 0) & (mixed == 0)  # then any two directions across n will do
+    equal = (half == 0) & (mixed == 0)  # then any two directions across n are principal
     opposite = jnp.where(half < 0, -mixed, mixed)
     angle = jnp.arctan2(opposite, jnp.where(equal, 1.0, jnp.abs(half))) / 2
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -117,12 +117,12 @@ def body_frame(body: Body) -> BodyFrame:
 
 
 def rounding(like: Real) -> float:
-    """The relative difference up to which two numbers of this floating-point type are the same."""
+    """Return the relative difference up to which numbers of this floating-point type are equal."""
     return ULPS * float(jnp.finfo(like.dtype).eps)
 
 
 def symmetry_axis(frame: DipoleFrame) -> tuple[Flag, Flag]:
-    """Whether the symmetry axis lies along the dipole, and if not, whether across it."""
+    """Return whether the symmetry axis lies along the dipole, and else whether across it."""
     negligible = rounding(frame.w) * (frame.jd + frame.ja + frame.jb)
     along = jnp.abs(frame.ja - frame.jb) <= negligible
     equal_a = jnp.abs(frame.ja - frame.jd) <= negligible
@@ -131,17 +131,17 @@ def symmetry_axis(frame: DipoleFrame) -> tuple[Flag, Flag]:
 
 
 def spins_across(frame: DipoleFrame, axis_along: Flag) -> Flag:
-    """Whether Ω is 0 or along a principal axis across the dipole: its direction is constant."""
+    """Return whether Ω is 0 or along a principal axis across the dipole: a constant direction."""
     negligible = STILL * float(jnp.finfo(frame.w.dtype).eps) * frame.speed
     on_axis = axis_along | (jnp.abs(frame.xa) <= negligible) | (jnp.abs(frame.xb) <= negligible)
     return (jnp.abs(frame.w) <= negligible) & on_axis
 
 
 def transverse_top(frame: DipoleFrame) -> tuple[Real, Real, Vector]:
-    """A body with its symmetry axis across the dipole: δ, |d|²/J_d, and Ω in the axes of the top.
+    """Return δ, |d|²/J_d and Ω of a body with its symmetry axis across the dipole.
 
-    The dimensionless ω of the transverse top is |d|²Ω/J_d, its axes 1 and 3 the dipole and the
-    symmetry axis.
+    Ω is in the axes of the transverse top, with axis 1 along the dipole and axis 3 along the
+    symmetry axis. The dimensionless ω of the transverse top is |d|²Ω/J_d.
     """
     equal_a = jnp.abs(frame.ja - frame.jd) <= jnp.abs(frame.jb - frame.jd)
     j3 = jnp.where(equal_a, frame.jb, frame.ja)
@@ -151,12 +151,12 @@ def transverse_top(frame: DipoleFrame) -> tuple[Real, Real, Vector]:
 
 
 def stays_in_plane(delta: Real, omega: Vector, level: Level) -> Flag:
-    """Whether ω₁ is constant although δ ≤ −1/2: in the plane ω₃ = 0 of order 1, (4.6)."""
+    """Return whether δ ≤ −1/2 and ω₁ is constant: in the plane ω₃ = 0 of order 1, (4.6)."""
     return (delta <= -0.5) & (omega[2] == 0) & (omega[0] != 0) & (level is Level.ORDER_1)
 
 
 def constraints(body: Body, omega: Vector, level: Level) -> tuple[Vector, Vector]:
-    """Two vectors that are 0 where the verdict on ω∞ holds; a variation must keep them 0.
+    """Return two vectors that vanish where the verdict on ω∞ holds; a variation must keep them 0.
 
     Both are dimensionless, in units of the body and of |Ω|. The first is d × Id: if it varies, the
     dipole leaves its principal axis, and there is no residual rotation. The second varies if the

@@ -6,7 +6,7 @@ a function F that is 0 on the set and changes across it, the change of ω∞ is 
 
     dω∞ = d(value) + H dF,   H = 10⁻⁶ of the largest number, in place of infinity.
 
-The directional derivative is then that of the value if dF = 0, and of the size of H otherwise
+The directional derivative is then d(value) if dF = 0, and of the size of H otherwise
 (`infinite`). H stands for infinity, since ∞·0 would be NaN along the set.
 """
 
@@ -18,24 +18,24 @@ from jaxtyping import Array, Bool
 
 from ..._base.types import Real
 
-LARGE = 1e-6  # H, as a part of the largest number: sums of such derivatives do not overflow
+LARGE = 1e-6  # H over the largest number: sums of such derivatives do not overflow
 
 
 def infinity(dtype: Any) -> float:
-    """The number H that stands for infinity: 1e302, or 1e32 in single precision."""
+    """Return the number H that stands for infinity: 1e302, or 1e32 in single precision."""
     return LARGE * float(jnp.finfo(dtype).max)
 
 
 def infinite(derivative: Array) -> Bool[Array, "..."]:
-    """Whether a derivative is H times some change: no other derivative is above √H."""
+    """Return whether a derivative is H times some change: no other derivative is above √H."""
     return jnp.abs(derivative) > infinity(derivative.dtype) ** 0.5
 
 
 @jax.custom_jvp
 def piecewise_conserved(value: Real, off: Real) -> Real:
-    """The value, where `off` is 0: with derivative H along changes of `off`, else its own.
+    """Return `value`, for `off` = 0, with a derivative H along changes of `off`.
 
-    A second derivative is infinite if either of the two changes moves `off`, or both together do.
+    A second derivative is infinite if either change moves `off`, or both together do.
     """
     return value
 

@@ -1,4 +1,4 @@
-"""The linear motion near the residual line Ω = w n along the dipole, and what w tends to.
+"""The linear motion near the residual line Ω = w n along the dipole, and the limit of w.
 
 In the frame (n, a, b) of the dipole (`dipole_frame`), n a principal axis, x = (x_a, x_b) are the
 components across n. Moments are in units of J_d: a = J_a/J_d, b = J_b/J_d, I⊥ = diag(a, b). With
@@ -8,8 +8,8 @@ dipole) and μ = |d|²|w|/J_d the equation of motion, linear in y, is
     I⊥y′ = I⊥ℓ₀y + μ(−y + y″ + 2n×y′),   ℓ₀ = [[0, (b−1)/a], [(1−a)/b, 0]]:
 
 gyroscopic torque and radiation torque. On physical motions y′ = ℓy and y″ = ℓ²y, so that
-(I⊥ − 2μ n× − μℓ)ℓ = I⊥ℓ₀ − μ at the full level. The reduced ones put the ℓ of the order below (ℓ₀
-at first) into both terms, the semi-reduced one puts ℓ₀ into ℓ² only.
+(I⊥ − 2μ n× − μℓ)ℓ = I⊥ℓ₀ − μ at the full level. The reduced levels insert the ℓ of the order below
+(ℓ₀ at first) into both terms, the semi-reduced level inserts ℓ₀ into ℓ² only.
 
 As w′/w = g y_a y_b exactly, g = a − b, the limit of w follows from ∫y_a y_b. Let S solve
 ℓᵀS + Sℓ = −g [[0, 1], [1, 0]]/2; then w(1 + yᵀSy) is constant up to the fourth power of y, and
@@ -31,17 +31,17 @@ Matrix2 = tuple[Real, Real, Real, Real]
 Symmetric2 = tuple[Real, Real, Real]
 """A symmetric 2×2 matrix: its elements 11, 12 and 22."""
 
-ITERATIONS = 30  # of the fixed point that is ℓ at the full level
+ITERATIONS = 30  # iterations towards the fixed point ℓ of the full level
 
 
 def linear_part(a: Real, b: Real, mu: Real, level: Level) -> Matrix2:
-    """The matrix ℓ(μ) of the linear motion across the residual line; of the full level, the slow.
+    """Return the matrix ℓ(μ) of the linear motion across the residual line, without runaways.
 
     Args:
         a: J_a/J_d.
         b: J_b/J_d.
         mu: μ = |d|²|w|/J_d.
-        level: that of the equation of motion.
+        level: the level of the equation of motion.
     """
     if level is Level.FULL:
         return _slow_solvent(a, b, mu)
@@ -71,9 +71,9 @@ def linear_part(a: Real, b: Real, mu: Real, level: Level) -> Matrix2:
 
 
 def _slow_solvent(a: Real, b: Real, mu: Real) -> Matrix2:
-    """The ℓ of the full equation, by ℓ ← (I⊥ − 2μ n× − μℓ)⁻¹(I⊥ℓ₀ − μ) from ℓ = 0.
+    """Compute the ℓ of the full equation, by ℓ ← (I⊥ − 2μ n× − μℓ)⁻¹(I⊥ℓ₀ − μ) from ℓ = 0.
 
-    Of the solvents the iteration finds the one with the small eigenvalues, without runaways.
+    The iteration finds the solvent with the small eigenvalues, without runaways.
     """
 
     def iterate(_: Any, m: Matrix2) -> Matrix2:
@@ -88,13 +88,13 @@ def _slow_solvent(a: Real, b: Real, mu: Real) -> Matrix2:
         )
 
     zero = jnp.zeros_like(a * b * mu)
-    # Unrolled as a whole, a second derivative compiles for minutes, as in
+    # Fully unrolled, a second derivative compiles for minutes, as in
     # https://github.com/jax-ml/jax/issues/2777.
     return jax.lax.fori_loop(0, ITERATIONS, iterate, (zero, zero, zero, zero), unroll=5)
 
 
 def solve_lyapunov(m: Matrix2, q: Symmetric2) -> Symmetric2:
-    """P of MᵀP + PM = −Q: [det M · Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
+    """Compute P of MᵀP + PM = −Q: [det M · Q + adj(M)ᵀ Q adj(M)] / (−2 tr M det M)."""
     m11, m12, m21, m22 = m
     q11, q12, q22 = q
     det = m11 * m22 - m12 * m21
@@ -107,7 +107,7 @@ def solve_lyapunov(m: Matrix2, q: Symmetric2) -> Symmetric2:
 
 
 def least_decay(m: Matrix2, p: Symmetric2) -> Real:
-    """The smallest eigenvalue of −(MᵀP + PM)."""
+    """Return the smallest eigenvalue of −(MᵀP + PM)."""
     m11, m12, m21, m22 = m
     return extreme_eigenvalues(
         (
@@ -119,18 +119,18 @@ def least_decay(m: Matrix2, p: Symmetric2) -> Real:
 
 
 def extreme_eigenvalues(p: Symmetric2) -> tuple[Real, Real]:
-    """Smallest and largest eigenvalue of a symmetric matrix."""
+    """Return the smallest and the largest eigenvalue of a symmetric matrix."""
     mean, spread = (p[0] + p[2]) / 2, safe_sqrt((p[0] - p[2]) ** 2 / 4 + p[1] ** 2)
     return mean - spread, mean + spread
 
 
 def quadratic_form(p: Symmetric2, y: tuple[Real, Real]) -> Real:
-    """yᵀPy."""
+    """Return yᵀPy."""
     return p[0] * y[0] ** 2 + 2 * p[1] * y[0] * y[1] + p[2] * y[1] ** 2
 
 
 def balancing_scale(m: Matrix2) -> Real:
-    """The s for which the matrix in (y_a, y_b/s) is balanced: slow precession has y_b ~ μ y_a."""
+    """Return s that balances the matrix in (y_a, y_b/s): slow precession has y_b ~ μ y_a."""
     down, up, rate = jnp.abs(m[2]), jnp.abs(m[1]), safe_divisor(jnp.abs(m[0] + m[3]))
     square = (down + rate * jnp.minimum(1.0, rate / safe_divisor(up))) / (
         up + rate * jnp.minimum(1.0, rate / safe_divisor(down))
@@ -139,5 +139,5 @@ def balancing_scale(m: Matrix2) -> Real:
 
 
 def rescaled(m: Matrix2, s: Real) -> Matrix2:
-    """The matrix in (y_a, y_b/s)."""
+    """Return the matrix in (y_a, y_b/s)."""
     return m[0], m[1] * s, m[2] / s, m[3]

@@ -9,11 +9,10 @@ is d ln ω₁/dσ = δTZ, and (T, Z)_σ is a linear part L(T, Z) and terms from 
 linear equations for the coefficients of each Qₙ. With β = (1+2δ)/(1−δ), D = 1−δ+4v and
 b = 2v−δ(1−δ)
 
-    order 1:       L = [[−1, −δ], [0, −β]], and the coefficients follow one after the other;
-    semi-reduced:  D L = [[−(1−δ), b], [−2, −(1+2δ)]], and those of Q₄ solve a tridiagonal system.
+    order 1:       L = [[−1, −δ], [0, −β]], a triangular system for the coefficients;
+    semi-reduced:  D L = [[−(1−δ), b], [−2, −(1+2δ)]], a tridiagonal system for Q₄.
 
-At the other levels Q₂ follows from their linear part, and Q₄ of the semi-reduced level is right up
-to O(v).
+At the other levels Q₂ follows from their linear part, and the semi-reduced Q₄ holds up to O(v).
 
 Errors are estimated by the size of the next term, with factors fitted to samples: on 25 000 random
 states of each level they bound the true errors, except for 2 in 10 000 at order 1, where they are
@@ -27,22 +26,22 @@ from ..._base.types import Real, Vector
 from ..levels import Level
 from .residual_line import linear_part, quadratic_form, rescaled, solve_lyapunov
 
-LEVEL_GAP = 20.0  # of Q₄ between the levels
-SLOPE = 30.0  # of the derivatives' errors
+LEVEL_GAP = 20.0  # factor of the difference of Q₄ between the levels
+SLOPE = 30.0  # factor of the errors of the derivatives
 
 Series = tuple[Real, Real, Real]
-"""ω∞, its relative error, and that of its derivatives, with respect to δ, T and Z."""
+"""ω∞, its relative error, and the relative error of its derivatives by δ, T and Z."""
 
 
 def line_coordinates(w: Vector) -> tuple[Real, Real, Real]:
-    """T, Z and v = ω₁²."""
+    """Compute T, Z and v = ω₁²."""
     w1, w2, w3 = w
     divisor = safe_divisor(w1)
     return w2 / divisor, w3 / divisor**2, w1**2
 
 
 def first_order(d: Real, w: Vector) -> Series:
-    """ω∞ and its errors at order 1, −1/2 < δ < 1."""
+    """Return ω∞ and its errors at order 1, −1/2 < δ < 1."""
     t, z, v = line_coordinates(w)
     d = jnp.where(d > -0.5, d, 0.0)
     beta, m = (1 + 2 * d) / (1 - d), 1 + d + d**2
@@ -61,7 +60,7 @@ def first_order(d: Real, w: Vector) -> Series:
 
 
 def semi_reduced(d: Real, w: Vector) -> Series:
-    """ω∞ and its errors at the semi-reduced level, −1 < δ < 1."""
+    """Return ω∞ and its errors at the semi-reduced level, −1 < δ < 1."""
     t, z, v = line_coordinates(w)
     b, det = 2 * v - d * (1 - d), 1 - d + 4 * v
     k = d / (2 + d)
@@ -81,7 +80,7 @@ def semi_reduced(d: Real, w: Vector) -> Series:
 
 
 def quadratic_term(d: Real, w: Vector, level: Level) -> Real:
-    """Q₂ of a level, from the linear part of its motion across the residual line."""
+    """Return Q₂ of a level, from the linear part of its motion across the residual line."""
     t, z, v = line_coordinates(w)
     mu, zero = jnp.sqrt(v), jnp.zeros_like(d * v)
     linear = rescaled(linear_part(1 + zero, 1 - d, mu, level), mu)
@@ -89,7 +88,7 @@ def quadratic_term(d: Real, w: Vector, level: Level) -> Real:
 
 
 def higher_order(d: Real, w: Vector, q2: Real) -> Series:
-    """ω∞ and its errors at a level whose Q₂ is `q2`, with the semi-reduced Q₄."""
+    """Return ω∞ and its errors at a level whose Q₂ is `q2`, with the semi-reduced Q₄."""
     t, z, v = line_coordinates(w)
     omega_inf, error, slope = semi_reduced(d, w)
     omega_inf = omega_inf + w[0] * (q2 - quadratic_term(d, w, Level.SEMI))
@@ -100,26 +99,26 @@ def higher_order(d: Real, w: Vector, q2: Real) -> Series:
 
 
 def full(w: Vector, q2: Real) -> Series:
-    """ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
+    """Return ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
     t, z, v = line_coordinates(w)
     size = t**2 + v * z**2 + z**2
     return w[0] * (1 + q2), LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
 
 
 def _slope_error(size: Real, z: Real) -> Real:
-    """The part of a derivative that comes from the sixth power of (T, Z)."""
+    """Return the part of a derivative that comes from the sixth power of (T, Z)."""
     return SLOPE * size**2 * jnp.sqrt(size) * (1 + jnp.abs(z))
 
 
 def _quadratic_size(d: Real, t: Real, z: Real, v: Real) -> Real:
-    """The sizes of the terms of Q₂ at the semi-reduced level, added up."""
+    """Return the sum of the sizes of the terms of Q₂ at the semi-reduced level."""
     a = jnp.abs(d)
     along = (1 - d) * (2 * v + a * (1 - d)) * z**2 / 2
     return a / (2 + d) * ((1 + a) * t**2 + (1 - d) * jnp.abs(t * z) + along)
 
 
 def _solve_tridiagonal(d: Real, b: Real, right_side: list[Real]) -> list[Real]:
-    """The coefficients q of TⁿZⁱ, n = 4 − i, in Q₄: A q = r by elimination without pivoting.
+    """Solve A q = r for the coefficients qᵢ of T⁴⁻ⁱZⁱ in Q₄, by elimination without pivoting.
 
     Aᵢᵢ = −(4−i)(1−δ) − i(1+2δ), Aᵢ,ᵢ₋₁ = (5−i)b, Aᵢ,ᵢ₊₁ = −2(i+1). The pivots never vanish.
     """

@@ -30,19 +30,19 @@ from .dipole_frame import BodyFrame, DipoleFrame
 
 Nodes = Float[Array, "#nodes *#lanes"]
 
-NODES = 16  # at which f is evaluated between p₃ and p₂
-AVERAGING_ERROR = 4.0  # of h, in units of (p₂ − p₃)|d|²|Ω|/J; in these units that of f is 1
+NODES = 16  # points between p₃ and p₂ at which f is evaluated
+AVERAGING_ERROR = 4.0  # error of h over (p₂ − p₃)|d|²|Ω|/J; over the same, the error of f is 1
 AGM_STEPS = 6
 
 
 def flow_at_nodes(body: BodyFrame) -> Nodes:
-    """The rate f at the nodes between p₃ and p₂ of `behind_barrier`, dipole on J₁."""
+    """Return the rate f at the nodes between p₃ and p₂ of `behind_barrier`, dipole on J₁."""
     p2, p3, _ = _reciprocal_moments(body)
     return slow_flow(p2[None], p3[None], _nodes(p2))
 
 
 def _reciprocal_moments(body: BodyFrame | DipoleFrame) -> tuple[Real, Real, Flag]:
-    """p₂ and p₃ in units of p₁, and whether they are distinct; if not, any other values."""
+    """Return p₂ and p₃ in units of p₁, and whether they are distinct; if not, any other values."""
     a, b = body.ja / body.jd, body.jb / body.jd
     p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)
     resolved = float(jnp.finfo(p2.dtype).eps) ** 0.5
@@ -51,17 +51,17 @@ def _reciprocal_moments(body: BodyFrame | DipoleFrame) -> tuple[Real, Real, Flag
 
 
 def _nodes(like: Real) -> Nodes:
-    """The places of the nodes, as parts of the way from p₃ to p₂."""
+    """Return the nodes as fractions of the way from p₃ to p₂."""
     nodes = (jnp.arange(1, NODES + 1) / (NODES + 1)).astype(like.dtype)
     return jnp.broadcast_to(nodes.reshape((NODES,) + (1,) * like.ndim), (NODES, *like.shape))
 
 
 def behind_barrier(frame: DipoleFrame, flow: Nodes) -> Flag:
-    """Whether h, with the dipole on the smallest moment, is below a zone in which it falls.
+    """Return whether h, with the dipole on the smallest moment, is below a zone in which it falls.
 
-    f < 0 is asked for at one of the nodes between the state and the separatrix. The distance of
-    that node and the depth of f allow for the error of averaging, which is of the order of
-    |d|²|Ω|/J and falls with |Ω|. `flow` is f at the nodes.
+    f < 0 must hold at a node between the state and the separatrix. The distance of that node and
+    the size of f must exceed the error of averaging, which is of the order of |d|²|Ω|/J and falls
+    with |Ω|. `flow` is f at the nodes.
     """
     a, b = frame.ja / frame.jd, frame.jb / frame.jd
     momentum = frame.w**2 + (a * frame.xa) ** 2 + (b * frame.xb) ** 2
@@ -74,7 +74,7 @@ def behind_barrier(frame: DipoleFrame, flow: Nodes) -> Flag:
 
 
 def slow_flow(p2: Nodes, p3: Nodes, x: Nodes) -> Nodes:
-    """The rate f = dh/ds at h = p₃ + (p₂ − p₃)x, 0 < x < 1, dipole on J₁, in units of p₁."""
+    """Compute f = dh/ds at h = p₃ + (p₂ − p₃)x, 0 < x < 1, dipole on J₁, in units of p₁."""
     h = p3 + (p2 - p3) * x
     w = _ratio_of_elliptic_integrals((1 - p2) * x / (1 - h))
     y = (
@@ -88,7 +88,7 @@ def slow_flow(p2: Nodes, p3: Nodes, x: Nodes) -> Nodes:
 
 
 def _ratio_of_elliptic_integrals(m: Nodes) -> Nodes:
-    """E(m)/K(m) = 1 − Σ 2ⁿ⁻¹cₙ² by the arithmetic-geometric mean, 0 ≤ m ≤ 0.99."""
+    """Compute E(m)/K(m) = 1 − Σ 2ⁿ⁻¹cₙ² by the arithmetic-geometric mean, 0 ≤ m ≤ 0.99."""
     arithmetic, geometric, total, weight = jnp.ones_like(m), jnp.sqrt(1 - m), m / 2, 1.0
     for _ in range(AGM_STEPS):
         half = (arithmetic - geometric) / 2
@@ -99,9 +99,9 @@ def _ratio_of_elliptic_integrals(m: Nodes) -> Nodes:
 
 
 def ends_on_axis(frame: DipoleFrame) -> Flag:
-    """Dipole on the middle axis: whether all motions end as a spin about J₃, the largest moment.
+    """Return whether all motions end in a spin about J₃, for a dipole on the middle axis.
 
-    There f ∝ (h − p₃) with the sign of J₂J₁² − (J₃−J₂)(J₃−J₁)²; else the body goes on tumbling.
+    There f ∝ (h − p₃) with the sign of J₂J₁² − (J₃−J₂)(J₃−J₁)²; else the body keeps tumbling.
     """
     low, high = jnp.minimum(frame.ja, frame.jb), jnp.maximum(frame.ja, frame.jb)
     return frame.jd * low**2 < (high - frame.jd) * (high - low) ** 2

@@ -1,7 +1,7 @@
 """Regions of the transverse top from which the outcome is certain, and ω∞ inside them.
 
 Each public function takes δ and ω and returns a `Verdict`. Exact invariant sets come first. Outside
-them there are three kinds of region, in the letters
+them there are three kinds of region, in the notation
 
     u = ω₁² + ω₂²,   M = 1 + δ + δ²,   U = u + Mω₃²,   p = u/U,   q = 2|δω₃|/U,
     S = sgn(ω₃)·2ω₁ω₂/u,   T = ω₂/ω₁,   Z = ω₃/ω₁²,   v = ω₁²,   D = 1 − δ + 4v.
@@ -14,13 +14,13 @@ outside the cone the outcome is certain, too, but ω∞ has no series there.
 
 Rotating stop, δ < 0. Precession is so fast that the angle φ = atan2(ω₂, ω₁) turns for ever: q > S,
 and ln q + S/q, at the semi-reduced level with a correction, is above a bound. Proven at order 1,
-tested at the other.
+tested at the semi-reduced level.
 
 Wobbling stop, δ > δ_c2, at the consistent levels only: φ swings round π/2, inside the stable
 manifold of the saddle of the small-amplitude limit (`dipoletop.planar`). Tested.
 
-Orders 2–4 and the full equation agree with the semi-reduced level up to O(ω²), so its regions serve
-them at small amplitude. Tested.
+Orders 2–4 and the full equation agree with the semi-reduced level up to O(ω²), so its regions are
+also used for them at small amplitude. Tested.
 """
 
 from typing import Any
@@ -49,10 +49,10 @@ NEAR_LINE = 1e-4
 
 
 def has_boundary(delta: Any, level: Level) -> Any:
-    """Whether a basin boundary exists at a shape δ, so that a run may end in either way.
+    """Return whether a basin boundary exists at a shape δ, so that a run may end in either way.
 
-    Elsewhere runs are residual, but for starts on an axis and on a surface (section 4.2), and no
-    region but that of residual rotation ever decides. From order 2 on runs may diverge, too.
+    Elsewhere runs are residual, except for starts on an axis and on a surface (section 4.2), and
+    only the region of residual rotation ever decides. From order 2 on runs may also diverge.
     """
     if level in (Level.ORDER_1, Level.SEMI):
         return has_boundary_at_rest(delta, level)
@@ -60,7 +60,7 @@ def has_boundary(delta: Any, level: Level) -> Any:
 
 
 def has_boundary_at_rest(delta: Any, level: Level) -> Any:
-    """Whether a basin boundary exists among motions that are as slow as you like.
+    """Return whether a basin boundary exists among arbitrarily slow motions.
 
     There all consistent levels have the same outcomes.
     """
@@ -69,19 +69,19 @@ def has_boundary_at_rest(delta: Any, level: Level) -> Any:
 
 
 def _log_below(q: Real) -> Real:
-    """A lower bound of ln q within 1e-5, in single precision, which XLA:CPU vectorises."""
+    """Return a lower bound of ln q within 1e-5, in single precision, which XLA:CPU vectorises."""
     return jnp.log(safe_divisor(q).astype("float32")).astype(q.dtype) - 5e-6
 
 
 def _q_and_s(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
-    """The pair q, S."""
+    """Return the pair q, S."""
     w1, w2, w3 = w
     q = 2 * jnp.abs(d * w3) / safe_divisor(u + (1 + d + d**2) * w3**2)
     return q, jnp.sign(w3) * 2 * w1 * w2 / safe_divisor(u)
 
 
 def _decided(residual: Flag, stop: Flag, kind: Array, certified: Flag, series: Series) -> Verdict:
-    """The verdict on a state; where both flags are set, as on exact sets, the stop wins.
+    """Return the verdict on a state; where both flags are set, as on exact sets, the stop wins.
 
     All neighbours of a state that stops also stop, so that the derivatives of ω∞ are 0, except
     perhaps on an axis.
@@ -96,9 +96,9 @@ def _decided(residual: Flag, stop: Flag, kind: Array, certified: Flag, series: S
 
 
 def _where_constant(exact: Flag, w1: Real, series: Series) -> Series:
-    """The series, whose value is ω₁ where that is constant, but whose derivatives are its own.
+    """Return the series with the value ω₁ where ω₁ is constant, and with its own derivatives.
 
-    Far from the line the series is of no use and may overflow: there ω₁ replaces all of it.
+    Far from the line the series is useless and may overflow: there ω₁ replaces all of it.
     """
     omega_inf, error, slope = series
     far = exact & ~(slope < 1)
@@ -107,10 +107,10 @@ def _where_constant(exact: Flag, w1: Real, series: Series) -> Series:
 
 
 def _on_axis(axis: Flag, d: Real, w: Vector, series: Series, plane: Flag | bool = False) -> Series:
-    """ω∞ = 0 on an axis of decaying spin, although its neighbours may keep rotating.
+    """Set ω∞ = 0 on an axis of decaying spin, although its neighbours may keep rotating.
 
-    Its derivatives are those of ω₁ where that is constant, at δ = 0 and in an invariant `plane`
-    ω₃ = 0, and 0 on axis 3. On other axes there are none.
+    Its derivatives are the derivatives of ω₁ where ω₁ is constant, at δ = 0 and in an invariant
+    `plane` ω₃ = 0, and 0 on axis 3. On other axes there are none.
     """
     w1, w2, w3 = w
     constant = (d == 0) | plane
@@ -126,7 +126,7 @@ def _on_axis(axis: Flag, d: Real, w: Vector, series: Series, plane: Flag | bool 
 
 
 def almost_every_start(delta: Real, w: Vector) -> Flag:
-    """Starts at order 1 with 0 < δ < 1 that are residual, but for a set of measure 0.
+    """Return which starts at order 1, 0 < δ < 1, are residual except for a set of measure 0.
 
     With A = ω² + δ(1+δ)ω₃² and B = (ω² + δ(2ω₁² − ω₂²))/(1−δ), which are positive,
 
@@ -135,23 +135,24 @@ def almost_every_start(delta: Real, w: Vector) -> Flag:
     Both u and |ω₃| fall. If u has a limit above 0, then ω₃ → 0 and ω₂ → 0: the start is residual.
     Let now u → 0, off the invariant axes. Then ω₃ → 0, too, as ω₃′ ≤ −ω₃³/(1−δ) for ω₃ > 0.
 
-    1. z = |ω₃|/u stays bounded. Where z is large, φ turns fast, and ln z, but for the small term
+    1. z = |ω₃|/u stays bounded. Where z is large, φ turns fast, and ln z, except for the small term
        −A sin 2φ/(2δω₃) and another one, falls like −∫A dτ times a positive number: averaged over φ
        (ln z)′ is −(1−δ)⁻¹(3δu/2 + δ³ω₃²), and ∫A dτ diverges.
-    2. So ω₃²/u ≤ z²u → 0, and with dσ = u dτ the motion is, up to O(u), that of `planar` at order
-       1, F = (φ_σ, z_σ). Near (φ, z) = (π/2, 0) both eigenvalues are 1, so it leaves that place for
-       ever; where z is small elsewhere, it would enter the cone. So z stays above a number.
+    2. So ω₃²/u ≤ z²u → 0, and with dσ = u dτ the motion obeys, up to O(u), `planar` at order 1,
+       F = (φ_σ, z_σ). Near (φ, z) = (π/2, 0) both eigenvalues are 1, so it leaves that
+       neighbourhood for ever; where z is small elsewhere, it would enter the cone. So z stays
+       above a positive number.
     3. There z⁻² has a finite integral, and it increases along the planar motion:
        div(z⁻²F) = 3δ cos²φ z⁻²/(1−δ). The measure u^(κ−1)·exp(κχ)·z⁻² du dφ dz, κ > 0 small and
        χ(φ, z) smooth with F·∇χ > 2 around φ = π/2, increases at a positive rate for small u. A set
-       of finite measure that is carried into itself cannot grow: its measure is 0.
+       of finite measure that is mapped into itself cannot grow: its measure is 0.
     """
     w1, w2, w3 = w
     return (delta > 0) & ((w1 != 0) | ((w2 != 0) & (w3 != 0)))
 
 
 def first_order(delta: Real, w: Vector) -> Verdict:
-    """Order 1, (4.2)–(4.4): every region is proven, for any amplitude."""
+    """Return the verdict of order 1, (4.2)–(4.4): every region is proven, for any amplitude."""
     d = delta
     w1, w2, w3 = w
     u = w1**2 + w2**2
@@ -164,7 +165,7 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     below = jnp.where(d >= 0, 2.0, 2 + d)
     above = jnp.where(d >= 0, 1.0, 1 + 2 * d)  # κ = above/below
     height = jnp.sqrt(jnp.where(d >= 0, 1.0, jnp.maximum(above, 0.0) * (1 - d)))  # λ = height/below
-    # Unsquared, and not where squares underflow: 0 ≤ 0 would certify anything.
+    # Compared unsquared, and not where squares underflow: 0 ≤ 0 would certify anything.
     flat = (below * jnp.abs(d * w3) <= u * height) & (u >= jnp.finfo(u.dtype).tiny)
     cone = (d > -0.5) & (w1 != 0) & (below * w2**2 <= above * u) & flat
 
@@ -188,7 +189,7 @@ def first_order(delta: Real, w: Vector) -> Verdict:
 
 
 def semi_reduced(delta: Real, w: Vector) -> Verdict:
-    """Semi-reduced level: residual (proven for most δ), rotating and wobbling stop (tested)."""
+    """Return the semi-reduced verdict: residual (proven for most δ), or stop (tested)."""
     d = delta
     w1, w2, w3 = w
     u = w1**2 + w2**2
@@ -217,7 +218,7 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
 
 
 def _residual_region(d: Real, w: Vector) -> Flag:
-    """D(T²+Z²) + [(1+2δ)T + (2v−δ(1−δ))Z]² + [(1−δ)Z − 2T]² ≤ c(δ)."""
+    """Return whether D(T²+Z²) + [(1+2δ)T + (2v−δ(1−δ))Z]² + [(1−δ)Z − 2T]² ≤ c(δ)."""
     t, z, v = line_coordinates(w)
     size = jnp.abs(safe_divisor(d))
     bound = jnp.where(d < 0, jnp.minimum(1.75 / size**2, 17 / size), 3.3 / size)
@@ -227,12 +228,12 @@ def _residual_region(d: Real, w: Vector) -> Flag:
 
 
 def _wobbling_region(d: Real, w: Vector) -> Flag:
-    """Inside the stable manifold of the saddle, near the section ω₁ = 0.
+    """Return whether ω is inside the stable manifold of the saddle, near the section ω₁ = 0.
 
     The manifold crosses the section at z = ω₃/u = z_W(δ). Its Taylor series in the angle ε from
-    there is c₀ + c₁ε + c₂ε² + c₃ε³ with c₀ = z_W and c₁ = −1/δ; the region ends below it by as much
-    as the series leaves out and as a finite amplitude may change. z_W is a fit from below, within
-    6e-6 for δ ≤ 0.999.
+    there is c₀ + c₁ε + c₂ε² + c₃ε³ with c₀ = z_W and c₁ = −1/δ. A margin below it allows for the
+    rest of the series and for the finite amplitude. z_W is a fit from below, within 6e-6 for
+    δ ≤ 0.999.
     """
     w1, w2, w3 = w
     u = w1**2 + w2**2
@@ -244,7 +245,7 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
     c2 = -(1 + delta) / (2 * delta**2 * y * c0)
     c3 = (4 * c2 + (2 + delta) / y * c0) / (3 * delta * c0)
     z = w3 / safe_divisor(u)
-    # The angle from the section, by the series of arcsin; it counts against z, by symmetry.
+    # The angle from the section, by the series of arcsin; by symmetry its sign is relative to z's.
     sine = -w1 * jnp.sign(w2) * jnp.where(z < 0, -1.0, 1.0) / jnp.sqrt(safe_divisor(u))
     s2 = sine**2
     e = sine * (1 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112 + s2 * 35 / 1152))))
@@ -254,10 +255,11 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
 
 
 def full(delta: Real, w: Vector) -> Verdict:
-    """On the physical branch: as orders 2–4, and near the residual line at any amplitude.
+    """Return the verdict on the physical branch, near the residual line at any amplitude.
 
     There T = ω₂/ω₁ and Z = ω₃/(ω₁ min(|ω₁|, 1)) decay, for the line is stable at every ω₁ ≠ 0
-    and δ: of its characteristic polynomial the constant term, ω₁⁴, is positive. Tested only.
+    and δ: the constant term of its characteristic polynomial, ω₁⁴, is positive. Elsewhere the
+    verdict of orders 2–4 holds. Tested only.
     """
     q2 = quadratic_term(delta, w, Level.FULL)
     small = _at_small_amplitude(delta, w, q2)
@@ -272,7 +274,7 @@ def full(delta: Real, w: Vector) -> Verdict:
 
 
 def _at_small_amplitude(d: Real, w: Vector, q2: Real) -> Verdict:
-    """The semi-reduced regions at small amplitude, for a level whose Q₂ is `q2`.
+    """Return the semi-reduced regions at small amplitude, for a level whose Q₂ is `q2`.
 
     The levels agree there up to O(ω²), which the error of ω∞ includes.
     """
@@ -294,7 +296,7 @@ def _at_small_amplitude(d: Real, w: Vector, q2: Real) -> Verdict:
 
 
 def of_level(delta: Real, w: Vector, level: Level) -> Verdict:
-    """The verdict of a reduced or the semi-reduced level, or of the full one at small amplitude."""
+    """Return the verdict of a reduced or semi-reduced level, or of the full one if ω is small."""
     if level is Level.SEMI:
         return semi_reduced(delta, w)
     if level is Level.ORDER_1:
