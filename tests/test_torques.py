@@ -83,10 +83,10 @@ def slow_roots(level, inertia, strength):
     ("level", "delta"),
     [
         ("order-1", 0.3),
-        ("order-2", -0.5),
+        pytest.param("order-2", -0.5, marks=pytest.mark.slow),
         pytest.param("order-3", 0.3, marks=pytest.mark.slow),
         ("semi", -0.5),
-        ("full", 0.3),
+        pytest.param("full", 0.3, marks=pytest.mark.slow),
     ],
 )
 def test_radiation_damps_a_swing_by_the_closed_form(level, delta):
@@ -119,7 +119,7 @@ def test_the_energy_that_a_field_gives_is_radiated():
     assert energy[0] - energy[-1] > 0.01
 
 
-@pytest.mark.parametrize("level", ["order-1", "full"])
+@pytest.mark.parametrize("level", ["order-1", pytest.param("full", marks=pytest.mark.slow)])
 def test_a_torque_in_time_sets_a_body_in_motion(level):
     """I₃ω₃′ = M(τ) + ω₃″ − ω₃³ about axis 3, near rest; at order 1 with ω₃″ = M′/I₃."""
     top, frequency, size = dt.equation_at(level, 0.4), 0.5, 1e-8
@@ -159,6 +159,7 @@ def test_several_torques_add_up():
     np.testing.assert_allclose(run.omega[-1, 1], braked(GAMMA, 1.0, 8.0), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_field_is_added_to_a_field():
     top = dt.TransverseSemi(-0.2)
     fields = [torques.field_on_dipole(top, field) for field in ([0.0, 0.01, 0.0], [0.0, 0.0, 0.02])]
@@ -199,6 +200,7 @@ def test_semi_reduced_with_drag_against_another_integrator():
 # Energy and attitude of a run
 
 
+@pytest.mark.slow
 def test_the_work_of_a_torque_belongs_to_the_balance():
     """Along the dipole nothing radiates, so the energy changes by the work alone."""
 
@@ -214,6 +216,7 @@ def test_the_work_of_a_torque_belongs_to_the_balance():
     assert without.work is None
 
 
+@pytest.mark.slow
 def test_a_run_has_the_attitude_of_its_states():
     top = dt.TransverseSemi(0.3)
     pulled = torques.field_on_dipole(top, [0.0, 0.0, 0.0])  # no torque at all
@@ -270,6 +273,7 @@ def test_the_regions_of_the_equation_do_not_decide_with_a_torque():
         dt.sweep(lambda w3: (equation, dt.cylindrical(0.2, w3, 0.1)), dt.Grid(w3=[0.1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["jax", "auto"])
 @pytest.mark.filterwarnings("ignore:.*native engine:UserWarning")
 def test_sweeps_vary_the_torque(engine):
@@ -289,6 +293,7 @@ def test_sweeps_vary_the_torque(engine):
     assert np.all(np.diff(basin.time, axis=0) < 0)  # more drag, earlier rest
 
 
+@pytest.mark.slow
 def test_plain_functions_in_sweeps_see_one_top():
     def push(t, omega):
         assert omega.shape == (3,)
@@ -302,6 +307,7 @@ def test_plain_functions_in_sweeps_see_one_top():
     assert np.all(basin.outcome == Outcome.STOP)  # at once
 
 
+@pytest.mark.slow
 def test_a_verdict_may_depend_on_the_attitude():
     def turned(y):
         done = y[3] ** 2 < 0.5  # by more than a quarter of a turn
@@ -315,6 +321,7 @@ def test_a_verdict_may_depend_on_the_attitude():
     assert np.pi / 2 <= angle < np.pi
 
 
+@pytest.mark.slow
 def test_derivatives_pass_through_torques():
     def end(gamma):
         equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(gamma))
@@ -375,7 +382,7 @@ def test_refusals(arguments, options, message):
         torques.with_torque(*arguments, **options)
 
 
-@pytest.mark.parametrize("engine", ["jax", "native"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "native"])
 def test_sweeps_know_the_time(engine):
     """I₁ω₁′ = τ/100 along the dipole, from rest; the verdict gives ω₁ where the run ended."""
 
@@ -413,6 +420,7 @@ def test_maps_with_a_torque_are_not_unfolded():
     assert columns == len(phi)
 
 
+@pytest.mark.slow
 def test_stores_tell_torques_apart_that_agree_at_first(tmp_path):
     """sin τ and tanh τ at τ = 0."""
 
@@ -432,6 +440,7 @@ def test_stores_tell_torques_apart_that_agree_at_first(tmp_path):
         dt.sweep(problem_of(jnp.tanh), grid, store=tmp_path / "a.zarr")
 
 
+@pytest.mark.slow
 def test_half_of_the_energy_is_lost_when_a_growing_drag_has_taken_it():
     """I₁ω₁′ = −(1 + τ)ω₁/10 along the dipole."""
 

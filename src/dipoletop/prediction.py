@@ -128,7 +128,7 @@ class Prediction(eqx.Module):
         return History(given, *values)
 
     def __repr__(self) -> str:
-        """Return the numbers of a single prediction, quantiles of many, or shapes of a traced one."""
+        """Return the numbers of one prediction, quantiles of many, or the shapes of traced ones."""
         if not concrete(self):
             return eqx.tree_pformat(self)
         n, many = self.outcome.size, self.outcome.ndim > 0

@@ -35,6 +35,7 @@ def driven(gamma, w3, ts, rtol):
     return run.omega[:, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [0.1, -0.5, -1.9])
 @pytest.mark.parametrize("rtol", [1e-6, 1e-10, 1e-12])
 def test_small_rotations_follow_the_closed_form(gamma, rtol):
@@ -47,6 +48,7 @@ def test_small_rotations_follow_the_closed_form(gamma, rtol):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [-2.0, 0.23, 0.245])
 def test_where_a_runaway_may_pass_for_the_branch_nothing_is_found(gamma):
     """At γ = −2 all levels agree on the runaway 2; at 0.245 the roots are 0.43 and 0.57."""
@@ -77,6 +79,7 @@ def test_a_torque_that_drives_to_a_steady_rotation():
     np.testing.assert_allclose(found, exact.sol(exact.t[-1] + ts)[0], rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_branch_of_a_drag_has_the_rate_of_the_closed_form():
     equation = torques.with_torque(SPHERE, torques.drag(0.1))
     found, error = dt.slow_manifold(equation, [0.0, 0.0, SMALL], with_error=True)
@@ -118,6 +121,7 @@ def test_derivatives_by_the_first_time_and_by_a_torque():
         np.testing.assert_allclose(slope, differences, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_rate_on_the_branch_at_a_time():
     run = dt.simulate(WAVE, START, [1.0, 2.0])
     np.testing.assert_allclose(
@@ -137,6 +141,7 @@ def test_the_rate_on_the_branch_has_a_derivative_by_the_time():
     np.testing.assert_allclose(jax.jacfwd(rates)(1.0), differences, rtol=1e-7, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_radiated_energy_and_work_over_several_windows():
     """E − d₁·d₂ + ∫(|d₂|² − ω·M)dτ is constant, whatever the time at which the run begins."""
     ts = jnp.linspace(7.0, 150.0, 30)

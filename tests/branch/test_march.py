@@ -73,6 +73,7 @@ def test_outcomes_are_those_of_the_motion(long, many):
     assert abs(found.omega_inf[here] - (0 if stops else run.omega[-1, 0])) < 1e-9
 
 
+@pytest.mark.slow
 def test_half_of_the_energy_to_be_lost_is_lost_when_it_is_said_to_be(long):
     start, _ = long
     half = decay_time(TOP, start)
@@ -141,6 +142,7 @@ class Isotropic(eqx.Module):
         return jnp.where(slow, int(dt.Outcome.STOP), 0), jnp.zeros(()), ~slow
 
 
+@pytest.mark.slow
 def test_a_single_start_is_followed_until_it_is_decided():
     """Backwards the branch attracts, so any start behind it shows when it passes 0.2 and 0.15."""
     found = dt.classify(Isotropic(), jnp.array([0.0, 0.16, 0.12]))
@@ -171,6 +173,7 @@ def test_fast_rotations_come_from_where_they_began(speed):
     assert abs(back.t[-1]) < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [1e-15, 1e-9, 1e-6])
 def test_a_start_beside_the_residual_rotation_is_followed(off):
     """It hardly moves, so that its first window would be as long as 1/off."""
@@ -215,6 +218,7 @@ def test_many_starts_agree_with_the_third_order(many):
     np.testing.assert_allclose(found.omega_inf[caught], third[0, caught], rtol=4e-3)
 
 
+@pytest.mark.slow
 def test_prolate_tops_are_decided_beside_the_residual_line():
     """Where |ω| > 0.3 (1 − δ) the tested regions end; the line is stable at any amplitude."""
     starts = isotropic(5, 0.25)
@@ -226,6 +230,7 @@ def test_prolate_tops_are_decided_beside_the_residual_line():
         assert abs(run.omega[-1, 0] - found.omega_inf[i]) < 1e-7
 
 
+@pytest.mark.slow
 def test_sweep_and_bad_lanes():
     def problem(delta, amplitude):
         return dt.TransverseFull(delta), amplitude * jnp.array([0.8, 0.1, 0.03])
@@ -251,6 +256,7 @@ def test_off_the_branch_a_top_runs_away():
     assert dt.classify(TOP, TOP.lift(STARTS[np.pi / 30])).outcome == dt.Outcome.FAILED
 
 
+@pytest.mark.slow
 def test_where_there_is_no_branch():
     needle, start = dt.TransverseFull(0.95), jnp.array([3.0, 2.0, 4.0])
     with pytest.raises(RuntimeError, match="could not be followed"):

@@ -59,6 +59,7 @@ class WithShortLevels(eqx.Module):
         return self.general(t, y, args)
 
 
+@pytest.mark.slow
 def test_the_general_equation_has_the_same_branch():
     body, start = dt.axisymmetric(-0.2), STARTS[np.pi / 3]
     general = dt.Full(body)
@@ -90,6 +91,7 @@ def at_rest(body):
     return jax.jacfwd(lambda y: dt.Full(body)(0.0, y))(jnp.zeros(6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [1e-10, 1e-5])
 def test_a_requested_accuracy(wanted):
     """The estimate covers the error, and what misses the request is not given."""
@@ -111,6 +113,7 @@ def test_a_requested_accuracy(wanted):
     assert np.mean(found) > 0.6
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_branch():
     """By shape and start, backwards, against differences of order 6."""
     start, way, step = dt.cylindrical(0.2, 0.2, np.pi / 30), jnp.array([0.3, -0.2, 0.4]), 4e-3

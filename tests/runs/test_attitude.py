@@ -131,6 +131,7 @@ def test_full_equation_keeps_the_balance_of_angular_momentum():
     assert changed > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseFull])
 def test_residual_rotation_takes_no_steps_for_its_turns(level):
     """Figure 2a: after the capture q turns about the dipole by ω∞τ, here some hundred times."""
@@ -205,6 +206,7 @@ def test_derivatives_along_the_branch():
     np.testing.assert_allclose(slope, difference @ WAY, rtol=0, atol=3e-8)
 
 
+@pytest.mark.slow
 def test_batch_of_starts_and_of_first_attitudes():
     starts = jnp.asarray(np.random.default_rng(5).normal(size=(3, 3)) / 4)
     attitudes = jnp.array([LEVEL, TILTED])
@@ -228,6 +230,7 @@ def test_batch_of_starts_and_of_first_attitudes():
         one.to_laboratory(jnp.ones((4, 3)))
 
 
+@pytest.mark.slow
 def test_what_was_not_reached_is_not_a_number():
     start, ts = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e-3, 1e3])
     for level in (dt.TransverseReduced, dt.TransverseFull):

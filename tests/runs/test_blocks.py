@@ -65,7 +65,9 @@ def near_boundary(level, deltas, sizes, in_one_pass, rounds=20):
     return jnp.tile(deltas, rounds), np.concatenate(starts), np.concatenate(found)
 
 
-@pytest.mark.parametrize("level", ["order-1", "semi", "order-2"])
+@pytest.mark.parametrize(
+    "level", ["order-1", "semi", pytest.param("order-2", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize(
     ("deltas", "sizes"), [((-0.99, -0.01), (0.01, 0.4)), ((0.01, 0.7), (0.05, 0.4))]
 )
@@ -102,6 +104,7 @@ def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, in_one_pa
     assert np.count_nonzero(careless.outcome != expected) > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [dt.SemiReduced, dt.Reduced])
 def test_labels_of_bodies_are_those_of_one_pass(kind, in_one_pass):
     _, starts = tops(600, (0, 1), (0.05, 0.5))
@@ -113,6 +116,7 @@ def test_labels_of_bodies_are_those_of_one_pass(kind, in_one_pass):
     np.testing.assert_array_equal(found.outcome, expected.outcome)
 
 
+@pytest.mark.slow
 def test_the_jax_engine_makes_one_pass(in_one_pass):
     """A second one would begin all runs again, since a program is compiled for their number."""
     deltas, starts = tops(300, (-0.9, 0.9), (0.02, 0.5))
@@ -125,6 +129,7 @@ def test_the_jax_engine_makes_one_pass(in_one_pass):
     assert np.mean(found.steps != one.steps) < 0.02
 
 
+@pytest.mark.slow
 def test_the_second_tolerance_of_a_sweep_checks_the_first_pass(in_one_pass, monkeypatch):
     """With `confirm` every start is run again at that tolerance, in one pass."""
     deltas, starts, _ = near_boundary("semi", (0.76, 0.98), (1e-3, 0.05), in_one_pass)

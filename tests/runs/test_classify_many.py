@@ -132,6 +132,7 @@ def test_certificates_are_not_contradicted_by_a_tighter_tolerance(level):
     assert loose.steps.mean() < tight.steps.mean()
 
 
+@pytest.mark.slow
 def test_second_order_agrees_with_the_semi_reduced_level_at_small_amplitude():
     rng = np.random.default_rng(15)
     deltas, omegas = jnp.asarray(rng.uniform(-0.9, 0.5, 400)), starts(400, 16, 0.01, 0.03)

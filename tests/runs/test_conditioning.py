@@ -32,7 +32,7 @@ TRUTH = [
     ("semi", 0.9, (0.2, 0.01, 0.1), 2.0155461937164281e-01),
 ]
 TRUSTED = 3.0  # an error may exceed its estimate by this factor
-engines = pytest.mark.parametrize("engine", ["native", "jax"])
+engines = pytest.mark.parametrize("engine", ["native", pytest.param("jax", marks=pytest.mark.slow)])
 
 
 def known(found, index=()):
@@ -57,7 +57,7 @@ def test_values_of_many_are_as_exact_as_they_say(level, engine):
         assert np.all(found.omega_inf_error <= largest * np.abs(exact))
 
 
-@pytest.mark.parametrize("level", ["order-1", "semi"])
+@pytest.mark.parametrize("level", [pytest.param("order-1", marks=pytest.mark.slow), "semi"])
 def test_values_of_one_are_as_exact_as_they_say(level):
     deltas, starts, exact = of_level(level)
 
@@ -73,6 +73,7 @@ def test_values_of_one_are_as_exact_as_they_say(level):
         assert float(rotation) == pytest.approx(value, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_value_beside_a_derivative_is_that_value():
     level, delta, start, value = TRUTH[0]
 
@@ -97,6 +98,7 @@ def sign_change():
     return problem, float(found.at(found.s)["phi"][0])
 
 
+@pytest.mark.slow
 def test_a_sign_that_is_not_certain_is_not_given(sign_change):
     problem, phi = sign_change
     beside = phi + np.array([-1e-4, -1e-12, 0.0, 1e-12, 1e-4])
@@ -124,6 +126,7 @@ def bodies(n):
     return dt.Body(inertia, jnp.tile(jnp.array([1.0, 0.0, 0.0]), (n, 1))), jnp.asarray(starts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "level", [dt.Reduced, pytest.param(dt.SemiReduced, marks=pytest.mark.slow)]
 )

@@ -10,6 +10,7 @@ import pytest
 import dipoletop as dt
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
+from dipoletop._runs import memory_limits
 
 N = 700
 STARTS = np.asarray(dt.Sample(n=N, amplitude=(0.05, 0.4), seed=1).points(np.arange(N)))
@@ -20,7 +21,7 @@ EXHAUSTED = jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory alloca
 @pytest.fixture
 def little_memory(monkeypatch):
     """From here on a device takes no more than so many runs; the sizes that were tried."""
-    monkeypatch.setattr(memory, "_fitting", {})
+    monkeypatch.setattr(memory_limits, "_fitting", {})
     tried = []
 
     def limited(engine, most, error):
@@ -40,7 +41,7 @@ def little_memory(monkeypatch):
 
 
 @pytest.mark.parametrize("value", [False, True])
-@pytest.mark.parametrize("engine", [NativeEngine, JaxEngine])
+@pytest.mark.parametrize("engine", [NativeEngine, pytest.param(JaxEngine, marks=pytest.mark.slow)])
 def test_blocks_are_halved_until_they_fit(engine, value, little_memory):
     settings = {"value": value, "engine": engine.name, "slow_flow": False}
     whole = dt.classify_many(TOPS, STARTS, **settings)
@@ -80,7 +81,7 @@ def test_tiles_are_as_large_as_memory_allows():
 
     gpu = device("gpu", bytes_limit=80 * 2**30)
     small = device("gpu", bytes_limit=2**30, bytes_in_use=2**29)
-    assert memory.largest_tile([gpu]) == memory.largest_tile([device("gpu")]) == 2**20
-    assert memory.largest_tile([gpu, small]) == 2**17  # 2^29 bytes, 2^12 of a start
-    assert memory.largest_tile([gpu, device("cpu")]) == memory.TILE
-    assert memory.largest_tile([device("gpu", bytes_limit=1)]) == memory.TILE
+    assert memory_limits.largest_tile([gpu]) == memory_limits.largest_tile([device("gpu")]) == 2**20
+    assert memory_limits.largest_tile([gpu, small]) == 2**17  # 2^29 bytes, 2^12 of a start
+    assert memory_limits.largest_tile([gpu, device("cpu")]) == memory_limits.TILE
+    assert memory_limits.largest_tile([device("gpu", bytes_limit=1)]) == memory_limits.TILE

@@ -110,6 +110,7 @@ def test_single_starts_differentiate_in_every_way(cases):
     )
 
 
+@pytest.mark.slow
 def test_semi_reduced_level_against_high_order_differences():
     def problem(delta, phi):
         return dt.TransverseSemi(delta), dt.cylindrical(0.2, 0.15, phi)
@@ -126,6 +127,7 @@ def test_semi_reduced_level_against_high_order_differences():
     )
 
 
+@pytest.mark.slow
 def test_variations_of_a_general_body_are_those_of_the_closed_form():
     def tangent(equation_of, delta):
         equation, change = jax.jvp(equation_of, (delta,), (1.0,))
@@ -234,6 +236,7 @@ def test_slopes_where_the_value_is_known_at_once():
     assert basin.derivative("delta")[1] == pytest.approx(integral, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_no_derivative_no_number():
     def slope(delta, omega, level=dt.TransverseReduced, **settings):
         columns = {f"w{k}": [w] for k, w in enumerate(omega, 1)}

@@ -172,6 +172,7 @@ def test_failure_raises_unless_told_otherwise():
     assert jnp.all(run.omega[0] == start)
 
 
+@pytest.mark.slow
 def test_what_was_not_reached_has_no_derivative():
     times = jnp.array([0.0, 1e-3, 1e3])
 

@@ -28,7 +28,7 @@ STARTS = {
 
 
 @pytest.mark.parametrize("which", STARTS)
-@pytest.mark.parametrize("engine", ["native", "jax"])
+@pytest.mark.parametrize("engine", ["native", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_slow_motion_keeps_its_label(which, engine):
     delta, omega, outcome = STARTS[which]
     start, settings = np.array([omega]), {"engine": engine, "slow_flow": False}

@@ -91,6 +91,7 @@ def test_an_event_that_does_not_happen_changes_nothing():
     np.testing.assert_array_equal(plain.ts, other.ts)
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_before_its_event_is_told_and_not_filled_up():
     ts = jnp.linspace(0.0, 4.0, 9)
     with pytest.raises(RuntimeError, match="`max_steps` = 2 steps did not suffice"):
@@ -99,6 +100,7 @@ def test_a_run_that_fails_before_its_event_is_told_and_not_filled_up():
     assert np.isnan(run.omega[-1]).all()
 
 
+@pytest.mark.slow
 def test_events_in_a_trace_and_their_derivative():
     """1/ω² grows by 2τ, (2.4), so the event is at τ = (4 − 1/ω₀²)/2."""
 

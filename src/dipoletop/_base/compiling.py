@@ -38,7 +38,14 @@ def compiled_soon(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        return (on_host if _is_host_call(args, kwargs) else in_trace)(*args, **kwargs)
+        if not _is_host_call(args, kwargs):
+            return in_trace(*args, **kwargs)
+        try:
+            return on_host(*args, **kwargs)
+        except ValueError as error:  # a function among the arguments holds a traced number
+            if "compiler_options" not in str(error):
+                raise
+            return in_trace(*args, **kwargs)
 
     return call  # pyright: ignore[reportReturnType]
 

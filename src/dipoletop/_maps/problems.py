@@ -54,17 +54,18 @@ class BlockBuilder:
     def __call__(self, points: PointValues) -> StartBlock:
         """The block of these points, which `over` gives; in NumPy on processors."""
         with as_worker():
-            if self.derivatives:
-                _check_derivatives(points, self.derivatives)
             if jax.default_backend() != "cpu":
                 return self._jitted(points)
             leaves = self._programs(self._leaves, points)
             return jax.tree.unflatten(self._structure, map(np.asarray, leaves))
 
     def template(self) -> Any:
-        """The shapes and types of a block of one point."""
+        """Return the shapes and types of a block of one point."""
+        points = self.over.points(np.zeros(1, int))
         with as_worker():
-            return eqx.filter_eval_shape(self._vectorised, self.over.points(np.zeros(1, int)))
+            if self.derivatives:
+                _check_derivatives(points, self.derivatives)
+            return eqx.filter_eval_shape(self._vectorised, points)
 
     @functools.cached_property
     def _structure(self) -> Any:
