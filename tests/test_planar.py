@@ -164,12 +164,12 @@ def test_critical_shapes():
     ("delta", "edge"),
     [
         (0.76, "2.4455"),
-        (0.78, "2.7265"),
-        (0.80, "3.0625"),
+        pytest.param(0.78, "2.7265", marks=pytest.mark.slow),
+        pytest.param(0.80, "3.0625", marks=pytest.mark.slow),
         (0.85, "4.2868"),
-        (0.90, "6.7202"),
-        (0.95, "13.992"),
-        (0.97, "23.675"),
+        pytest.param(0.90, "6.7202", marks=pytest.mark.slow),
+        pytest.param(0.95, "13.992", marks=pytest.mark.slow),
+        pytest.param(0.97, "23.675", marks=pytest.mark.slow),
         (0.99, "72.072"),
     ],
 )

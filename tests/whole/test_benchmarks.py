@@ -59,6 +59,7 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     assert len(doubtless["lost_starts"]) == min(doubtless["lost"], label_doubt.SHOWN)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("script", ["run.py", "bench_device.py"])
 def test_scripts_start_by_their_paths(script, tmp_path):
     command = [sys.executable, str(pages.HERE / script), "--help"]
