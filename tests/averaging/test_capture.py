@@ -18,7 +18,7 @@ SAMPLED = {
     0.8: (0.826, 0.885, 0.291, 0.718, 0.986, 1.120, 1.159),
     0.95: (0.717, 0.839, 0.343, 0.716, 0.925, 1.026, 1.056),
 }
-captures = jax.jit(jax.vmap(capture))
+captures = jax.jit(lambda deltas: jax.lax.map(capture, deltas))  # traced without a batch
 averaged = jax.jit(dt.exact.averaged)
 each_end = jax.jit(jax.vmap(end_of_top, in_axes=(None, 0, None)))
 N = 256  # starts at once
@@ -103,6 +103,7 @@ def test_direct_integration_keeps_as_much(delta):
     assert abs(np.mean(stops[~known]) - share) <= 3 * np.sqrt(share * (1 - share) / n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delta", [0.02, 0.3, 0.9])
 def test_scale_is_the_constant_of_the_averaged_top(delta):
     start, sizes = np.array([0.6, 0.0, 0.8]), np.resize([1e-3, 1e-20, 1e-25], N)
@@ -121,6 +122,7 @@ def test_scale_is_the_constant_of_the_averaged_top(delta):
     assert np.all(np.isfinite(ends.capture.log_table))
 
 
+@pytest.mark.slow
 def test_scale_is_free_of_the_oscillations_of_a_turn():
     delta, start = 0.3, 1e-3 * np.array([0.6, 0.0, 0.8])
 
@@ -138,6 +140,7 @@ def test_scale_is_free_of_the_oscillations_of_a_turn():
     assert np.ptp(log_w) < 3e-5  # of the order ω², where the oscillations are of the order ω
 
 
+@pytest.mark.slow
 def test_starts_on_an_axis_stop_and_others_without_spin_decide_at_once():
     starts = jnp.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, -1.0], [1.0, 0, 0], [-0.6, 0.8, 0]])
     padded = jnp.pad(1e-25 * starts, ((0, N - 5), (0, 0)), constant_values=1.0)

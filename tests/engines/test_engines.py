@@ -85,24 +85,29 @@ def test_exact_solution_and_error_in_proportion_to_the_tolerance(engine):
 
 @both
 def test_a_lane_does_not_see_its_neighbours(engine):
-    """Position in the queue, its length, block width and company change no bit of a result."""
+    """Position in the queue, its length and company change no bit of a result."""
     run = functools.partial(engine.end_states, until="outcome")
     ends = run(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS))
     order = RNG.permutation(N)
-    others = [run(dt.TransverseReduced(DELTAS[order]), STARTS[:, order], limits(STARTS[:, order]))]
-    if engine == SHORT:
-        some = order
-        run = functools.partial(replace(SHORT, width=64).end_states, until="outcome")
-        others.append(run(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS)))
-    else:
-        some = order[:101]
-        few = STARTS[:, some]
-        others.append(run(dt.TransverseReduced(DELTAS[some]), few, limits(few)))
+    lengths = [N] if engine == SHORT else [N, 101]  # each compiles again in JAX
+    for some in (order[:length] for length in lengths):
+        few = jnp.asarray(np.asarray(STARTS)[:, some])
+        deltas = jnp.asarray(np.asarray(DELTAS)[some])
+        same(run(dt.TransverseReduced(deltas), few, limits(few)), ends, some)
+
+
+def same(found, ends, order):
+    """The same bits, but for the order."""
     for name in ("y", "t", "steps", "status"):
-        first = np.asarray(getattr(ends, name))
-        mixed, other = (np.asarray(getattr(found, name)) for found in others)
-        assert np.array_equal(first[..., order], mixed)
-        assert np.array_equal(first if engine == SHORT else first[..., some], other)
+        one, other = (np.asarray(getattr(each, name)) for each in (found, ends))
+        assert np.array_equal(one, other[..., order])
+
+
+@pytest.mark.slow
+def test_the_width_of_a_block_changes_no_bit():
+    engines = [replace(SHORT, width=width) for width in (64, 128)]
+    equation, given = dt.TransverseReduced(DELTAS), limits(STARTS)
+    same(*(e.end_states(equation, STARTS, given, until="outcome") for e in engines), np.arange(N))
 
 
 @both
@@ -137,6 +142,7 @@ def test_budget_is_counted_in_steps(engine):
     assert np.any(status == EXHAUSTED)
 
 
+@pytest.mark.slow
 def test_lanes_are_refilled():
     """The blocks make far fewer lane-steps than lockstep would: slowest lane times all lanes."""
     ends = replace(SHORT, width=64).end_states(
@@ -214,7 +220,11 @@ class Swing(Own):
         return jnp.stack([self.rate * jnp.cos(t) * y[0], self.rate * jnp.cos(t) * y[1]])
 
 
-@both
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(SHORT, marks=pytest.mark.slow), NativeEngine()],
+    ids=lambda engine: engine.name,
+)
 def test_a_right_hand_side_that_depends_on_time(engine):
     """Other methods are tried in `test_every_explicit_method_has_its_order`."""
     rates, starts = jnp.linspace(0.1, 1.0, 128), jnp.ones((2, 128))

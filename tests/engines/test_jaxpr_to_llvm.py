@@ -123,7 +123,9 @@ def any_bodies(rng, n):
     return dt.Body((inertia + inertia.transpose(0, 2, 1)) / 2, dipole), omega
 
 
-@pytest.mark.parametrize("level", [dt.Reduced, dt.SemiReduced])
+@pytest.mark.parametrize(
+    "level", [dt.Reduced, pytest.param(dt.SemiReduced, marks=pytest.mark.slow)]
+)
 def test_rates_and_verdicts_of_any_body(level):
     """The long code of the general equations."""
     n = 64 * WIDTH

@@ -107,7 +107,11 @@ def reference_steps(rate, y, t1, rtol):
     return steps, y
 
 
-@pytest.mark.parametrize("engine", [JaxEngine(), NativeEngine()], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(JaxEngine(), marks=pytest.mark.slow), NativeEngine()],
+    ids=lambda engine: engine.name,
+)
 @pytest.mark.parametrize("rtol", [1e-5, 1e-9])
 def test_steps_are_those_of_the_rules(engine, rtol):
     """A step is accepted if its error is at most the tolerance, and not if it is twice that."""
@@ -131,7 +135,11 @@ def test_steps_are_those_of_the_rules(engine, rtol):
 BODY = dt.Body([[1.7, 0.0, 0.0], [0.0, 1.3, 0.2], [0.0, 0.2, 1.0]], [0.6, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("equation", [dt.Reduced(BODY), dt.SemiReduced(BODY)])
+@pytest.mark.parametrize(
+    "equation",
+    [dt.Reduced(BODY), pytest.param(dt.SemiReduced(BODY), marks=pytest.mark.slow)],
+    ids=lambda equation: equation.level,
+)
 def test_verdicts_are_the_same_with_what_is_prepared_for_them(equation):
     """The axes of the body, and the averages of the torque on its free rotation."""
     y = jnp.array([0.1, -0.3, 0.2])

@@ -90,7 +90,9 @@ def test_residual_value_is_where_long_integration_ends(runs):
     assert off.max() < 2e-3
 
 
-@pytest.mark.parametrize("level", ["1", pytest.param("2", marks=pytest.mark.slow), "semi"])
+@pytest.mark.parametrize(
+    "level", ["1", *(pytest.param(level, marks=pytest.mark.slow) for level in ("2", "semi"))]
+)
 def test_axisymmetric_body_is_judged_as_the_transverse_top(level):
     rng = np.random.default_rng(5)
     n = MANY
@@ -182,7 +184,7 @@ def test_slowness_decides_nothing():
     assert judge(body, 1e-12 * jnp.array([0.3, 1.0, 0.2])).outcome == Outcome.UNDECIDED
 
 
-@pytest.mark.parametrize("level", [Level.ORDER_2, Level.FULL])
+@pytest.mark.parametrize("level", [pytest.param(Level.ORDER_2, marks=pytest.mark.slow), Level.FULL])
 def test_the_line_decides_at_any_amplitude(level):
     # dipole on the largest axis, |d|²|Ω|√tr(I⁻²) = 0.3: where levels above order 1 differ
     body = Body(np.diag([1.0, 0.8, 0.75]), [1.0, 0.0, 0.0])

@@ -11,7 +11,9 @@ from dipoletop.equations._verdicts.residual_line import linear_part, solve_lyapu
 N = 24
 
 
-@pytest.mark.parametrize("level", [Level.ORDER_1, Level.ORDER_2, Level.SEMI])
+@pytest.mark.parametrize(
+    "level", [Level.ORDER_1, pytest.param(Level.ORDER_2, marks=pytest.mark.slow), Level.SEMI]
+)
 def test_linear_part_is_the_jacobian_of_the_equation(level):
     rng = np.random.default_rng(3)
     j = rng.uniform([0.5, 0.7, 0.9], [0.6, 0.8, 1.0], (N, 3))

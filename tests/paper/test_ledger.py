@@ -133,7 +133,7 @@ PLANTS = [
     ("part", "module", "name", "wrong", "place"),
     [
         pytest.param(*plant, marks=pytest.mark.slow)
-        if plant[0] is ledger_equation_of_motion.motion
+        if plant[0] in (ledger_equation_of_motion.motion, ledger_averaged.late)
         else plant
         for plant in PLANTS
     ],

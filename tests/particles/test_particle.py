@@ -13,6 +13,8 @@ from dipoletop.bodies import axisymmetric
 from dipoletop.equations.rigid import Reduced
 from dipoletop.particles import DEBYE, Particle, Rotator, paper_particles, particle_table
 
+MOST_PROGRAMS = 200  # every method, of one particle and of a batch, operation by operation
+
 RNG = np.random.default_rng(8)
 X, Z = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
 D = [3e-26, 0.0, 0.0]

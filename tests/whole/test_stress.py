@@ -235,6 +235,7 @@ def labels(engine, deltas, starts, rtol=1e-8, max_steps=250):
         value=False,
         max_steps=max_steps,
         engine=engine.name,
+        slow_flow=False,
     )
 
 
