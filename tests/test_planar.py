@@ -164,12 +164,12 @@ def test_critical_shapes():
     ("delta", "edge"),
     [
         (0.76, "2.4455"),
-        (0.78, "2.7265"),
-        (0.80, "3.0625"),
+        pytest.param(0.78, "2.7265", marks=pytest.mark.slow),
+        pytest.param(0.80, "3.0625", marks=pytest.mark.slow),
         (0.85, "4.2868"),
-        (0.90, "6.7202"),
-        (0.95, "13.992"),
-        (0.97, "23.675"),
+        pytest.param(0.90, "6.7202", marks=pytest.mark.slow),
+        pytest.param(0.95, "13.992", marks=pytest.mark.slow),
+        pytest.param(0.97, "23.675", marks=pytest.mark.slow),
         (0.99, "72.072"),
     ],
 )
@@ -180,7 +180,7 @@ def test_edge_of_the_wobbling_basin(delta, edge):
     assert 2 < found.z < found.boundary
 
 
-@pytest.mark.parametrize("delta", [0.78, 0.9])
+@pytest.mark.parametrize("delta", [pytest.param(0.78, marks=pytest.mark.slow), 0.9])
 def test_cycle_closes(delta):
     cycle, field = wobble(delta), reference(delta, True)
 
@@ -202,6 +202,7 @@ def test_cycle_closes(delta):
     assert slope**2 == pytest.approx(float(cycle.multiplier), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_cycle_is_made_up_near_the_critical_shape():
     """A cycle lies inside its basin; where Newton's method leaves that, there is no value."""
     critical = critical_delta()

@@ -11,10 +11,11 @@ from dipoletop._averaging.forecast import best_forecast, forecast
 from dipoletop._averaging.histories import history_at
 from dipoletop.particles import DEBYE, RADIATION
 
-MOMENTS = jnp.diag(jnp.array([0.6, 0.75, 1.0]))
+MOMENTS = np.diag([0.6, 0.75, 1.0])
 ON_3, ON_1 = dt.Body(MOMENTS, [0.0, 0.0, 1.0]), dt.Body(MOMENTS, [1.0, 0.0, 0.0])
 GRAIN = dt.Particle.cuboid([1e-7, 2e-8, 2.2e-8], [2400 * DEBYE, 0.0, 0.0], density=2000)
-STARTS = jnp.array([[0.3, 0.4, 0.8], [0.9, -0.3, 0.2], [0.2, 0.7, -0.6]])
+STARTS = np.array([[0.3, 0.4, 0.8], [0.9, -0.3, 0.2], [0.2, 0.7, -0.6]])
+averaged, transverse = jax.jit(dt.exact.averaged), jax.jit(dt.exact.transverse)
 
 
 def _approx(value, rel=1e-12):
@@ -67,14 +68,15 @@ def test_the_end_does_not_depend_on_the_amplitude():
 def test_history_begins_and_ends_where_the_prediction_says():
     predicted = dt.predict(ON_3, 1e-20 * STARTS[0])
     history = predicted.history(jnp.array([1e-3, float(predicted.half_time), 1e60]))
-    momentum = jnp.linalg.norm(MOMENTS @ (1e-20 * STARTS[0]))
-    lost = history.energy[0] - history.energy
-    lost = np.asarray(lost)
+    momentum = np.linalg.norm(MOMENTS @ (1e-20 * STARTS[0]))
+    lost = np.asarray(history.energy)
+    lost = lost[0] - lost
     assert lost[2] == _approx(predicted.radiated_energy, rel=1e-12)
     assert lost[1] == _approx(predicted.radiated_energy / 2, rel=1e-11)
     assert float(history.momentum[2]) == _approx(predicted.ratio * momentum, rel=1e-12)
     assert float(history.speed[2]) == _approx(abs(predicted.omega_inf), rel=1e-12)
-    np.testing.assert_allclose(history.energy, history.shape * history.momentum**2 / 2, rtol=1e-13)
+    energy = np.asarray(history.shape) * np.asarray(history.momentum) ** 2 / 2
+    np.testing.assert_allclose(history.energy, energy, rtol=1e-13)
 
 
 def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
@@ -135,11 +137,11 @@ def test_a_sphere_has_the_exact_solution():
     predicted = dt.predict(body, omega)
     assert float(predicted.omega_inf) == _approx(0.02, rel=1e-14)
     times = jnp.array([10.0, 1e3, 1e5])
-    exact = dt.exact.transverse(0.0, omega, times)
+    exact = transverse(0.0, omega, times)
     speed = predicted.history(times).speed
     np.testing.assert_allclose(speed, np.linalg.norm(exact, axis=1), rtol=1e-12)
-    at_half = jnp.linalg.norm(dt.exact.transverse(0.0, omega, predicted.half_time)) ** 2
-    assert float(at_half) == _approx((jnp.sum(omega**2) + 0.02**2) / 2, rel=1e-12)
+    at_half = np.sum(np.square(transverse(0.0, omega, predicted.half_time)))
+    assert at_half == _approx((np.sum(np.square(omega)) + 0.02**2) / 2, rel=1e-12)
 
 
 def test_particles_are_predicted_in_si_units():
@@ -356,12 +358,12 @@ def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
     assert float(predicted.half_time) == _approx(0.5e12, rel=1e-7)
 
 
-@pytest.mark.parametrize("delta", [-0.7, 0.5])
+@pytest.mark.parametrize("delta", [-0.7, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
     """The closed solution (4.16)–(4.19), from before braking sets in until long after."""
     omega, times = jnp.array([3e-9, 4e-9, 7e-9]), jnp.array([1e15, 1e17, 1e19, 1e21])
     energy = dt.predict(dt.axisymmetric(delta), omega).history(times).energy
-    exact = np.asarray(dt.exact.averaged(delta, omega, times)) ** 2 @ [0.5, 0.5, (1 - delta) / 2]
+    exact = np.asarray(averaged(delta, omega, times)) ** 2 @ [0.5, 0.5, (1 - delta) / 2]
     np.testing.assert_allclose(energy, exact, rtol=1e-12)
 
 
@@ -376,6 +378,7 @@ def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     assert np.isnan(predicted.omega_inf)
 
 
+@pytest.mark.slow
 def test_a_rotation_too_fast_for_averages_is_undecided_where_it_is_traced():
     predicted = jax.jit(lambda omega: dt.predict(ON_3, omega))(STARTS[0])
     assert predicted.outcome == dt.Outcome.UNDECIDED

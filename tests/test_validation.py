@@ -61,6 +61,7 @@ def test_a_wrong_shape_is_noticed(monkeypatch):
     assert len(_failed(validation.residual_rotation)) == 1
 
 
+@pytest.mark.slow
 def test_wrong_values_are_noticed(monkeypatch):
     def one_run(equation, start):  # half a turn about axis 3: the same outcome, ω∞ reversed
         return classify(equation, start * jnp.array([-1.0, -1.0, 1.0]))

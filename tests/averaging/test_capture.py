@@ -18,13 +18,16 @@ SAMPLED = {
     0.8: (0.826, 0.885, 0.291, 0.718, 0.986, 1.120, 1.159),
     0.95: (0.717, 0.839, 0.343, 0.716, 0.925, 1.026, 1.056),
 }
-captures = jax.jit(jax.vmap(capture))
-ends_of_tops = jax.jit(
-    lambda delta, starts: jax.vmap(end_of_top, in_axes=(None, 0, None))(
-        delta, starts, capture(delta)
-    )
-)
+captures = jax.jit(lambda deltas: jax.lax.map(capture, deltas))  # traced without a batch
+averaged = jax.jit(dt.exact.averaged)
+each_end = jax.jit(jax.vmap(end_of_top, in_axes=(None, 0, None)))
 N = 256  # starts at once
+
+
+def ends_of_tops(delta, starts):
+    """With as many captures as elsewhere: these take long to compile."""
+    found = jax.tree.map(lambda leaf: leaf[0], captures(np.full(len(SAMPLED), delta)))
+    return each_end(jnp.asarray(delta), jnp.asarray(starts), found)
 
 
 def test_distribution_is_that_of_sampled_phases():
@@ -64,15 +67,14 @@ def test_expansion_counts_turns_and_keeps_its_constant(delta):
         np.testing.assert_allclose(expansion.q(expansion.turns(before)), q, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "delta", [0.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.3, 0.8))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("delta", [0.3, 0.5, 0.8])
 def test_direct_integration_keeps_as_much(delta):
     rng = np.random.default_rng(7)
     omega0 = rng.normal(size=(N, 3))
     omega0 *= 1e-3 / np.linalg.norm(omega0, axis=1)[:, None]
     omega0[::8, 2] *= 1e-3  # here the phase is known
-    ends = ends_of_tops(jnp.asarray(delta), jnp.asarray(omega0))
+    ends = ends_of_tops(delta, omega0)
     direct = dt.classify_many(dt.TransverseSemi(delta), jnp.asarray(omega0))
     stops = np.asarray(direct.outcome == dt.Outcome.STOP)
     speed = np.linalg.norm(omega0, axis=1)
@@ -101,16 +103,17 @@ def test_direct_integration_keeps_as_much(delta):
     assert abs(np.mean(stops[~known]) - share) <= 3 * np.sqrt(share * (1 - share) / n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delta", [0.02, 0.3, 0.9])
 def test_scale_is_the_constant_of_the_averaged_top(delta):
     start, sizes = np.array([0.6, 0.0, 0.8]), np.resize([1e-3, 1e-20, 1e-25], N)
-    ends = ends_of_tops(jnp.asarray(delta), jnp.asarray(sizes[:, None] * start))
+    ends = ends_of_tops(delta, sizes[:, None] * start)
     np.testing.assert_allclose(ends.along + ends.against + ends.wobbling, 1.0, rtol=1e-12)
     kappa = (1 - delta) / (3 * delta)
     fall = kappa * np.log(1e-5)
     np.testing.assert_allclose(ends.log_scale[2] - ends.log_scale[1], fall, rtol=1e-12)
     # At late times u → 1/τ, so that q = 1 and u = W² at τ = 1/W².
-    late = dt.exact.averaged(delta, start, 1e10)
+    late = np.asarray(averaged(delta, start, 1e10))
     log_u, log_q = np.log(late[0] ** 2 + late[1] ** 2), np.log(2 * delta * late[2])
     log_w = log_u / 2 - kappa * (log_q - log_u)
     scaled = log_w + kappa * np.log(1e-25)
@@ -119,6 +122,7 @@ def test_scale_is_the_constant_of_the_averaged_top(delta):
     assert np.all(np.isfinite(ends.capture.log_table))
 
 
+@pytest.mark.slow
 def test_scale_is_free_of_the_oscillations_of_a_turn():
     delta, start = 0.3, 1e-3 * np.array([0.6, 0.0, 0.8])
 
@@ -131,15 +135,16 @@ def test_scale_is_free_of_the_oscillations_of_a_turn():
 
     times = np.linspace(0, 2 * np.pi / (delta * start[2]), N)
     path = solve_ivp(field, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-18).y.T
-    ends = ends_of_tops(jnp.asarray(delta), jnp.asarray(path))
+    ends = ends_of_tops(delta, path)
     log_w = ends.log_scale + np.log(np.linalg.norm(path, axis=1))
     assert np.ptp(log_w) < 3e-5  # of the order ω², where the oscillations are of the order ω
 
 
+@pytest.mark.slow
 def test_starts_on_an_axis_stop_and_others_without_spin_decide_at_once():
     starts = jnp.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, -1.0], [1.0, 0, 0], [-0.6, 0.8, 0]])
     padded = jnp.pad(1e-25 * starts, ((0, N - 5), (0, 0)), constant_values=1.0)
-    ends = jax.tree.map(lambda leaf: leaf[:5], ends_of_tops(jnp.asarray(0.8), padded))
+    ends = jax.tree.map(lambda leaf: leaf[:5], ends_of_tops(0.8, padded))
     np.testing.assert_array_equal(ends.symmetry_axis, [1, 0, 1, 0, 0])
     np.testing.assert_array_equal(ends.across, [0, 1, 0, 0, 0])
     np.testing.assert_array_equal(ends.along, [0, 0, 0, 1, 0])

@@ -25,14 +25,17 @@ def _dot(a, b):
     return mp.fsum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _sampled(moments, x, points=160):
-    """The means r and F for a dipole along each axis, from n₁ = Ω×n and n₂ = Ω×n₁ + Ω̇×n."""
+def _sampled(moments, x, points=40):
+    """The means r and F for a dipole along each axis, from n₁ = Ω×n and n₂ = Ω×n₁ + Ω̇×n.
+
+    Over a quarter of the period, of which the others are images.
+    """
     a, b, c = p = [1 / j for j in moments]
     to_a, to_b, a_to_b = a - c, b - c, a - b
     m = a_to_b * x / (a_to_b + (1 - x) * to_b)
     means = [[mp.mpf(0)] * 3, [mp.mpf(0)] * 3]
     for k in range(points):
-        u = 4 * mp.ellipk(m) * (k + mp.mpf(1) / 3) / points
+        u = mp.ellipk(m) * (k + mp.mpf(1) / 2) / points
         sn, cn, dn = (mp.ellipfun(name, u, m=m) for name in ("sn", "cn", "dn"))
         ya, yb = x * to_b / to_a, x
         momentum = [mp.sqrt(ya) * cn, mp.sqrt(yb) * sn, mp.sqrt(1 - ya) * dn]

@@ -19,6 +19,7 @@ def _bodies(moments, axis, starts):
     return np.broadcast_to(inertia, (n, 3, 3)), np.broadcast_to(dipole, (n, 3)), starts
 
 
+@pytest.mark.slow
 def test_ends_are_those_of_single_motions():
     """Another quadrature, and signs on a grid in place of zeros of F, lead to the same ends."""
     n = 60
@@ -71,7 +72,7 @@ def test_both_outcomes_occur_where_two_zeros_of_the_flow_meet():
 
 def test_a_dipole_along_an_axis_is_along_it_in_any_frame():
     """Rounding of a turned body is no component across the axis, which would end in a stop."""
-    turns = Rotation.random(200, random_state=1).as_matrix()
+    turns = Rotation.random(60, random_state=1).as_matrix()
     inertia = np.einsum("nij,j,nkj->nik", turns, [1.0, 1.3, 1.8], turns)
     omega = turns @ np.array([3e-4, 2e-4, 1e-3])
     ends = ends_of_many((inertia + inertia.transpose(0, 2, 1)) / 2, 1.5 * turns[:, :, 2], omega)

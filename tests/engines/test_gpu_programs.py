@@ -23,7 +23,7 @@ EQUATIONS = {
     if level is not dt.Level.FULL  # it is followed in windows, by another engine
 }
 EQUATIONS |= {"any body, order 1": dt.Reduced(OBLIQUE), "any body, semi": dt.SemiReduced(OBLIQUE)}
-QUICK = ("order-1", "semi")
+QUICK = ("order-1",)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ def fresh(**variables):
     return int(number), found
 
 
+@pytest.mark.system
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the cache has another folder")
 def test_a_second_process_compiles_nothing_and_finds_the_same(tmp_path):
     functions, found = fresh(XDG_CACHE_HOME=tmp_path)

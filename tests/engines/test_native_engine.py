@@ -59,6 +59,7 @@ def test_both_engines_agree():
     assert at_a_given_time(equation, y0, limits, solver=solver) > 0.5
 
 
+@pytest.mark.slow
 def test_both_engines_agree_on_any_body():
     """Without the verdict, which takes the engines a minute to compile; it is tested below."""
     made = problem(lambda d: dt.Reduced(dt.axisymmetric(d)))
@@ -75,11 +76,29 @@ def test_a_second_call_with_other_values_compiles_nothing():
     assert len(native_engine._programs) == count
 
 
+class Braked(eqx.Module):
+    """ω′ = −ω²ω with another power of ω², which ends on a small sphere: short to compile."""
+
+    power: int
+
+    def __call__(self, t, y, args=None):
+        return -(jnp.sum(y**2, axis=0) ** self.power)[None] * y
+
+    def lift(self, omega0):
+        return omega0
+
+    omega = lift
+
+    def verdict(self, y):
+        done = jnp.sum(y**2, axis=0) < 0.01
+        return jnp.where(done & (y[0] > 0), 1, jnp.where(done, 2, 0)), 0 * y[0], done
+
+
 def test_programs_that_were_not_used_for_long_are_given_up(monkeypatch):
     monkeypatch.setattr(native_engine, "_programs", {})
     monkeypatch.setattr(native_engine, "KEPT", 2)
-    starts = np.array([[0.2, 0.01, 0.1], [0.1, 0.2, 0.3]])
-    levels = [dt.TransverseReduced(-0.2), dt.TransverseSemi(-0.2), dt.RotatorReduced()]
+    starts = np.array([[0.2, 0.01, 0.1], [-0.1, 0.2, 0.3]])
+    levels = [Braked(1), Braked(2), Braked(3)]
     found = [dt.classify_many(level, starts, value=False).outcome for level in levels]
     assert len(native_engine._programs) == 2
     last = list(native_engine._programs)

@@ -28,15 +28,6 @@ class Growing(eqx.Module):
         return jnp.where(done, 2, 0), jnp.where(done, 0.0, jnp.nan), done
 
 
-def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
-    equation, starts = Growing(jnp.ones(3)), jnp.ones((3, 3))
-    with pytest.warns(UserWarning, match=r"The JAX engine runs, .*Growing .*operation erf"):
-        found = dt.classify_many(equation, starts)
-    assert np.array_equal(found.outcome, [2, 2, 2])
-    with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' here, .*erf"):
-        dt.classify_many(equation, starts, engine="native")
-
-
 class Fading(Growing):
     """y′ = −r y, which the native engine can take."""
 
@@ -44,21 +35,29 @@ class Fading(Growing):
         return -self.rate[None] * y
 
 
-def test_without_llvmlite_jax_runs(monkeypatch):
-    equation, start = Fading(jnp.ones(1)), jnp.ones((1, 3))
+def swept(equation):
     grid = dt.Grid(w3=[0.6, 0.9])
+    return dt.sweep(lambda w3: (equation(1 + w3), w3 * jnp.ones(3)), grid)
 
-    def swept():
-        return dt.sweep(lambda w3: (Fading(1 + w3), w3 * jnp.ones(3)), grid)
 
-    assert swept().attrs["engine"] == "native"
-    monkeypatch.setattr(
-        select, "_native_engine", lambda: (None, "llvmlite cannot be imported (gone)")
-    )
-    assert swept().attrs["engine"] == "jax"
-    assert dt.classify_many(equation, start).outcome == [dt.Outcome.STOP]
+def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
+    with pytest.warns(UserWarning, match=r"The JAX engine runs, .*Growing .*operation erf"):
+        found = swept(Growing)
+    assert found.attrs["engine"] == "jax"
+    assert np.array_equal(found.outcome, [2, 2])
+    with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' here, .*erf"):
+        dt.classify_many(Growing(jnp.ones(3)), jnp.ones((3, 3)), engine="native")
+
+
+def test_without_llvmlite_jax_runs(monkeypatch):
+    assert swept(Fading).attrs["engine"] == "native"
+    missing = None, "llvmlite cannot be imported (gone)"
+    monkeypatch.setattr(select, "_native_engine", lambda: missing)
+    assert swept(Growing).attrs["engine"] == "jax"  # as above, but without a warning
+    fading = Fading(jnp.ones(3))
+    assert select.select_engine("auto", fading, jax.devices()[0], "value").name == "jax"
     with pytest.raises(ValueError, match=r"'native', but llvmlite cannot be imported \(gone\)"):
-        dt.classify_many(equation, start, engine="native")
+        dt.classify_many(fading, jnp.ones((3, 3)), engine="native")
 
 
 def test_an_unknown_engine_is_refused():

@@ -49,18 +49,22 @@ def isotropic(rng, n, low, high):
     return omega * (speed / np.linalg.norm(omega, axis=1))[:, None]
 
 
-@pytest.fixture(scope="module", params=["1"])  # `benchmarks/accuracy/labels.py` has them all
-def runs(request):
-    """Dipole on the largest, the middle and the smallest axis, and on none; the last oblate."""
+@pytest.fixture(scope="module")
+def runs():
+    """Dipole on the largest, the middle and the smallest axis, and on none; the last oblate.
+
+    At order 1; `benchmarks/accuracy/labels.py` has the other levels.
+    """
     rng = np.random.default_rng(7)
     largest, middle = principal(rng, LANES, 2), principal(rng, LANES, 1)
     none = principal(rng, LANES, 0)[0], np.tile([0.6, 0.6, np.sqrt(0.28)], (LANES, 1))
     smallest = np.tile([0.5, 0.58, 1.0], (LANES, 1)), np.tile([1.0, 0.0, 0.0], (LANES, 1))
     j, dipole = (np.concatenate(part) for part in zip(largest, middle, none, smallest, strict=True))
     sample = turned(rng, j, dipole, isotropic(rng, 4 * LANES, 0.03, 0.15))
-    return long_runs.compare(request.param, sample, 20.0, budgets=(20_000, 30_000))
+    return long_runs.compare("1", sample, 20.0, budgets=(20_000, 30_000))
 
 
+@pytest.mark.slow
 def test_axis_of_the_dipole_decides(runs):
     # physics of the asymmetric top: largest axis residual, middle and generic stop, smallest both
     largest, middle, none, smallest = runs.outcome.reshape(4, LANES)
@@ -70,12 +74,14 @@ def test_axis_of_the_dipole_decides(runs):
     assert {Outcome.RESIDUAL, Outcome.STOP} <= set(smallest) <= {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_long_integration_ends_as_labelled(runs):
     seen = (runs.outcome > 0) & (runs.final > 0)
     assert seen.mean() > 0.8
     np.testing.assert_array_equal(runs.outcome[seen], runs.final[seen])
 
 
+@pytest.mark.slow
 def test_residual_value_is_where_long_integration_ends(runs):
     both = (runs.outcome == Outcome.RESIDUAL) & (runs.final == Outcome.RESIDUAL)
     off = np.abs(runs.omega_inf / runs.value - 1)[both]
@@ -84,7 +90,9 @@ def test_residual_value_is_where_long_integration_ends(runs):
     assert off.max() < 2e-3
 
 
-@pytest.mark.parametrize("level", ["1", "2", "semi"])
+@pytest.mark.parametrize(
+    "level", ["1", *(pytest.param(level, marks=pytest.mark.slow) for level in ("2", "semi"))]
+)
 def test_axisymmetric_body_is_judged_as_the_transverse_top(level):
     rng = np.random.default_rng(5)
     n = MANY
@@ -176,7 +184,7 @@ def test_slowness_decides_nothing():
     assert judge(body, 1e-12 * jnp.array([0.3, 1.0, 0.2])).outcome == Outcome.UNDECIDED
 
 
-@pytest.mark.parametrize("level", [Level.ORDER_2, Level.FULL])
+@pytest.mark.parametrize("level", [pytest.param(Level.ORDER_2, marks=pytest.mark.slow), Level.FULL])
 def test_the_line_decides_at_any_amplitude(level):
     # dipole on the largest axis, |d|²|Ω|√tr(I⁻²) = 0.3: where levels above order 1 differ
     body = Body(np.diag([1.0, 0.8, 0.75]), [1.0, 0.0, 0.0])

@@ -82,6 +82,7 @@ def _at(state, speed):
     return run.y[1, -1], run.t[-1]
 
 
+@pytest.mark.slow
 def test_the_physical_branch_is_followed():
     """τ = −∫dω/f, and every reduced route to the same motion stops."""
     start = jnp.array([0.0, 0.0, 0.8])

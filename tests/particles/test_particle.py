@@ -13,6 +13,8 @@ from dipoletop.bodies import axisymmetric
 from dipoletop.equations.rigid import Reduced
 from dipoletop.particles import DEBYE, Particle, Rotator, paper_particles, particle_table
 
+MOST_PROGRAMS = 200  # every method, of one particle and of a batch, operation by operation
+
 RNG = np.random.default_rng(8)
 X, Z = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
 D = [3e-26, 0.0, 0.0]
@@ -187,7 +189,7 @@ def test_methods_of_a_batch_are_those_of_each():
     """Two grains: not as many as a tensor has rows, so that rows cannot stand for grains."""
     moments = np.array([[1.0, 2.0, 2.5], [3.0, 3.5, 4.0]]) * 1e-33
     dipole = np.array([1e-27, 2e-27, 0.0])
-    grains = jax.vmap(lambda i: Particle(1e-18, jnp.diag(i), dipole))(jnp.asarray(moments))
+    grains = jax.jit(jax.vmap(lambda i: Particle(1e-18, jnp.diag(i), dipole)))(moments)
     axis, tau0 = [0.0, 0.0, 2.0], np.sum(dipole**2) / (6 * np.pi * epsilon_0 * c**3 * moments[:, 2])
     np.testing.assert_allclose(grains.moment(axis), moments[:, 2], rtol=1e-14)
     np.testing.assert_allclose(grains.tau0(axis), tau0, rtol=1e-14)
@@ -234,12 +236,18 @@ def test_a_symmetric_shape_is_a_top_of_the_library():
     np.testing.assert_array_equal(particle.body().dipole, top.dipole)
 
 
+def log_tau0(c):
+    return jnp.log(Particle.spheroid(1e-8, c, D, mass=1e-20).tau0())
+
+
+SLOPES = jax.jit(lambda c: (jax.grad(log_tau0)(c), jax.jacfwd(log_tau0)(c)))
+
+
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
 def test_the_unit_has_derivatives(ratio):
     # I₁ = m(a² + c²)/5 at either side of the sphere, and at the sphere
-    tau0 = lambda c: jnp.log(Particle.spheroid(1e-8, c, D, mass=1e-20).tau0())  # noqa: E731
     c = 1e-8 * ratio
-    for slope in jax.grad(tau0)(c), jax.jvp(tau0, (c,), (1.0,))[1]:
+    for slope in SLOPES(c):
         close(c * slope, -2 * ratio**2 / (1 + ratio**2), 1e-13)
 
 
@@ -269,11 +277,10 @@ def test_results_of_runs_become_SI_values():
     close(CUBOID.omega("1 GHz"), CUBOID.omega(SPEED), 1e-15)
     close(CUBOID.braking_time("1 GHz", Z), CUBOID.braking_time(SPEED, Z), 1e-15)
     # one value for each particle of a batch, or all values for all of them
-    grains = jax.vmap(lambda density: Particle.sphere(1e-8, D, density=density))(
-        jnp.array([1000.0, 2000.0, 4000.0, 8000.0])
-    )
+    spheres = jax.jit(jax.vmap(lambda density: Particle.sphere(1e-8, D, density=density)))
+    grains = spheres(np.array([1000.0, 2000.0, 4000.0, 8000.0]))
     factors = np.array([1.0, 2.0, 4.0, 8.0])
-    each = jax.vmap(Particle.angular_velocity)(grains, jnp.asarray(omega_inf))
+    each = jax.jit(jax.vmap(Particle.angular_velocity))(grains, np.array(omega_inf))
     first = float(Particle.sphere(1e-8, D, density=1000).tau0())
     close(each, omega_inf * factors / first, 1e-14)
     close(grains.angular_velocity(omega_inf), np.outer(factors, omega_inf) / first, 1e-14)
@@ -358,12 +365,11 @@ def test_the_rim(made, farthest):
 
 
 def test_the_rim_of_batches():
-    grains = jax.vmap(lambda radius: Particle.sphere(radius, D, density=2000))(
-        jnp.array([1e-8, 3e-8])
-    )
+    spheres = jax.jit(jax.vmap(lambda radius: Particle.sphere(radius, D, density=2000)))
+    grains = spheres(np.array([1e-8, 3e-8]))
     close(grains.rim_speed("1 GHz"), SPEED * np.array([1e-8, 3e-8]) / c, 1e-15)
     assert grains.rim_speed(np.ones((5, 3))).shape == (2, 5)
-    slope = jax.grad(lambda omega: CUBOID.rim_speed(omega))(jnp.zeros(3))
+    slope = jax.jit(jax.grad(lambda omega: CUBOID.rim_speed(omega)))(np.zeros(3))
     np.testing.assert_array_equal(slope, np.zeros(3))
 
 
@@ -374,8 +380,8 @@ def test_a_particle_as_text():
     turned = Particle(1e-18, [[3e-34, 1e-34, 0], [1e-34, 3e-34, 0], [0, 0, 3e-34]], [0, 0, DEBYE])
     assert "moments=(2e-34, 3e-34, 4e-34) kg m², dipole=1 D along (0, 0, 1)" in repr(turned)
     assert repr(CUBOID).endswith(", radius=1.87083e-08 m)")
-    spheres = jax.vmap(lambda mass: Particle.sphere(1e-8, grain.dipole, mass=mass))
-    assert repr(spheres(jnp.array([1e-20, 5e-20]))) == (
+    spheres = jax.jit(jax.vmap(lambda mass: Particle.sphere(1e-8, grain.dipole, mass=mass)))
+    assert repr(spheres(np.array([1e-20, 5e-20]))) == (
         "Particle(2 particles, mass=1e-20 to 5e-20 kg, least moment=4e-37 to 2e-36 kg m², "
         "largest moment=4e-37 to 2e-36 kg m², dipole=100 D, radius=1e-08 m)"
     )

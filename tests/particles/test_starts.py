@@ -71,15 +71,14 @@ def test_batches_and_derivatives():
     same = jax.jit(jax.vmap(lambda s, x: start(GRAIN, s, momentum=x)))(spins, directions)
     np.testing.assert_allclose(same, one_by_one, rtol=1e-13)
     assert start(GRAIN, spins, axis=[0, 0, 1]).shape == (2, 3)
-    grains = jax.vmap(lambda density: Particle.sphere(1e-8, DIPOLE, density=density))(
-        jnp.array([1000.0, 2000.0, 3000.0])
-    )
+    spheres = jax.jit(jax.vmap(lambda density: Particle.sphere(1e-8, DIPOLE, density=density)))
+    grains = spheres(np.array([1000.0, 2000.0, 3000.0]))
     np.testing.assert_allclose(start(grains, 2.0, axis=[0, 0, 1]), [[0, 0, 2]] * 3, rtol=1e-15)
     assert start(grains, spins, momentum=directions).shape == (3, 2, 3)
     # Ω is proportional to the spin, and does not change with the length of the direction
-    by_spin = jax.jacobian(lambda s: start(GRAIN, s, momentum=directions[0]))(spins[0])
+    by_spin = jax.jit(jax.jacobian(lambda s: start(GRAIN, s, momentum=directions[0])))(spins[0])
     np.testing.assert_allclose(by_spin, one_by_one[0] / spins[0], rtol=1e-14)
-    slopes = jax.jacobian(lambda x: start(GRAIN, 1.0, momentum=x))(directions[0])
+    slopes = jax.jit(jax.jacobian(lambda x: start(GRAIN, 1.0, momentum=x)))(directions[0])
     np.testing.assert_allclose(slopes @ directions[0], 0, atol=1e-14)
     assert np.linalg.norm(slopes) > 0.1
 

@@ -89,10 +89,13 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     assert len(doubtless["lost_starts"]) == min(doubtless["lost"], label_doubt.SHOWN)
 
 
-def test_the_script_starts_by_its_path(tmp_path):
-    command = [sys.executable, str(pages.HERE / "run.py"), "--help"]
+@pytest.mark.system
+@pytest.mark.parametrize("script", ["run.py", "bench_device.py"])
+def test_scripts_start_by_their_paths(script, tmp_path):
+    command = [sys.executable, str(pages.HERE / script), "--help"]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
 
 
+@pytest.mark.system
 def test_a_function_is_called_in_a_fresh_process():
     assert measure.in_fresh_process(measure.cores) == measure.cores()

@@ -38,9 +38,9 @@ EVALUATIONS = 13
 # Programs that a first call compiles, in this order, so that a later one shares what is there;
 # nearly all are of one operation. A second call with other values compiles none.
 PROGRAMS = {
-    "sweep": 44,  # 35
-    "classify": 69,  # 55
-    "simulate": 14,  # 10
+    "sweep": 9,  # 7
+    "classify": 8,  # 6
+    "simulate": 10,  # 8
 }
 # Operations of the right-hand sides, and of a step of 8 lanes until the value is known.
 OPERATIONS = {
@@ -115,7 +115,11 @@ def limits(size):
     return Limits(tolerance, jnp.full(size, 1e-9), jnp.full(size, jnp.inf), budget)
 
 
-@pytest.mark.parametrize("engine", [JaxEngine(), NativeEngine()], ids=lambda engine: engine.name)
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(JaxEngine(), marks=pytest.mark.slow), NativeEngine()],
+    ids=lambda engine: engine.name,
+)
 def test_lanes_do_not_wait(engine):
     deltas, starts = mixed_basin()
 
@@ -255,7 +259,12 @@ def test_length_of_the_right_hand_sides(name):
         in_room(operations(one_step(block, n, diffrax.Dopri8())), OPERATIONS[f"step, {name}"])
 
 
-@pytest.mark.parametrize("name", INSTRUCTIONS)
+LONG = [name for name in INSTRUCTIONS if name.startswith("general")]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in INSTRUCTIONS]
+)
 def test_length_of_the_native_code(name, monkeypatch):
     written = []
 

@@ -20,6 +20,9 @@ import dipoletop as dt
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._maps.columns import COLUMNS
+from dipoletop._runs import memory_limits
+
+pytestmark = pytest.mark.system
 
 COUNT, DEVICES = "--xla_force_host_platform_device_count", 2
 ENGINES = ["jax", "native"]
@@ -67,7 +70,7 @@ def swept(devices, engine):
 def classified(engine, device=None):
     points = GRID.points(np.arange(TILE * TILES))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(memory, "TILE", TILE)
+        patch.setattr(memory_limits, "TILE", TILE)
         starts = jax.device_put(points["omega0"], device)
         tops = Braked(points["rate"])
         return dt.classify_many(tops, starts, engine=engine, value="unchecked")

@@ -83,6 +83,7 @@ def test_a_missing_picture_is_told():
     assert check_notebooks.difference(before, nbformat.v4.new_code_cell("")) is not None
 
 
+@pytest.mark.system
 def test_a_notebook_is_executed_and_compared(tmp_path):
     path = tmp_path / "small.ipynb"
     source = "print(f'{2 / 3:.9f}')"

@@ -25,6 +25,7 @@ def test_commands_stand_verbatim(command):
     assert f"{command}\n" in blocks("bash")
 
 
+@pytest.mark.slow
 def test_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (source,) = blocks("python")

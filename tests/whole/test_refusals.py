@@ -10,6 +10,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.system
+
 SETTING = """
 import json, sys
 import jax, jax.numpy as jnp, numpy as np
