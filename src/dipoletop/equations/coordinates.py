@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from .._base.checks import finite, on_host, refuse, where_valid
@@ -45,8 +46,10 @@ def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
     w_perp, w3, phi = jnp.broadcast_arrays(w_perp, w3, phi)
     quarter = jnp.round(phi / (jnp.pi / 2))
     turned = quarter * (jnp.pi / 2)
-    # A compiler may round the product and the difference only once, which leaves a rest.
-    rest = jnp.where(phi == turned, 0.0, phi - turned)
+    # A compiler may round the product and the difference only once, which leaves a rest. Where
+    # there is none, it still moves with φ.
+    none = phi - jax.lax.stop_gradient(phi)
+    rest = jnp.where(phi == turned, none, phi - turned)
     cos, sin = jnp.cos(rest), jnp.sin(rest)
     quadrant = jnp.mod(quarter, 4)
     w1 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [cos, -sin, -cos], sin)
