@@ -52,6 +52,7 @@ def test_differentiates_twice_in_a_batch():
     np.testing.assert_allclose(second, -2 * inverse @ slope, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.system
 def test_batches_that_one_program_solves_side_by_side_come_to_an_end():
     # (With `jnp.linalg.solve` they wait for each other, on machines with more than one core.)
     subprocess.run([sys.executable, "-c", BESIDE], check=True, timeout=120)

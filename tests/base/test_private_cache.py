@@ -136,6 +136,7 @@ def test_the_oldest_entries_make_room(entry, monkeypatch):
     assert found == [False, False, False, True, True, True]
 
 
+@pytest.mark.system
 def test_processes_that_write_the_same_entry_at_once(folder):
     code = f"""
 from dipoletop._base import private_cache

@@ -26,6 +26,7 @@ def test_a_fold_is_passed():
         assert abs(normal @ nearest) < 1e-4
 
 
+@pytest.mark.slow
 def test_an_ellipse_is_an_ellipse():
     # the boundary z = z_s is a level set of the function that is put for z
     def problem(x, y, c):

@@ -9,6 +9,7 @@ import dipoletop as dt
 from dipoletop import boundary
 
 
+@pytest.mark.slow
 def test_no_smaller_kick_changes_the_fate():
     equation, start = dt.TransverseReduced(DELTA), np.array([0.15, 0.1, 0.12])
     least = boundary.minimal_kick(equation, start, directions=60, radii=12)

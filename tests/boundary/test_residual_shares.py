@@ -9,6 +9,7 @@ import dipoletop as dt
 from dipoletop import boundary
 
 
+@pytest.mark.slow
 def test_the_residual_share_moves_as_its_differences_say():
     def problem(delta, w3, phi):
         return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)

@@ -66,13 +66,10 @@ def undisturbed(tmp_path_factory):
     return files(folder / "m-order-1.zarr")
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("number", "status"),
-    [
-        (signal.SIGTERM, 143),
-        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow),
-    ],
+    [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)],
 )
 def test_a_stopped_map_tells_how_to_go_on(tmp_path, undisturbed, number, status):
     process = started("--output", tmp_path / "m", pause=1.0)
@@ -96,7 +93,7 @@ def test_a_stopped_map_tells_how_to_go_on(tmp_path, undisturbed, number, status)
     assert files(tmp_path / "m-order-1.zarr") == undisturbed
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_tile_that_takes_too_long_is_not_waited_for(tmp_path):
     process = started("--output", tmp_path / "m", pause=600, patience=0.5)
     process.stderr.readline()
@@ -107,7 +104,7 @@ def test_a_tile_that_takes_too_long_is_not_waited_for(tmp_path):
     assert time.monotonic() - began < 60
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_map_stops_when_its_time_is_up(tmp_path, undisturbed):
     process = started("--output", tmp_path / "m", "--time-limit", "15s", pause=20)
     _, err = rest(process)
@@ -117,7 +114,7 @@ def test_a_map_stops_when_its_time_is_up(tmp_path, undisturbed):
     assert files(tmp_path / "m-order-1.zarr") == undisturbed
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_signal_that_is_ignored_stays_so(tmp_path):
     """As under `nohup`."""
     ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -132,6 +129,7 @@ def test_a_signal_that_is_ignored_stays_so(tmp_path):
     assert "Picture: " in out
 
 
+@pytest.mark.system
 def test_a_closed_pipe_and_a_poor_terminal_stop_no_map(tmp_path):
     process = started("--output", tmp_path / "m", pause=0.2, PYTHONIOENCODING="latin-1")
     first = process.stdout.readline()

@@ -77,6 +77,7 @@ def test_a_map_without_a_store_is_refused_before_anything_is_asked(tmp_path):
     assert line == "--scheduler needs a store, which its workers write: leave --no-store out."
 
 
+@pytest.mark.system
 def test_a_scheduler_without_workers_is_waited_for_no_longer_than_told(
     tmp_path, monkeypatch, processes
 ):
@@ -100,6 +101,7 @@ def of_worker(tmp_path, processes, preload):
 LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} lacks it."
 
 
+@pytest.mark.system
 def test_a_scheduler_without_dipoletop_is_refused(tmp_path, processes):
     (tmp_path / "without.py").write_text(WITHOUT_DIPOLETOP)
     command = [*SCHEDULER, "--port", "0", "--preload", tmp_path / "without.py"]
@@ -107,13 +109,13 @@ def test_a_scheduler_without_dipoletop_is_refused(tmp_path, processes):
     assert said(tmp_path, address) == LACKS.format("scheduler")
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_worker_without_dipoletop_is_refused(tmp_path, processes):
     line = of_worker(tmp_path, processes, WITHOUT_DIPOLETOP)
     assert line == LACKS.format("worker that has answered")
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("preload", "pattern"),
     [

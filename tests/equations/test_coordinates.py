@@ -1,5 +1,6 @@
 """Cylindrical variables: exact at quarter turns, and back."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +17,13 @@ def test_cylindrical_start_is_exact_at_quarter_turns():
     flat = dt.cylindrical(0.3, 0.0, angles)
     expected = 0.3 * jnp.stack([jnp.cos(angles), jnp.sin(angles), 0 * angles])
     assert jnp.allclose(flat, expected, rtol=0, atol=1e-15)
+
+
+def test_a_start_moves_with_its_angle_at_quarter_turns_too():
+    angles = np.arange(-4, 5) * np.pi / 2
+    slopes = jax.vmap(jax.jacfwd(lambda phi: dt.cylindrical(0.3, 0.1, phi)))(angles)
+    expected = 0.3 * np.stack([-np.sin(angles), np.cos(angles), 0 * angles], axis=1)
+    np.testing.assert_allclose(slopes, expected, atol=1e-15)
 
 
 def test_back_to_cylindrical_variables():

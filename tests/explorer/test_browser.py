@@ -16,6 +16,7 @@ import dipoletop as dt
 from benchmarks import browsing
 from dipoletop.explorer import drawing, pictures, scenes, views
 
+pytestmark = pytest.mark.system
 TOP = scenes.scene_of_top({})
 SMALL = replace(views.first_view(TOP, levels=("semi",)), size=128)
 

@@ -1,5 +1,6 @@
 """Drawing: coarse first, then what `dt.sweep` gives; a failure is reported."""
 
+import math
 import time
 from dataclasses import replace
 
@@ -19,6 +20,12 @@ def drawn(crew, view):
     pieces = sum(1 for _ in crew.pictures(view, shown.append, failed.append))
     assert failed == []
     return shown, pieces
+
+
+@pytest.fixture(autouse=True)
+def nothing_takes_time(monkeypatch):
+    """Sizes and pieces depend on the time that sweeps take, here on what a test says of it."""
+    monkeypatch.setattr(drawing, "OVERHEAD", math.inf)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,8 @@ import time
 
 import pytest
 
+from dipoletop.explorer import fair_queue
+
 
 def pieces(log, name, count, seconds=0.005):
     for k in range(count):
@@ -20,7 +22,7 @@ def finished(log, name, k, timeout=10.0):
 
 
 def test_a_second_user_waits_for_a_piece_of_the_first_one_only():
-    log, crew = [], turns.Turns()
+    log, crew = [], fair_queue.Turns()
     crew.put("first", pieces(log, "first", 200))
     finished(log, "first", 3)
     begun = len(log)
@@ -31,7 +33,7 @@ def test_a_second_user_waits_for_a_piece_of_the_first_one_only():
 
 
 def test_newer_work_replaces_what_is_left_of_older_work():
-    log, crew = [], turns.Turns()
+    log, crew = [], fair_queue.Turns()
     crew.put("user", pieces(log, "old", 100))
     finished(log, "old", 2)
     crew.put("user", pieces(log, "new", 3))
@@ -42,7 +44,7 @@ def test_newer_work_replaces_what_is_left_of_older_work():
 
 
 def test_dropped_work_is_not_continued():
-    log, crew = [], turns.Turns()
+    log, crew = [], fair_queue.Turns()
     crew.put("user", pieces(log, "user", 100))
     finished(log, "user", 1)
     crew.drop("user")
@@ -56,7 +58,7 @@ def test_work_that_waits_lets_others_work():
         yield time.monotonic() + 0.2
         log.append(("waiting", 1))
 
-    log, crew = [], turns.Turns()
+    log, crew = [], fair_queue.Turns()
     crew.put("patient", waiting())
     finished(log, "waiting", 0)
     crew.put("other", pieces(log, "other", 5))
@@ -65,8 +67,8 @@ def test_work_that_waits_lets_others_work():
 
 
 def test_the_thread_ends_without_work_and_begins_again(monkeypatch):
-    monkeypatch.setattr(turns, "IDLE", 0.05)
-    log, crew = [], turns.Turns()
+    monkeypatch.setattr(fair_queue, "IDLE", 0.05)
+    log, crew = [], fair_queue.Turns()
     for name in ("first", "second"):
         crew.put("user", pieces(log, name, 2))
         finished(log, name, 1)

@@ -60,7 +60,7 @@ def laboratory(folder):
         process.wait(30)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_explorer_lives_in_jupyterlab(chromium, tmp_path):
     (tmp_path / "map.ipynb").write_text(json.dumps(notebook()))
     with laboratory(tmp_path) as url:

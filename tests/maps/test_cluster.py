@@ -15,7 +15,7 @@ def files(folder):
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_cluster_computes_what_one_process_does(tmp_path):
     script = Path(__file__).with_name("cluster_sweeps.py")
     settings = {**os.environ, "DIPOLETOP_CACHE": "off"}

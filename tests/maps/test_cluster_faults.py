@@ -12,7 +12,7 @@ MAP = ["map", "--level", "order-1", "--size", "64", "--quiet"]
 TILES = 8
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_map_goes_on_after_its_scheduler_was_lost(tmp_path, number):
     hold = Hold(tmp_path, tmp_path / "m-order-1.zarr", kept=2)
@@ -51,7 +51,7 @@ def test_a_map_goes_on_after_its_scheduler_was_lost(tmp_path, number):
     assert files(tmp_path / "m-order-1.zarr") == files(tmp_path / "alone-order-1.zarr")
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_tile_that_kills_its_workers_ends_the_map(tmp_path):
     """As often as the setting that the page names."""
     deadly = "import os\nfrom dipoletop._maps import sweep_plan\n"

@@ -96,7 +96,7 @@ def test_an_array_job_goes_back_to_the_queue_until_the_map_is_complete(tmp_path,
     assert "#SBATCH --requeue\n" in ARRAY
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_processes_at_one_store_make_the_map_of_one(tmp_path):
     executable(tmp_path / "dipoletop", f'exec {DIPOLETOP[0]} -c "{DIPOLETOP[2]}" "$@"')
     script = replaced(TWO_PROCESSES, **{"/shared/map": tmp_path / "map", "2048": SMALL})
@@ -179,7 +179,7 @@ def slurm_scripts(folder):
     return replaced(SLURM, **small, **here), replaced(alone, **names, **small, **without)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_slurm_script_replaces_a_lost_job_and_computes_what_one_process_does(tmp_path):
     """Its jobs are run by scripts in place of `sbatch` and `scancel`."""
     hold = Hold(tmp_path, tmp_path / "basin.zarr", kept=2)
@@ -296,7 +296,7 @@ def run_here(command, **others):
     return [*programs[command[0]], *words[1:]]
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_commands_of_the_manifest_compute_what_one_process_does(tmp_path):
     host = f"tcp://{SERVICE['metadata']['name']}:8786"
     environment = {each["name"]: each["value"] for each in WORKER["env"]}

@@ -120,6 +120,7 @@ print(BlockBuilder(reduced, dt.Grid(w3=[0.1], phi=0.2)).program_digests()["verdi
 """
 
 
+@pytest.mark.system
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_what_would_wait_for_ever_is_refused():
     run = subprocess.run(

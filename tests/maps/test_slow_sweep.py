@@ -22,6 +22,7 @@ def slow():
     return dt.sweep(needle, GRID, max_steps=300)
 
 
+@pytest.mark.slow
 def test_columns_of_predicted_starts(slow):
     assert list(slow.columns) == list(COLUMNS)
     assert slow.attrs["slow_flow"] == "auto"
@@ -40,6 +41,7 @@ def test_columns_of_predicted_starts(slow):
     assert slow.to_xarray()["regime"].attrs["flag_meanings"].endswith("EXACT")
 
 
+@pytest.mark.slow
 def test_without_predictions_every_run_is_integrated(slow):
     plain = dt.sweep(needle, GRID, max_steps=300, slow_flow=False)
     assert list(plain.columns) == list(COLUMNS)
@@ -65,6 +67,7 @@ def test_a_sweep_without_predictions_goes_on_without_them(tmp_path):
     np.testing.assert_array_equal(again.omega_inf, plain.omega_inf)
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_with_predictions_is_resumed_to_the_same_bytes(slow, tmp_path):
     store = tmp_path / "new.zarr"
     dt.sweep(needle, GRID, max_steps=300, store=store)
@@ -76,6 +79,7 @@ def test_an_interrupted_sweep_with_predictions_is_resumed_to_the_same_bytes(slow
         np.testing.assert_array_equal(again.column(name), slow.column(name))
 
 
+@pytest.mark.slow
 def test_a_refined_map_keeps_regimes_and_probabilities(slow):
     grid = dt.Grid(amplitude=np.geomspace(1e-12, 1e-11, 9), theta=np.linspace(0.1, 1.4, 9))
     refined = dt.adaptive.refine(needle, grid, max_steps=300)

@@ -83,6 +83,7 @@ def test_amplitudes_have_the_scale_on_which_they_are_even(shapes, amplitudes, sc
     assert ax.get_title().endswith("= $-0.2$")
 
 
+@pytest.mark.system
 def test_matplotlib_waits_for_a_picture():
     script = (
         "import sys, dipoletop; "

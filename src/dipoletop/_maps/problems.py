@@ -43,6 +43,8 @@ class BlockBuilder:
     derivatives: tuple[str, ...] = ()
     _tracing: Any = field(default_factory=threading.Lock)
     _programs: CompiledPrograms = field(default_factory=CompiledPrograms)
+    _structures: list[Any] = field(default_factory=list)
+    """That of a block, once it is known; like the programs it is the same over other values."""
 
     def __post_init__(self) -> None:
         check_problem(self.problem)
@@ -67,9 +69,11 @@ class BlockBuilder:
                 _check_derivatives(points, self.derivatives)
             return eqx.filter_eval_shape(self._vectorised, points)
 
-    @functools.cached_property
+    @property
     def _structure(self) -> Any:
-        return jax.tree.structure(self.template())
+        if not self._structures:
+            self._structures.append(jax.tree.structure(self.template()))
+        return self._structures[0]
 
     @functools.cached_property
     def _jitted(self) -> Callable[[PointValues], StartBlock]:

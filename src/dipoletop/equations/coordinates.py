@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from .._base.checks import finite, on_host, refuse, where_valid
@@ -45,8 +46,10 @@ def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
     w_perp, w3, phi = jnp.broadcast_arrays(w_perp, w3, phi)
     quarter = jnp.round(phi / (jnp.pi / 2))
     turned = quarter * (jnp.pi / 2)
-    # A compiler may fuse product and difference, so that a rounding error would be left over.
-    rest = jnp.where(phi == turned, 0.0, phi - turned)
+    # A compiler may fuse product and difference, so that a rounding error would be left over. At a
+    # multiple the rest is 0, but its derivative by φ is 1.
+    zero = phi - jax.lax.stop_gradient(phi)
+    rest = jnp.where(phi == turned, zero, phi - turned)
     cos, sin = jnp.cos(rest), jnp.sin(rest)
     quadrant = jnp.mod(quarter, 4)
     w1 = jnp.select([quadrant == 0, quadrant == 1, quadrant == 2], [cos, -sin, -cos], sin)

@@ -1,5 +1,6 @@
 """Several processes at one store: each tile is computed once, whoever is killed or waits."""
 
+import errno
 import os
 import pickle
 import signal
@@ -70,6 +71,7 @@ def undisturbed(tmp_path_factory):
     return files(place)
 
 
+@pytest.mark.system
 def test_two_processes_share_the_tiles_of_a_store(tmp_path, undisturbed):
     """Each has a tile in hand before the other goes on; each tile is computed by one of them."""
     place, wait = tmp_path / "s.zarr", tmp_path / "wait"
@@ -83,6 +85,7 @@ def test_two_processes_share_the_tiles_of_a_store(tmp_path, undisturbed):
     assert files(place) == undisturbed
 
 
+@pytest.mark.system
 def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undisturbed):
     place = tmp_path / "s.zarr"
     doomed = process(place, pause=60)
@@ -99,7 +102,7 @@ def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undis
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_killed_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undisturbed):
     """Partial files of a dead process, and the hidden folder of one that was making a store."""
     place = tmp_path / "s.zarr"
@@ -120,7 +123,7 @@ def test_a_killed_process_leaves_nothing_that_is_not_cleaned_up(tmp_path, undist
     assert not hidden.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_an_interrupted_sweep_keeps_the_tiles_in_hand(tmp_path, undisturbed):
     """Ctrl-C comes while a worker has a tile: it is written before the process ends."""
     place = tmp_path / "s.zarr"
@@ -146,6 +149,7 @@ def test_a_second_sweep_of_this_process_is_refused(tmp_path):
     dt.sweep(reduced, GRID, store=place)
 
 
+@pytest.mark.system
 def test_claims_of_one_process_are_seen_by_another(tmp_path):
     file = tmp_path / "claims"
     claims = Claims(tmp_path, file)
@@ -195,6 +199,21 @@ def test_what_is_told_of_a_full_disk_survives_the_way_to_another_process():
     error = dt.StoreNotWritable(Path("s.zarr"), 1, 2, "No space left on device")
     again = pickle.loads(pickle.dumps(error))
     assert (str(again), again.path, again.tiles) == (str(error), error.path, 2)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EAGAIN])
+def test_what_another_process_holds_is_not_granted(tmp_path, monkeypatch, number):
+    """Systems say so by one of two numbers."""
+
+    def held(*_):
+        raise OSError(number, os.strerror(number))
+
+    claims = Claims(tmp_path, tmp_path / "claims")
+    monkeypatch.setattr("dipoletop._maps.store.claims.fcntl.lockf", held)
+    assert not claims.take(3)
+    with claims.everything() as alone:
+        assert not alone
+    claims.close()
 
 
 def test_without_locks_nothing_is_taken_for_left_behind(tmp_path, monkeypatch):

@@ -37,7 +37,7 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert sorted(made) == [0, 3, 7]
 
 
-@pytest.mark.parametrize("engine", ["jax", "native"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "native"])
 def test_tiles_that_share_a_queue_are_stored_as_ever(tmp_path, monkeypatch, engine):
     """As on an accelerator, which takes several at once: the same bytes, whatever it has done."""
     grid = dt.Grid(w3=np.linspace(0.0, 0.45, 20), phi=np.linspace(0.0, 3.0, 50))
