@@ -97,7 +97,7 @@ def of_worker(tmp_path, processes, preload):
     return line.removeprefix("Error: ")
 
 
-LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} lacks it."
+LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} is without it."
 
 
 def test_a_scheduler_without_dipoletop_is_refused(tmp_path, processes):

@@ -116,7 +116,7 @@ def test_a_tally_resumes_and_counts_each_tile_once(tmp_path):
     partial = Tally.load(place, unfinished=True)
     assert 0 < partial.starts < alone.starts
     with pytest.raises(
-        dt.StoreMismatch, match=r"hold a finished tally, but .* lacks 7 of 21 tiles"
+        dt.StoreMismatch, match=r"hold a finished tally, but .* is missing 7 of 21 tiles"
     ):
         Tally.load(place)
     assert dt.tally(problem, GRID, store=place, **settings) == alone
