@@ -1,7 +1,7 @@
 """Derivatives of ω∞ against differences: near the boundary and far from it, at every level.
 
-First ones from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the inertia tensor,
-the dipole and ω₀. Second ones of tops by `jax.hessian`.
+First derivatives come from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the
+inertia tensor, the dipole and ω₀. Second derivatives of tops come from `jax.hessian`.
 
     python -m benchmarks.accuracy.derivatives --first semi --second     a look
     python -m benchmarks.accuracy.derivatives --write                   kept: results/derivatives.md
@@ -22,13 +22,13 @@ from benchmarks.reporting import measure, pages
 from dipoletop import Level, equation_at
 
 RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
-LARGEST = 0.3  # |ω₀|: where all levels hold
-NEAREST = 400  # the nearest starts, among which the starts near the boundary are chosen
-FAR = 0.3  # least ω∞/|ω₀| of starts far from it
+LARGEST = 0.3  # |ω₀|: all levels are valid there
+NEAREST = 400  # number of nearest starts from which the starts near the boundary are chosen
+FAR = 0.3  # least ω∞/|ω₀| of starts far from the boundary
 
 
 def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
-    """Random residual rows: the nearest to the boundary, and those with ω∞ beyond `FAR`.
+    """Return random residual rows: some near the boundary, and some with ω∞ beyond `FAR`.
 
     The distance from the boundary is Newton's estimate, ω∞/|∇ω∞|.
     """
@@ -44,13 +44,13 @@ def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
 
 
 def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
-    """First derivatives, by sweeps."""
+    """Compare first derivatives, from sweeps."""
     asked, guide, count = with_guide(name, count)
     return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
 
 
 def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
-    """Second derivatives, by `jax.hessian` of `residual_rotation`."""
+    """Compare second derivatives, from `jax.hessian` of `residual_rotation`."""
     asked, guide, count = with_guide(level, count)
     directions = jnp.asarray(asked.directions)
 
@@ -71,10 +71,10 @@ def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
 def compared(
     asked: Family, guide: Family, functions: tuple[Any, Function, Function], count: int, pool: int
 ) -> list[dict[str, Any]]:
-    """Errors of derivatives near the boundary and far from it, at each tolerance.
+    """Return errors of derivatives near the boundary and far from it, at each tolerance.
 
-    `functions`: the derivatives to check, the function that they are derivatives of, and this
-    function in the guide.
+    `functions`: the derivatives to check, the function that they differentiate, and the same
+    function for the guide.
     """
     derivative, function, guiding = functions
     ways, lines = asked.directions, []
@@ -97,7 +97,7 @@ def compared(
 
 
 def keep(order: str, rows: list[dict[str, Any]]) -> None:
-    """Write rows into the results, in the place of older ones of the same family."""
+    """Write rows into the results, in place of older rows of the same family."""
     every = {name: [] for name in page.ORDERS} | dict(pages.read("derivatives"))
     others = [row for row in every[order] if row["of"] != rows[0]["of"]]
     every[order] = sorted(others + rows, key=lambda row: NAMES.index(row["of"]))
@@ -106,8 +106,8 @@ def keep(order: str, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--points", type=int, default=50, help="of each kind of start")
-    parser.add_argument("--pool", type=int, default=4096, help="from so many starts at random")
+    parser.add_argument("--points", type=int, default=50, help="number of each kind of start")
+    parser.add_argument("--pool", type=int, default=4096, help="random starts to choose from")
     parser.add_argument("--first", nargs="*", choices=NAMES, default=NAMES, help="default: all")
     parser.add_argument(
         "--second", nargs="*", choices=list(Level), default=list(Level), help="default: all"

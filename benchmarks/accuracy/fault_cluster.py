@@ -1,4 +1,4 @@
-"""Sweeps on a Dask cluster whose workers and schedulers are killed in the middle of them."""
+"""Sweeps on a Dask cluster whose workers and schedulers are killed during the sweeps."""
 
 import contextlib
 import os
@@ -21,7 +21,7 @@ WORKERS, TILES, LONGEST = 3, 100, 120.0
 
 
 class Cluster:
-    """A scheduler and workers, a process each; `killed` starts another one in its place."""
+    """A scheduler and workers, a process each; `killed` replaces killed ones."""
 
     def __init__(self, room: Path) -> None:
         self.room, self.address = room, ""
@@ -29,7 +29,7 @@ class Cluster:
         self.start()
 
     def start(self) -> None:
-        """A scheduler, once it answers, and its workers."""
+        """Start a scheduler and, once it answers, its workers."""
         place = self.room / "scheduler.json"
         place.unlink(missing_ok=True)
         self._run("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", place)
@@ -39,7 +39,7 @@ class Cluster:
             self.worker()
 
     def worker(self) -> None:
-        """One more worker."""
+        """Start another worker."""
         scratch = ["--local-directory", self.room / "scratch"]
         options = ["--nworkers", "1", "--nthreads", "1", *scratch]
         self._run("worker", "--scheduler-file", self.room / "scheduler.json", *options)
@@ -47,26 +47,26 @@ class Cluster:
     def _run(self, kind: str, *options: Any) -> None:
         line = [sys.executable, "-m", "dask", kind, "--no-dashboard", *map(str, options)]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        # A session of its own: the process that watches a worker would start it again.
+        # A new session, since `kill` must also end the process that would restart a worker.
         run = subprocess.Popen(line, cwd=measure.ROOT, start_new_session=True, **quiet)
         self.processes[kind].append(run)
 
     def kill(self, kind: str, victim: int) -> None:
-        """SIGKILL to a process and all that it started."""
+        """Send SIGKILL to a process and all its children."""
         process = self.processes[kind].pop(victim)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
     def close(self) -> None:
-        """Kill what is left."""
+        """Kill the remaining processes."""
         for kind, processes in self.processes.items():
             for _ in range(len(processes)):
                 self.kill(kind, 0)
 
 
 def killed(kind: str, kills: int, rng: random.Random, room: Path) -> Row:
-    """So many kills of workers, or of schedulers, at random moments of sweeps."""
+    """Kill workers or schedulers at random moments of sweeps, and return the consequences."""
     place, alone = room / "s.zarr", room / "alone.zarr"
     begun = time.perf_counter()
     _swept(alone)
@@ -106,7 +106,7 @@ def killed(kind: str, kills: int, rng: random.Random, room: Path) -> Row:
 
 
 def _swept(place: Path, **settings: Any) -> None:
-    """A sweep of tiles of the usual size, which workers have, too."""
+    """Sweep tiles of the usual size, which workers have, too."""
     import jax
     import numpy as np
 
@@ -119,7 +119,7 @@ def _swept(place: Path, **settings: Any) -> None:
 
 
 def _sweep(room: Path, place: Path, said: list[str]) -> None:
-    """A sweep by the cluster, and how it ended."""
+    """Sweep on the cluster, and add to `said` how it ended."""
     from distributed import Client
 
     client = Client(scheduler_file=str(room / "scheduler.json"))

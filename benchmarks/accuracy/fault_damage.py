@@ -1,4 +1,4 @@
-"""Stores whose files lose a bit or their end: is it seen, and what does repair make of them?"""
+"""Stores with a flipped bit or a truncated file: is the damage found, and is it repaired?"""
 
 import random
 import shutil
@@ -13,7 +13,7 @@ SMALL = 12  # tiles
 
 
 def damaged(trials: int, rng: random.Random, room: Path) -> list[Row]:
-    """So many damages of each kind, of random files; one after the other, each of a good store."""
+    """Damage a random file of an intact store many times in each way; return the consequences."""
     import numpy as np
 
     import dipoletop as dt
@@ -24,7 +24,7 @@ def damaged(trials: int, rng: random.Random, room: Path) -> list[Row]:
     columns = {name: np.asarray(right.column(name)) for name in right.columns}
 
     def wrong() -> bool:
-        """Whether a number that can be read is not what was written."""
+        """Return whether a number that can be read differs from what was written."""
         found = dt.Basin.load(place)
         return any(
             not np.array_equal(found.column(name), values, equal_nan=values.dtype.kind == "f")
@@ -59,5 +59,5 @@ def _damage(file: str, place: Path, harm: str, rng: random.Random) -> None:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a store."""
+    """Return the content of every file of a store, by its path."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}

@@ -1,14 +1,14 @@
-"""Sweeps that are killed again and again, damaged stores, a full disk, many tiles.
+"""Sweeps that are killed repeatedly, damaged stores, a full disk, many tiles.
 
     python -m benchmarks.accuracy.faults --small     a look
     python -m benchmarks.accuracy.faults             all, about ten minutes on two cores
     python -m benchmarks.accuracy.faults --write     the same, kept: results/faults.md
 
-Two processes sweep into one store; one of them, mostly both, are killed at random moments, and two
-new ones go on, until the sweep is finished; then the next store. Its bytes are compared with those
-of a sweep that nobody disturbed. The disk is a small file system in memory, if one can be mounted.
-Damages are flipped bits and lost ends of random files. On a cluster of Dask workers and schedulers
-are killed.
+Two processes sweep into one store. One or, mostly, both are killed at random moments, and two new
+ones resume, until the sweep is finished. Its bytes are compared with an undisturbed sweep; then the
+next store begins. The full disk is a small file system in memory, if one can be mounted. Damages
+are flipped bits and lost ends of random files. On a Dask cluster, workers and schedulers are
+killed.
 """
 
 import argparse
@@ -35,10 +35,10 @@ TILES, SOAK = 100, 10_000
 
 
 class Sweeper:
-    """A process that sweeps, and what it prints.
+    """A process that sweeps, with its output.
 
-    It is a fork of this one, which has imported everything but has not started JAX, so that it
-    begins at once.
+    It is a fork of this process, which has imported everything but has not started JAX, so that the
+    sweep begins at once.
     """
 
     def __init__(self, folder: Path, tiles: int) -> None:
@@ -61,7 +61,7 @@ class Sweeper:
         self._ended = False
 
     def until_ready(self) -> None:
-        """Until it begins to sweep."""
+        """Wait until it begins to sweep."""
         while (line := self.output.readline()) and line != b"ready\n":
             pass
 
@@ -74,7 +74,7 @@ class Sweeper:
         return not self._ended
 
     def rest(self) -> tuple[list[int], bool, str]:
-        """The tiles that it computed, whether it came to its end, and its errors."""
+        """Return the tiles that it computed, whether it finished, and its errors."""
         words, errors = self.output.read().split(), self._errors.read().decode()
         if not self._ended:
             os.waitpid(self.pid, 0)
@@ -84,7 +84,7 @@ class Sweeper:
 
 
 def undisturbed(place: Path, tiles: int) -> tuple[dict[str, bytes], float]:
-    """The bytes of a sweep that nobody disturbs, and how long it takes from its beginning."""
+    """Return the bytes of an undisturbed sweep, and its duration in seconds."""
     sweeper = Sweeper(place, tiles)
     sweeper.until_ready()
     begun = time.perf_counter()
@@ -93,7 +93,7 @@ def undisturbed(place: Path, tiles: int) -> tuple[dict[str, bytes], float]:
 
 
 def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, bytes], float]) -> Row:
-    """So many kills by a signal, at random moments, of one of two processes at a store."""
+    """Kill processes at a store by a signal at random moments, and return the consequences."""
     number, (expected, length) = getattr(signal, name), right
     row: Row = {"signal": name, "kills": 0, "late": 0, "stores": 0, "other_bytes": 0}
     row |= {"computed": 0, "needed": 0, "left_behind": 0, "other_files": []}
@@ -107,7 +107,7 @@ def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, byt
             victim, other = pair if rng.random() < 0.5 else pair[::-1]
             time.sleep(rng.uniform(0, 0.7 * length))
             row["kills" if victim.signal(number) else "late"] += 1
-            # Mostly the other one is killed as well, so that the store is left unfinished.
+            # Mostly the other process is killed as well, so that the store is left unfinished.
             if rng.random() < 0.8:
                 time.sleep(rng.uniform(0, 0.1 * length))
                 row["kills" if other.signal(number) else "late"] += 1
@@ -126,7 +126,7 @@ def killed(name: str, kills: int, rng: random.Random, right: tuple[dict[str, byt
 
 
 def full_disk(expected: dict[str, bytes]) -> Row:
-    """A sweep into a file system that is too small, then into a larger one, which goes on."""
+    """Sweep into a file system that is too small, then resume in a larger one."""
     with tempfile.TemporaryDirectory() as room:
         mount = ["mount", "-t", "tmpfs", "-o"]
         tried = subprocess.run(
@@ -151,7 +151,7 @@ def full_disk(expected: dict[str, bytes]) -> Row:
 
 
 def soak(tiles: int) -> Row:
-    """Memory and open files of a process while it computes many tiles."""
+    """Measure memory and open files of a process while it computes many tiles."""
     with tempfile.TemporaryDirectory() as room:
         sweeper = Sweeper(Path(room) / "s.zarr", tiles)
         sweeper.until_ready()
@@ -167,7 +167,7 @@ def soak(tiles: int) -> Row:
 
 
 def _faults(results: Row) -> list[str]:
-    """Everything that differs from what an undisturbed sweep leaves and says."""
+    """Return all deviations from the results and messages of an undisturbed sweep."""
     faults, disk = [], results["full_disk"]
     for part, name in (("killed", "signal"), ("damaged", "harm"), ("cluster", "killed")):
         for row in results[part]:
@@ -200,7 +200,7 @@ def main() -> None:
         "full_disk": full_disk(right[0]),
         "soak": soak(500 if args.small else SOAK),
     }
-    # From here on JAX runs in this process: nothing is forked any more.
+    # From here on JAX runs in this process, so it is not forked any more.
     with tempfile.TemporaryDirectory() as room:
         trials = 5 if args.small else DAMAGES
         results["damaged"] = damaged(trials, rng, Path(room))

@@ -1,4 +1,4 @@
-"""What labels of the mixed basin cost, and how many are wrong, at every tolerance."""
+"""Costs of labels of the mixed basin, and numbers of wrong ones, at every tolerance."""
 
 import importlib
 from collections.abc import Callable
@@ -15,14 +15,14 @@ from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
 from benchmarks.reporting.label_precision import DEFAULT, HEYOKA
 
-RTOL = 1e-8  # of the default
-TRUTH = 1e-11  # of the labels to compare with
+RTOL = 1e-8  # the default tolerance
+TRUTH = 1e-11  # tolerance of the reference labels
 METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}
 Row = dict[str, Any]
 
 
 class Sizes(NamedTuple):
-    """How much is measured."""
+    """Sizes of the measurement."""
 
     starts: int = 262_144
     repeats: int = 3
@@ -34,7 +34,7 @@ FEW = Sizes(starts=2048, repeats=1, tolerances=(1e-3, 1e-6), heyoka=(1e-4,))
 
 
 class Problem:
-    """The labels of the mixed basin by `classify_many`, driven in several ways."""
+    """The labels of the mixed basin by `classify_many`, computed in several ways."""
 
     def __init__(self, n: int) -> None:
         self.deltas, self.omegas = mixed_basin.sample(n)
@@ -42,25 +42,25 @@ class Problem:
         self.starts = jnp.asarray(self.omegas)
 
     def labelled(self, rtol: float, **way: Any) -> dt.Classification:
-        """In the way that `engines.driven` tells."""
+        """Return the classification, with the settings `way` of `engines.driven`."""
         settings: Any = {"rtol": rtol, "max_steps": mixed_basin.MAX_STEPS, "value": False}
         with engines.driven(**way):
             return dt.classify_many(self.equations, self.starts, slow_flow=False, **settings)
 
     def ours(self, rtol: float, **way: Any) -> Row:
-        """A record as the peers give it."""
+        """Return a record in the form of a peer's."""
         runs, clocks = measure.timed(lambda: self.labelled(rtol, **way))
         return clocks | {"labels": runs.outcome}
 
     def steps(self, rtol: float, **way: Any) -> int:
-        """The steps of all passes."""
+        """Return the steps of all passes."""
         passes: list[engines.Pass] = []
         self.labelled(rtol, passes=passes, **way)
         return sum(int(done.ended.runs.steps.sum()) for done in passes)
 
 
 def compare(sizes: Sizes) -> Row:
-    """One row for each method and tolerance."""
+    """Return a row for each method and tolerance."""
     problem = Problem(sizes.starts)
     truth = np.asarray(problem.labelled(TRUTH, once=True).outcome)
     ways: dict[Any, Row] = {(DEFAULT, RTOL): {}}
@@ -69,7 +69,7 @@ def compare(sizes: Sizes) -> Row:
     cases: dict[Any, Callable[[], Row]] = {
         key: partial(problem.ours, key[1], **way) for key, way in ways.items()
     }
-    measure.interleaved(cases, 1)  # everybody is measured warm; heyoka sees to it itself
+    measure.interleaved(cases, 1)  # all are measured warm; heyoka warms itself up
     missing = []
     try:
         heyoka = importlib.import_module("benchmarks.peers.with_heyoka").run
@@ -90,6 +90,6 @@ def compare(sizes: Sizes) -> Row:
 
 
 def counted(labels: np.ndarray, truth: np.ndarray) -> dict[str, int]:
-    """Wrong labels, of the starts that both decide, and undecided ones."""
+    """Return the numbers of wrong labels, where both decide, and of undecided ones."""
     wrong = (labels > 0) & (truth > 0) & (labels != truth)
     return {"wrong": int(np.sum(wrong)), "undecided": int(np.sum(labels <= 0))}

@@ -1,8 +1,7 @@
-"""Wrong labels of the first pass: how many there are, and how doubtful each of them is.
+"""Wrong labels of the first pass: their number, and how doubtful each of them is.
 
-For every level and kind of body there are starts at random, and starts that close in on the
-boundary between the outcomes: the middles of a bisection from one start to another with the
-other outcome.
+For every level and kind of body there are random starts, and starts that approach the basin
+boundary: the midpoints of a bisection between two starts with different outcomes.
 """
 
 from collections.abc import Iterator
@@ -21,12 +20,12 @@ from benchmarks.problems import random_bodies
 from benchmarks.reporting.label_precision import DEFAULT
 
 MAX_STEPS = 4000
-BATCH = 65_536  # starts in one call: they are one block, so that its passes can be told apart
-PAIRS = 16_384  # starts from which bisections begin, at most
-ROUNDS = 20  # of a bisection: the last start is 1e-6 of the first distance from the boundary
-SHOWN = 3  # starts of each block whose label only the default has wrong that are kept
+BATCH = 65_536  # starts in one call: a single block, so that its passes can be distinguished
+PAIRS = 16_384  # largest number of starts from which bisections begin
+ROUNDS = 20  # of a bisection: the distance from the boundary falls by a factor 1e-6
+SHOWN = 3  # kept starts of each block whose label is wrong by default only
 DELTA = -0.2  # of the tops at the separatrix
-NEAREST, FARTHEST = 1e-14, 1e-2  # distances from it
+NEAREST, FARTHEST = 1e-14, 1e-2  # distances from the separatrix
 TOPS = {
     "tops, any δ": (-0.99, 0.99, 1.0),
     "tops, −½ < δ < 0": (-0.5, 0.0, 1.0),
@@ -39,12 +38,12 @@ Row = dict[str, Any]
 
 
 class Sizes(NamedTuple):
-    """Starts at random of each kind, by the level."""
+    """Numbers of random starts of each kind, by level."""
 
     tops: dict[str, int]
     bodies: dict[str, int]
     wall: int = 400
-    """Starts on each side of the separatrix."""
+    """Number of starts on each side of the separatrix."""
 
 
 FULL = Sizes(
@@ -61,12 +60,12 @@ class Case(NamedTuple):
     omegas: Float[np.ndarray, "n 3"]
 
     def some(self, which: Any) -> "Case":
-        """Some of them."""
+        """Return some of them."""
         part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[which]), self.equations)
         return Case(part, self.omegas[which])
 
     def labels(self, rtol: float, **way: Any) -> Int[np.ndarray, " n"]:
-        """Outcomes, in the way that `engines.driven` tells."""
+        """Return outcomes, with the settings `way` of `engines.driven`."""
         settings: Any = {"rtol": rtol, "max_steps": MAX_STEPS, "value": False, "slow_flow": False}
         with engines.driven(**way):
             return np.asarray(dt.classify_many(self.equations, self.omegas, **settings).outcome)
@@ -78,10 +77,10 @@ def _directions(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
-    """Tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
+    """Return tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
     low, high, most = TOPS[kind]
     order = random_bodies.LEVELS[level]
-    most = most if order in (1, None) else min(most, 0.2)  # beyond, the higher orders diverge
+    most = most if order in (1, None) else min(most, 0.2)  # above it, the higher orders diverge
     delta = jnp.asarray(rng.uniform(low, high, n))
     size = most * 10 ** rng.uniform(-2.5, 0, n)
     equations = dt.TransverseSemi(delta) if order is None else dt.TransverseReduced(delta, order)
@@ -89,7 +88,7 @@ def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
 
 
 def bodies(level: str, family: str, n: int, number: int) -> Case:
-    """Bodies of one family of `random_bodies`."""
+    """Return bodies of one family of `random_bodies`."""
     sample = random_bodies.starts(family, level, n, (1, number))
     trailing = random_bodies.equations(level, sample.inertia, sample.dipole)
     equations = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), trailing)
@@ -97,9 +96,9 @@ def bodies(level: str, family: str, n: int, number: int) -> Case:
 
 
 def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
-    """Wrong labels of the first pass, of one pass at the tolerance, and of the default.
+    """Count wrong labels of the first pass, of one pass at the tolerance, and of the default.
 
-    `lost` are those of the default that one pass has right.
+    `lost` counts labels that are wrong by default but right in one pass.
     """
     if truth is None:
         truth = case.labels(TRUTH, once=True)
@@ -135,7 +134,7 @@ def _shown(case: Case, truth: int) -> Row:
 def closing_in(
     case: Case, rng: np.random.Generator
 ) -> Iterator[tuple[Case, Int[np.ndarray, " n"]]]:
-    """Starts nearer and nearer to the boundary, with their outcomes, round by round."""
+    """Yield starts ever nearer to the boundary, with their outcomes, round by round."""
     case = case.some(slice(PAIRS))
     low, n = case.omegas, len(case.omegas)
     high = np.linalg.norm(low, axis=1)[:, None] * _directions(n, rng)
@@ -152,7 +151,7 @@ def closing_in(
 
 
 def merged(rows: list[Row]) -> Row:
-    """The sum of counts, the largest margin, all the starts that are shown."""
+    """Return the sums of counts, the largest margin, and all shown starts."""
     if not rows:
         return {}
     total = {
@@ -164,7 +163,7 @@ def merged(rows: list[Row]) -> Row:
 
 
 def compare(sizes: Sizes, seed: int = 0) -> list[Row]:
-    """A row for each level and kind of body: starts at random, and those that close in."""
+    """Return a row for each level and kind of body: random starts, and starts that close in."""
     kinds = [(level, kind, n) for level, n in sizes.tops.items() for kind in TOPS]
     kinds += [(level, kind, n) for level, n in sizes.bodies.items() for kind in BODIES]
     rows = []
@@ -184,7 +183,7 @@ def compare(sizes: Sizes, seed: int = 0) -> list[Row]:
 
 
 def wall(each: int, tolerances: tuple[float, ...]) -> Row:
-    """Labels of starts on both sides of the separatrix, by one pass and by default."""
+    """Label starts on both sides of the separatrix, by one pass and by default."""
     near = separatrix.wall(DELTA, np.geomspace(FARTHEST, NEAREST, each), 10)
     case = Case(dt.TransverseReduced(DELTA), near.starts.T)
     ways: list[tuple[str, float, Row]] = [(DEFAULT, RTOL, {})]

@@ -1,4 +1,4 @@
-"""How precisely must a motion be known for its label? Costs, wrong labels, and what is in doubt.
+"""How precisely must a motion be known for its label? Costs, wrong labels, and doubt.
 
 python -m benchmarks.accuracy.label_precision --small     a look
 python -m benchmarks.accuracy.label_precision             all, eight minutes on two cores
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def measure_all(small: bool) -> dict[str, Any]:
-    """Costs on the mixed basin, every level and kind of body, the separatrix."""
+    """Measure costs on the mixed basin, every level and kind of body, the separatrix."""
     from benchmarks.accuracy import label_costs, label_doubt
     from benchmarks.reporting import measure
 

@@ -29,7 +29,7 @@ COSTLY = ("4", "3", "2", "semi", "1")
 
 
 class Piece(NamedTuple):
-    """Part of a row: its starts depend on (seed, number) only."""
+    """A part of a row; its starts depend on (seed, number) only."""
 
     level: str
     family: str
@@ -40,7 +40,7 @@ class Piece(NamedTuple):
 
 
 def pieces(args: argparse.Namespace) -> list[Piece]:
-    """All the pieces, those that take longest first."""
+    """Return all the pieces, the longest first."""
     every = []
     for level, family in itertools.product(args.levels, args.families):
         closed = family == "closed"
@@ -53,7 +53,7 @@ def pieces(args: argparse.Namespace) -> list[Piece]:
 
 
 def counted(piece: Piece) -> dict[str, Any]:
-    """Run a piece: over the pieces of a row integers are added, of floats the largest is kept."""
+    """Run a piece; `merged` adds integers over the pieces of a row and keeps the largest floats."""
     jax.config.update("jax_enable_x64", True)
     sample = starts(piece.family, piece.level, piece.n, (piece.seed, piece.number))
     closed = piece.family == "closed"
@@ -90,7 +90,7 @@ def counted(piece: Piece) -> dict[str, Any]:
 
 
 def results(todo: list[Piece], jobs: int) -> Iterator[dict[str, Any]]:
-    """The results of the pieces as they finish, in so many processes."""
+    """Yield the results of the pieces as they finish, in `jobs` processes."""
     if jobs == 1:
         yield from map(counted, todo)
         return
@@ -101,7 +101,7 @@ def results(todo: list[Piece], jobs: int) -> Iterator[dict[str, Any]]:
 
 
 def merged(results: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row for each level and family."""
+    """Return one row for each level and family."""
     rows: dict[Any, dict[str, Any]] = {}
     for piece in results:
         row = rows.setdefault((piece["level"], piece["family"]), {})
@@ -110,7 +110,7 @@ def merged(results: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
                 row[name] = max(row.get(name, 0.0), value)
             elif isinstance(value, str):
                 row[name] = value
-            else:  # counts and lists; seconds become one pair for each piece
+            else:  # counts and lists; seconds are one pair for each piece
                 row[name] = row[name] + value if name in row else value
     place = list(LEVELS).index, FAMILIES.index
     return [rows[key] for key in sorted(rows, key=lambda k: (place[0](k[0]), place[1](k[1])))]

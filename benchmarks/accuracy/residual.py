@@ -1,4 +1,4 @@
-"""How exact is ω∞, and its estimated error? Every value against `taylor_truth.py`.
+"""How exact are ω∞ and its estimated error? Every value is compared with `taylor_truth.py`.
 
 Isotropic starts; each row has one δ and one amplitude.
 
@@ -24,10 +24,10 @@ LEVELS = ("order-1", "semi")
 DELTAS = (-0.9, -0.7, -0.5, -0.3, -0.2, -0.05, 0.01, 0.05, 0.1, 0.3, 0.6, 0.81, 0.9, 0.97)
 AMPLITUDES = (1.0, 0.3, 0.1, 0.03, 0.01)
 RTOL = 1e-8
-GOOD = 1e-5  # largest estimate, over |ω∞|, that is good enough for a map
+GOOD = 1e-5  # largest estimated error, over |ω∞|, that is good enough for a map
 MAX_STEPS = 20_000
 REPEATS = 3
-FEW = 5  # residual starts below which a row is left empty
+FEW = 5  # least number of residual starts for a row
 DIGITS = (  # level, δ, start: few rotations and many, near zeros of ω∞ and far from them
     ("order-1", 0.05, (0.0075448639831482275, 0.030977464484466803, -0.29830097505973624)),
     ("order-1", -0.3, (0.25, 0.12, 0.05)),
@@ -45,14 +45,14 @@ DIGITS = (  # level, δ, start: few rotations and many, near zeros of ω∞ and 
 
 
 def starts(n: int, delta: float, amplitude: float, seed: int) -> np.ndarray:
-    """Isotropic starts, shape (n, 3)."""
+    """Return isotropic starts, shape (n, 3)."""
     key = [seed, round(1000 * (1 + delta)), round(1e6 * amplitude)]
     ways = np.random.default_rng(key).normal(size=(n, 3))
     return amplitude * ways / np.linalg.norm(ways, axis=1)[:, None]
 
 
 def row(level: str, delta: float, amplitude: float, n: int, seed: int) -> dict[str, Any]:
-    """One δ and amplitude: errors over their estimates, and the cost of these."""
+    """Return for one δ and amplitude the errors over their estimates, and the estimates' cost."""
     omegas, top = starts(n, delta, amplitude, seed), dt.equation_at(level, delta)
 
     def run(**settings: Any) -> Any:
@@ -89,7 +89,7 @@ def row(level: str, delta: float, amplitude: float, n: int, seed: int) -> dict[s
 
 
 def _cost(run: Any) -> float:
-    """The time with an estimate over that without: the median of interleaved ratios."""
+    """Return the time with over the time without an estimate: the median of interleaved ratios."""
     ratios = []
     for _ in range(REPEATS):
         estimated, plain = (
@@ -119,7 +119,7 @@ def main() -> None:
         for level in args.levels
         for amplitude in args.amplitudes
         for delta in args.deltas
-        if level != "order-1" or delta > -0.5  # below it all stop
+        if level != "order-1" or delta > -0.5  # at smaller δ all stop
     ]
     run = {"command": measure.command(), **measure.machine()}
     numbers = {"run": run, "rtol": RTOL, "good": GOOD, "rows": rows}

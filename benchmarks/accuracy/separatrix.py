@@ -11,7 +11,7 @@ ORDER = 26  # of the Taylor series
 
 
 def _series(d: np.longdouble, y: np.ndarray) -> np.ndarray:
-    """Taylor coefficients (ORDER + 1, 3, N) of the solution of (4.2)–(4.4), written out anew."""
+    """Return Taylor coefficients (ORDER + 1, 3, N) of the solution of (4.2)–(4.4)."""
     c = np.zeros((ORDER + 1, *y.shape), np.longdouble)
     c[0] = y
     drag, axial = np.zeros((2, ORDER + 1, y.shape[1]), np.longdouble)
@@ -30,7 +30,7 @@ def _series(d: np.longdouble, y: np.ndarray) -> np.ndarray:
 
 
 def outcomes(delta: float, omegas: np.ndarray) -> np.ndarray:
-    """Outcomes of starts (3, N): each runs until precession, or the line, clearly wins."""
+    """Integrate starts (3, N) until precession or the line clearly wins; return the outcomes."""
     d, y = np.longdouble(delta), np.array(omegas, np.longdouble)
     labels, live = np.zeros(y.shape[1], int), np.arange(y.shape[1])
     while live.size:
@@ -51,13 +51,13 @@ def outcomes(delta: float, omegas: np.ndarray) -> np.ndarray:
 
 
 def starts_at(phi: np.ndarray) -> np.ndarray:
-    """Starts with ω⊥ = ω₃ = 1/5 at the angles φ, shape (3, N)."""
+    """Return starts with ω⊥ = ω₃ = 1/5 at the angles φ, shape (3, N)."""
     fifth = np.longdouble(1) / 5
     return np.stack([fifth * np.cos(phi), fifth * np.sin(phi), np.full_like(phi, fifth)])
 
 
 def separatrix(delta: float, rounds: int) -> tuple[Any, Any]:
-    """Two neighbouring angles φ between which starts with ω⊥ = ω₃ = 1/5 change their outcome."""
+    """Return two neighbouring φ between which the outcome at ω⊥ = ω₃ = 1/5 changes."""
     low, high = np.longdouble(0), np.longdouble(1)
     for _ in range(rounds):
         phi = low + (high - low) * np.arange(2**HALVINGS + 1) / np.longdouble(2**HALVINGS)
@@ -72,7 +72,7 @@ class Wall(NamedTuple):
     edge: Any
     """The angle φ of the separatrix."""
     between: float
-    """How exactly it is known."""
+    """The uncertainty of `edge`."""
     starts: np.ndarray  # (3, N)
     truth: np.ndarray
     """Their outcomes, (N,)."""
@@ -81,7 +81,7 @@ class Wall(NamedTuple):
 
 
 def wall(delta: float, distances: np.ndarray, rounds: int) -> Wall:
-    """Starts at these distances in φ from the separatrix, on either side."""
+    """Return starts at these distances in φ from the separatrix, on either side."""
     low, high = separatrix(delta, rounds)
     edge, far = (low + high) / 2, distances.astype(np.longdouble)
     starts = starts_at(np.concatenate([edge - far, edge + far])).astype(float)

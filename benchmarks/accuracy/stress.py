@@ -1,11 +1,11 @@
-"""Labels and integrator where it is hard: a million starts, the separatrix, every tolerance.
+"""Labels and integrator in difficult cases: a million starts, the separatrix, every tolerance.
 
     python -m benchmarks.accuracy.stress --small     a look
     python -m benchmarks.accuracy.stress             all, about ten minutes on one core
     python -m benchmarks.accuracy.stress --write     the same, kept: results/stress.md
 
-Random starts at order 1 are labelled, and integrated on until their end is plain (`long_runs.py`).
-The wall of starts stands at the separatrix (`separatrix.py`).
+Random starts at order 1 are labelled, and integrated further until their end is plain
+(`long_runs.py`). The wall is a set of starts on both sides of the separatrix (`separatrix.py`).
 """
 
 import argparse
@@ -36,9 +36,9 @@ Row = dict[str, Any]
 
 
 def random_starts(block: str, n: int, rng: np.random.Generator) -> Starts:
-    """δ uniform in [−1, 0.99], isotropic directions, |ω| log-uniform.
+    """Return starts with δ uniform in [−1, 0.99], isotropic directions, |ω| log-uniform.
 
-    mixed: |ω| from 1e-3 to 3. tiny: from 1e-30 to 10, hardly any of which can be integrated to its
+    mixed: |ω| from 1e-3 to 3. tiny: from 1e-30 to 10; hardly any of these can be integrated to the
     end. slow: ω⊥ from 1e-30 to 10 and ω₃/ω⊥² from 1e-3 to 1e3, where both outcomes are near.
     """
     delta = rng.uniform(-1, 0.99, n)
@@ -57,7 +57,7 @@ def random_starts(block: str, n: int, rng: np.random.Generator) -> Starts:
 
 
 def checked(block: str, n: int, seed: int) -> Row:
-    """So many labels against the ends of long runs without certificates."""
+    """Compare n labels with the ends of long runs without certificates."""
     begin = time.perf_counter()
     row: Row = {"block": block, "largest_steps": 0, "wrong_starts": []}
     for number in range(-(-n // PIECE)):
@@ -82,14 +82,14 @@ def checked(block: str, n: int, seed: int) -> Row:
 
 
 def _contrary(sample: Starts, outcome: np.ndarray) -> np.ndarray:
-    """Labels that order 1 excludes: a stop at δ > 0, a residual rotation at δ ≤ −1/2."""
+    """Mark labels that order 1 excludes: a stop at δ > 0, a residual rotation at δ ≤ −1/2."""
     delta = 1 - sample.inertia[:, 2, 2]
     stop, residual = outcome == Outcome.STOP, outcome == Outcome.RESIDUAL
     return (stop & (delta > 0)) | (residual & (delta <= -0.5))
 
 
 def wall(small: bool) -> Row:
-    """Labels of starts on both sides of the separatrix, at every tolerance."""
+    """Label starts on both sides of the separatrix, at every tolerance."""
     each = 20 if small else 400
     distances = np.geomspace(FARTHEST, 1e-8 if small else NEAREST, each)
     near = separatrix.wall(DELTA, distances, 5 if small else 10)
@@ -118,7 +118,7 @@ def wall(small: bool) -> Row:
 
 
 def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
-    """Name, equations, starts, times up to 20 braking times, and the exact states there."""
+    """Yield name, equations, starts, times up to 20 braking times, and the exact states there."""
     rng = np.random.default_rng(7)
     deltas = jnp.asarray(rng.uniform(-0.9, 0.9, n))
     speeds = 10 ** rng.uniform(-1, 0.5, n)
@@ -141,7 +141,7 @@ def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
 
 
 def tolerances(small: bool) -> list[Row]:
-    """Largest error over rtol·|ω₀| at every rtol, and the slope of log error on log rtol."""
+    """Return the largest error over rtol·|ω₀| at every rtol, and d log error/d log rtol."""
     methods = [diffrax.Dopri8()] if small else [diffrax.Dopri8(), diffrax.Dopri5(), diffrax.Tsit5()]
     rows = []
     for method, problem in itertools.product(methods, problems(64 if small else 1024)):

@@ -1,9 +1,9 @@
 """The peers that can run here.
 
-A peer is `run(deltas, omegas, rtol) -> dict`: `labels` (integers of dipoletop.Outcome),
-`seconds` on the clock, `processor_seconds` (of all cores; steadier where others work too),
-`compile_seconds`, `steps` (lane steps made), `note`. A peer that is not installed is left out,
-with a line that says so. float64 must be on in jax before a jax peer runs, and heyoka starts
+A peer is a function `run(deltas, omegas, rtol) -> dict` with `labels` (integers of
+dipoletop.Outcome), `seconds` of wall time, `processor_seconds` (of all cores; steadier on a busy
+machine), `compile_seconds`, `steps` (lane steps made), `note`. A peer that is not installed is left
+out, with a line that says so. float64 must be on in jax before a jax peer runs, and heyoka starts
 processes: call from under `if __name__ == "__main__"`.
 """
 
@@ -16,7 +16,7 @@ Peer = Callable[..., dict[str, Any]]
 
 
 def available() -> tuple[dict[str, Peer], list[str]]:
-    """The peers that can run here by name, and one line for each that cannot."""
+    """Return the peers that can run here by name, and one line for each that cannot."""
     peers: dict[str, Peer] = {}
     missing = []
     try:

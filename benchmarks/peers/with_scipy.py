@@ -1,4 +1,4 @@
-"""scipy's DOP853, one start after another: the labels to compare with."""
+"""scipy's DOP853, one start after another: the reference labels."""
 
 from time import perf_counter, process_time
 from typing import Any
@@ -12,7 +12,7 @@ from benchmarks.problems import mixed_basin
 
 
 def _label(delta: float, omega: Float[np.ndarray, "3"], rtol: float) -> tuple[int, int]:
-    """The label of one undecided start, and its number of steps."""
+    """Return the label of one undecided start, and its number of steps."""
     solver = DOP853(
         lambda t, y: np.array(mixed_basin.rate(delta, y)),
         0.0,
@@ -36,7 +36,7 @@ def _label(delta: float, omega: Float[np.ndarray, "3"], rtol: float) -> tuple[in
 def run(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
 ) -> dict[str, Any]:
-    """Labels of all starts; the certificate is tested after every step."""
+    """Label all starts, testing the certificate after every step."""
     labels = mixed_basin.certificate(deltas, omegas.T)
     made = 0
     begin, spent = perf_counter(), process_time()

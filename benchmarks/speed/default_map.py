@@ -1,4 +1,4 @@
-"""The default map: time, memory, compilations. Each in a fresh process, because of the memory.
+"""The default map: time, memory, compilations; each in a fresh process, to measure the memory.
 
 python -m benchmarks.speed.default_map order-1 512 native     one line of JSON
 python -m benchmarks.speed.default_map memory 512 native 0    memory of one sweep only (1: its
@@ -26,12 +26,12 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def measured(*arguments: Any) -> dict[str, Any]:
-    """The result of `report`, or after "memory" of `memory`, in a fresh process."""
+    """Return the result of `report` (of `memory` after "memory") in a fresh process."""
     return measure.in_fresh_process(__name__, *arguments)
 
 
 def report(level: str, points: int, engine: str) -> dict[str, Any]:
-    """The first and later sweeps over points × points starts, and compilations at other values."""
+    """Measure first and later sweeps over points × points starts, and compilations between them."""
     before = peak_memory()
     grid = dt.symmetry_cell(points, points)
     basin, first = measure.timed(lambda: sweep(level, grid, -0.2, 1e-8, engine))
@@ -57,7 +57,7 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
 
 
 def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
-    """Memory of the first sweep with value, order 1, its result in memory or on the disk."""
+    """Measure memory of a first sweep with value at order 1, its result in memory or on disk."""
     before = peak_memory()
     grid = dt.symmetry_cell(points, points)
     with tempfile.TemporaryDirectory() as folder:
@@ -68,20 +68,20 @@ def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
 
 
 def tops(level: str, delta: float) -> Callable[..., Any]:
-    """The starts of a map over φ and ω₃, ω⊥ = 0.2."""
+    """Return the problem of a map over φ and ω₃, ω⊥ = 0.2."""
     return lambda w3, phi: (dt.equation_at(level, delta), dt.cylindrical(0.2, w3, phi))
 
 
 def sweep(
     level: str, grid: dt.Grid, delta: float, rtol: float, engine: str, store: Any = None
 ) -> dt.Basin:
-    """A map over a grid of φ and ω₃, ω⊥ = 0.2."""
+    """Return a map over a grid of φ and ω₃, ω⊥ = 0.2."""
     settings = {"rtol": rtol, "engine": engine, "store": store}
     return dt.sweep(tops(level, delta), grid, progress=False, **settings)
 
 
 def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
-    """Programs compiled when δ, starts, times and tolerance change and nothing else does."""
+    """Return numbers of programs compiled when only δ, starts, times and tolerance change."""
     omegas = jax.random.normal(jax.random.key(0), (256, 3))
     deltas = jnp.linspace(-0.4, 0.4, 256)
     times = jnp.linspace(0.0, 100.0, 11)
@@ -106,7 +106,7 @@ def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
 
 
 def _compiled(task: Callable[[], Any]) -> int:
-    """How many programs are compiled during the task, in any thread."""
+    """Return how many programs are compiled during the task, in any thread."""
     seen: list[str] = []
 
     def listen(event: str, duration_secs: float, **_: Any) -> None:
@@ -126,7 +126,7 @@ if __name__ == "__main__":
     parser.add_argument("scene", choices=(*LEVELS, "memory"), help="a level, or memory only")
     parser.add_argument("points", type=int, help="on each axis")
     parser.add_argument("engine", choices=engines.NAMES)
-    parser.add_argument("stored", type=int, nargs="?", default=0, help="1: the result to the disk")
+    parser.add_argument("stored", type=int, nargs="?", default=0, help="1: result to the disk")
     args = parser.parse_args()
     if args.scene == "memory":
         print(json.dumps(memory(args.points, args.engine, bool(args.stored))))

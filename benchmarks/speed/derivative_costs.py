@@ -1,4 +1,4 @@
-"""What derivatives cost over the values alone, and their errors.
+"""Costs of derivatives relative to the values alone, and their errors.
 
 Derivatives of ω∞ come from the equation's first variations, in the lanes of a sweep or for one
 start through JAX. They are compared with differences.
@@ -24,39 +24,39 @@ from benchmarks.speed.outcomes import RTOL
 NAMES = ("delta", "w3", "w1")  # a sweep differentiates by the first, the first two, all
 POINT = np.append(-0.2, dt.cylindrical(0.2, 0.15, 0.1))  # δ and ω₀ of the single start
 BODY = np.array([0.7, 1.1, 0.9, 0.0, 0.9, 0.2, 0.02, 0.1])  # a row of `families.body`
-CALLS = 20  # of a program for one start, timed together
+CALLS = 20  # number of calls of a program for one start that are timed together
 TIME = 1000.0  # of the end states that are differentiated
 HIGHER = ("order-2", "order-3", "order-4")
-SMALLER = 0.25  # factor of the amplitudes at these levels, which run away at larger ones
+SMALLER = 0.25  # factor of the amplitudes at `HIGHER` levels, whose runs diverge at larger ones
 LENGTHS = (0.3, 0.03, 0.003)  # |ω₀| of runs of different length, δ = 0.3
 LONG = (1.3, 0.8, 1.0)  # principal moments of the body of long runs, |ω₀| = 1
-TURNING, PATIENCE = 16, 4_000_000  # the number of such runs, and of their steps at most
+TURNING, PATIENCE = 16, 4_000_000  # number of long runs, and largest number of their steps
 
 
 class Sizes(NamedTuple):
-    """How much is measured."""
+    """Sizes of the measurement."""
 
     starts: int = 32768
     levels: tuple[str, ...] = ("order-1", "semi", *HIGHER)
     names: int = len(NAMES)
     engines: tuple[str, ...] = ("native", "jax")
-    """Orders 3 and 4 only with the native one: JAX takes long to compile them."""
+    """Engines; orders 3 and 4 only with the native one, since JAX takes long to compile them."""
     single: tuple[str, ...] = ("order-1", "order-2", "semi", "full")
     """Levels at which one start is differentiated."""
     by_start: bool = True
-    """… by its ω₀, too."""
+    """Whether one start is also differentiated by its ω₀."""
     twice: tuple[str, ...] = ("order-1", "semi")
-    """… and differentiated twice, which takes long to compile."""
+    """Levels at which one start is differentiated twice, which takes long to compile."""
     body: bool = False
-    """Whether a general body is among them, whose gradient takes minutes to compile."""
+    """Whether to include a general body, whose gradient takes minutes to compile."""
     weak: tuple[float, ...] = (0.1, 0.01, 0.001)
-    """|d|² of bodies that rotate ever more often before they are slow."""
+    """|d|² of bodies that make ever more turns before they are slow."""
     budgets: tuple[int, ...] = (1_000, 100_000)
     """Largest numbers of steps of the programs whose memory is compared."""
     together: int = 256
-    """Starts whose end states are differentiated under one vmap; 0 for none."""
+    """Number of starts whose end states are differentiated under one vmap."""
     backwards: bool = True
-    """Whether gradients are taken backwards through `simulate`, which takes long to compile."""
+    """Whether to take reverse-mode gradients of `simulate`, which take long to compile."""
     repeats: int = 5
 
 
@@ -85,7 +85,7 @@ def _slopes(basin: dt.Basin) -> Float[np.ndarray, "n m"]:
 
 
 def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
-    """The mixed basin with residual values, without and with derivatives."""
+    """Measure the mixed basin with residual values, without and with derivatives."""
     deltas, omegas = mixed_basin.sample(sizes.starts)
     rows = np.column_stack([deltas, omegas])
     table = []
@@ -103,11 +103,11 @@ def in_sweeps(sizes: Sizes) -> list[dict[str, Any]]:
 def _with_and_without(
     level: str, rows: np.ndarray, engine: str, precise: dt.Basin, sizes: Sizes
 ) -> list[dict[str, Any]]:
-    """A row for each number of derivatives, 0 first."""
+    """Return a row for each number of derivatives, 0 first."""
 
     def case(m: int) -> Callable[[], dict[str, Any]]:
         settings = {"engine": engine, "max_steps": mixed_basin.MAX_STEPS, "derivatives": NAMES[:m]}
-        settings["slow_flow"] = False  # derivatives are never predicted, so nor are values here
+        settings["slow_flow"] = False  # derivatives are never predicted, so neither are values here
         sweep = partial(_sweep, level, rows, RTOL, **settings)
         _, first = measure.timed(sweep)
 
@@ -140,7 +140,7 @@ def _with_and_without(
 
 
 def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, m: int) -> dict[str, Any]:
-    """Relative errors of the first m derivatives (0: of ω∞) at residual starts; starts without."""
+    """Return relative errors of m derivatives (0: of ω∞) at residual starts, and missing ones."""
     residual = plain.outcome == dt.Outcome.RESIDUAL
     values, exact = (
         (_slopes(b)[:, :m] if m else b.omega_inf[:, None])[residual] for b in (basin, precise)
@@ -155,13 +155,13 @@ def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, m: int) -> dict
 
 
 def _program(function: Callable[..., Any], point: tuple[Any, ...]) -> tuple[Any, float]:
-    """The function compiled for such a point, and the time of compilation."""
+    """Return the function compiled for points of this type, and the time of compilation."""
     compiled, clocks = measure.timed(lambda: jax.jit(function).lower(*point).compile())
     return compiled, clocks["seconds"]
 
 
 def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any]]:
-    """A row for each case (function, its point, the exact result), the plain value first."""
+    """Return a row for each case (function, its point, the exact result), the plain value first."""
 
     def called(program: Any, point: Any) -> dict[str, Any]:
         def task() -> Any:
@@ -190,7 +190,7 @@ def _costs(what: str, cases: dict[str, Any], sizes: Sizes) -> list[dict[str, Any
 
 
 def of_one_start(sizes: Sizes) -> list[dict[str, Any]]:
-    """ω∞ of one start and its derivatives, jitted, at rtol 1e-10."""
+    """Measure ω∞ of one start and its derivatives, jitted, at rtol 1e-10."""
     rows = []
     for level in sizes.single:
         rows += _costs(level, _of_a_top(level, sizes), sizes)
@@ -198,7 +198,7 @@ def of_one_start(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
-    """Functions of δ and ω₀, and their exact results."""
+    """Return functions of δ and ω₀, and their exact results."""
 
     def value(delta: Any, omega: Any) -> Any:
         return dt.residual_rotation(dt.equation_at(level, delta), omega)
@@ -220,7 +220,7 @@ def _of_a_top(level: str, sizes: Sizes) -> dict[str, Any]:
 
 
 def _of_a_body() -> dict[str, Any]:
-    """Functions of inertia, dipole and start, and their exact results."""
+    """Return functions of inertia, dipole and start, and their exact results."""
     family, row = body("body, order 1"), BODY[None]
 
     def value(moments: Any, dipole: Any, omega: Any) -> Any:
@@ -240,10 +240,10 @@ def _of_a_body() -> dict[str, Any]:
 
 
 def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
-    """Errors of general bodies that radiate weakly, at order 1.
+    """Return errors of derivatives of general bodies that radiate weakly, at order 1.
 
-    A unit of time shorter by 1 + a makes ω₀ (1 + a) times as large, |d|² as small, and ω∞ as
-    large: ∂ω∞/∂a = ω∞ at a = 0.
+    A change of the unit of time by 1/(1 + a) multiplies ω₀ and ω∞ by 1 + a and divides |d|² by it,
+    so ∂ω∞/∂a = ω∞ at a = 0.
     """
 
     def made(a: Any, strength: Any, w1: Any, w2: Any, w3: Any) -> Any:
@@ -272,7 +272,7 @@ def over_many_turns(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
-    """Temporary memory of compiled gradients by δ, and the lengths of run that they can do."""
+    """Measure temporary memory of compiled gradients by δ, and the longest possible runs."""
     adjoint = diffrax.RecursiveCheckpointAdjoint()
     way = POINT[1:] / np.linalg.norm(POINT[1:])
     starts = np.array([np.append(0.3, size * way) for size in LENGTHS])
@@ -283,7 +283,7 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
         return value, 0
 
     def end(delta: Any, omega: Any, max_steps: int) -> Any:
-        # As long as the run to ω∞: a few braking times.
+        # As long as the run to ω∞, a few braking times.
         ts = jnp.stack([jnp.zeros(()), 5 / jnp.sum(omega**2)])
         options: dict[str, Any] = {"adjoint": adjoint, "throw": False, "max_steps": max_steps}
         run = dt.simulate(dt.TransverseReduced(delta), omega, ts, **options)
@@ -309,7 +309,7 @@ def in_memory(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def _end(delta: Any, omega: Any, adjoint: Any) -> Any:
-    """ω₁ at the end of a run of `simulate`."""
+    """Return ω₁ at the end of a run of `simulate`."""
     ts = jnp.array([0.0, TIME])
     top = dt.TransverseReduced(delta)
     return dt.simulate(top, omega, ts, adjoint=adjoint, throw=False).omega[-1, 0]
@@ -319,7 +319,7 @@ PLAIN = "end state"
 
 
 def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
-    """The end state alone; with one derivative (by δ); with all four (by δ and ω₀)."""
+    """Return functions: end state alone, with ∂/∂δ, with all four derivatives (by δ and ω₀)."""
     reverse, forward = diffrax.RecursiveCheckpointAdjoint(), diffrax.ForwardMode()
 
     def tangent(delta: Any, omega: Any) -> Any:
@@ -337,7 +337,7 @@ def _derivatives(backwards: bool) -> dict[str, Callable[..., Any]]:
 
 
 def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
-    """`simulate` with and without derivatives, without compilation, at rtol 1e-10."""
+    """Measure `simulate` with and without derivatives, without compilation, at rtol 1e-10."""
     delta, omega = jnp.asarray(-0.2), dt.cylindrical(0.2, 0.2, 0.1)
     rows = _end_states((delta, omega), lambda function: function, sizes)
     if sizes.together:
@@ -348,7 +348,7 @@ def of_end_states(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[dict[str, Any]]:
-    """A row for each of `_derivatives`, and the distance of those by δ."""
+    """Return a row for each of `_derivatives`, with the difference between derivatives by δ."""
     cases, first = {}, {}
     for name, function in _derivatives(sizes.backwards).items():
         program = jax.jit(batched(function))
@@ -371,7 +371,7 @@ def _end_states(point: Any, batched: Callable[..., Any], sizes: Sizes) -> list[d
 
 
 def compare(sizes: Sizes) -> dict[str, Any]:
-    """All scenes."""
+    """Measure all cases."""
     return {
         "rtol": RTOL,
         "sweeps": in_sweeps(sizes),

@@ -2,8 +2,8 @@
 
     python benchmarks/bench_device.py --starts 65536 1048576 --widths 4096 65536
 
-The mixed basin; one line of JSON for each run: µs per start without compilation, labels that
-differ from those of the engine's first run, steps of the blocks.
+The problem is the mixed basin. Each run gives one line of JSON: µs per start without compilation,
+labels that differ from the engine's first run, steps of the blocks.
 """
 
 import argparse
@@ -24,7 +24,7 @@ RTOL = 1e-8
 
 
 def engine(n: int, width: int, repeats: int) -> dict[str, Any]:
-    """Labels by the JAX engine, all starts in one queue."""
+    """Measure labels by the JAX engine, all starts in one queue."""
     deltas, omegas = mixed_basin.sample(n)
     equation, y0 = dt.TransverseReduced(jnp.asarray(deltas)), jnp.asarray(omegas.T)
     bounds = engines.limits(RTOL, RTOL * jnp.linalg.norm(y0, axis=0), mixed_basin.MAX_STEPS)
@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--starts", type=int, nargs="+", default=[65536])
     parser.add_argument("--widths", type=int, nargs="+", default=[4096, 16384, 65536])
-    parser.add_argument("--peer", type=int, nargs="*", default=[65536], help="starts of diffrax")
+    parser.add_argument("--peer", type=int, nargs="*", default=[65536], help="starts for diffrax")
     parser.add_argument("--repeats", type=int, default=3)
     args = parser.parse_args()
     device = jax.devices()[0]

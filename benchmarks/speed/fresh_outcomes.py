@@ -1,7 +1,7 @@
-"""The first outcomes of a process by each integrator: from its start to its end, and its memory.
+"""The first outcomes by each integrator in a fresh process: its total time and its memory.
 
-Imports, compilation and a few starts of the mixed basin are in the time; what an integrator keeps
-on the disk is missing the first time and there later.
+The time includes imports, compilation and a few starts of the mixed basin. An integrator's cache
+on disk is empty the first time and full later.
 
     python -m benchmarks.speed.fresh_outcomes heyoka 4096     one process: its memory in JSON
 """
@@ -16,13 +16,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-# Each process shall import what its integrator needs, so imports are in the functions.
+# Each process should import only what its integrator needs, so imports are in the functions.
 RTOL = 1e-8
 WAYS = ("native", "jax", "heyoka", "diffrax")
 
 
 def compare(n: int, repeats: int) -> dict[str, Any]:
-    """For each way that can run here the first process, the later ones, and the largest memory."""
+    """Measure for each available integrator the first process, later ones, and the memory."""
     from benchmarks.reporting import measure
 
     rows = []
@@ -43,7 +43,7 @@ def _runs_here(way: str) -> bool:
 
 
 def _process(way: str, n: int, cache: Path) -> dict[str, Any]:
-    """One process whose caches are in a folder; its clocks and its memory."""
+    """Run a process with its caches in a folder; return its clocks and its memory."""
     from benchmarks.reporting import measure
 
     environment = os.environ | {"XDG_CACHE_HOME": str(cache), "LOCALAPPDATA": str(cache)}
@@ -55,7 +55,7 @@ def _process(way: str, n: int, cache: Path) -> dict[str, Any]:
 
 
 def report(way: str, n: int) -> dict[str, Any]:
-    """Label n starts in this process: its memory, and its processor seconds."""
+    """Label n starts in this process; return its memory and its processor seconds."""
     from benchmarks.problems import mixed_basin
     from benchmarks.reporting.memory import peak_memory, peak_memory_of_children
 
@@ -74,7 +74,7 @@ def report(way: str, n: int) -> dict[str, Any]:
         importlib.import_module("jax").config.update("jax_enable_x64", True)
         importlib.import_module("benchmarks.peers.with_diffrax").run(deltas, omegas, RTOL)
     own, child = peak_memory(), peak_memory_of_children()
-    # heyoka's processes are as many as there are cores. (JAX starts small ones of the system.)
+    # heyoka has one process for each core. (JAX starts small system processes.)
     helpers = (os.cpu_count() or 1) * (child or 0) if way == "heyoka" else 0
     return {
         "peak_bytes": None if own is None or child is None else own + helpers,

@@ -1,4 +1,4 @@
-"""Fresh processes: importing, and the first map, beside the import of what they stand on."""
+"""Fresh processes: importing, and the first map, compared with importing the dependencies."""
 
 import os
 import statistics
@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.reporting import measure
 from benchmarks.reporting.speed import BASE, COLD_BASE, FIRST_MAP, LATER_MAP
 
-OURS = "import dipoletop; dipoletop.sweep"  # names are loaded when they are used
+OURS = "import dipoletop; dipoletop.sweep"  # names are loaded at their first use
 MAP = "import sys; from dipoletop.cli import main; main(sys.argv[1:], standalone_mode=False)"
 
 
@@ -21,7 +21,7 @@ def _fresh(
     statement: str, *arguments: str, cwd: Path | None = None, cache: Path | None = None
 ) -> measure.Record:
     begin = perf_counter()
-    # The process itself prints the processor time that it spent, its start included.
+    # The process itself prints its processor time, including its start.
     code = f"{statement}\nimport time; print(time.process_time())"
     environment = dict(os.environ)
     if cache is not None:
@@ -40,7 +40,7 @@ def _fresh(
 
 
 def _map(size: int, cache: Path | None = None) -> measure.Record:
-    """`dipoletop map` in a new folder; with an empty cache of machine code unless one is given."""
+    """Measure `dipoletop map` in a new folder, with the given or an empty cache of machine code."""
     with tempfile.TemporaryDirectory() as folder:
         empty = Path(folder) / "cache"
         empty.mkdir()
@@ -48,8 +48,8 @@ def _map(size: int, cache: Path | None = None) -> measure.Record:
 
 
 def _compared(cases: dict[str, Any], base: str, repeats: int) -> dict[str, Any]:
-    """The cases, and the medians of their ratios to `base` beside them."""
-    measure.interleaved(cases, 1)  # the first time the files are read from the disk
+    """Measure the cases, and the medians of their ratios to neighbouring runs of `base`."""
+    measure.interleaved(cases, 1)  # a first time, to read the files from the disk
     records = measure.interleaved(cases, repeats)
     ratios = {}
     for name in cases:
@@ -63,16 +63,16 @@ def _compared(cases: dict[str, Any], base: str, repeats: int) -> dict[str, Any]:
 
 
 def compare(repeats: int) -> dict[str, Any]:
-    """Importing dipoletop and what it needs; `ratio` is the median over neighbouring runs."""
+    """Measure importing dipoletop and its dependencies; `ratio` compares neighbouring runs."""
     cases = {statement: partial(_fresh, statement) for statement in (OURS, BASE)}
     found = _compared(cases, BASE, repeats)
     return found | {"ratio": found["ratio"][OURS]}
 
 
 def cold_start(repeats: int, size: int = 512) -> dict[str, Any]:
-    """The default map in fresh processes, with an empty cache of machine code and with a full one.
+    """Measure the default map in fresh processes, with an empty and a full cache of machine code.
 
-    `ratio` has, for each of the two, the medians of the ratios to neighbouring runs of `COLD_BASE`.
+    `ratio` has for each of the two the median of the ratios to neighbouring runs of `COLD_BASE`.
     """
     with tempfile.TemporaryDirectory() as cache:
         cases = {

@@ -19,7 +19,7 @@ from benchmarks.reporting.speed import OURS
 
 RTOL = 1e-8
 IN_JAX = "dipoletop, JAX engine"
-# One vmap over all starts is so slow that it gets fewer starts, once.
+# One vmap over all starts is so slow that it gets fewer starts, and one run.
 SLOW = ("diffrax vmap whole, tuple", "diffrax vmap whole, (3,)")
 RIVALS = (
     IN_JAX,
@@ -31,13 +31,13 @@ RIVALS = (
 
 
 class Sizes(NamedTuple):
-    """How much is measured."""
+    """Sizes of the measurement."""
 
     starts: tuple[int, ...]
     slow: int
-    """Starts for the slow ones."""
+    """Number of starts for the slow peers."""
     truth: int
-    """Starts that scipy labels."""
+    """Number of starts that scipy labels."""
     repeats: int
     rivals: tuple[str, ...] = RIVALS
 
@@ -49,7 +49,7 @@ def run(
     engine: str = "native",
     max_steps: int = mixed_basin.MAX_STEPS,
 ) -> dict[str, Any]:
-    """Labels of all starts by `classify_many`, in the form of a peer."""
+    """Return labels of all starts by `classify_many`, in the form of a peer."""
     shapes, starts = jnp.asarray(deltas), jnp.asarray(omegas)
 
     def classified() -> dt.Classification:
@@ -71,7 +71,7 @@ def run(
 def lane_efficiency(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float, engine: str
 ) -> dict[str, Any]:
-    """The share of lane steps made for a running start, of one core's share after another."""
+    """Return the share of lane steps that advance a running start, one core's part at a time."""
     parts = np.array_split(np.arange(len(deltas)), measure.cores())
     widths = engines.block_widths(engine, len(parts[-1]))
     made, block_steps = 0, np.zeros(2, int)
@@ -93,7 +93,7 @@ def lane_efficiency(
 
 
 def compare(sizes: Sizes) -> dict[str, Any]:
-    """All peers at all sizes, their labels compared with scipy's and with ours."""
+    """Measure all peers at all sizes, and compare their labels with scipy's and ours."""
     rivals, missing = available()
     truth = with_scipy.run(*mixed_basin.sample(sizes.truth), rtol=1e-12)
     rivals[IN_JAX] = partial(run, engine="jax")
@@ -123,7 +123,7 @@ def compare(sizes: Sizes) -> dict[str, Any]:
 
 
 def _row(name: str, records: list[dict[str, Any]], ours: Any, truth: Any) -> dict[str, Any]:
-    """One line of the table; labels are compared over the starts that both have."""
+    """Return one row of the table; labels are compared over the common starts."""
     labels = records[0]["labels"]
     both, known = min(len(labels), len(ours)), min(len(labels), len(truth))
     return measure.summary(records) | {

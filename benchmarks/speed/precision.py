@@ -1,8 +1,8 @@
 """Work and precision: end states at a fixed time, cost against true error.
 
 Isotropic starts with |ω| = 0.2 of the top with δ = −1/5, at τ = 1000. The error is the largest
-component of the difference from a reference, over |ω₀|. Every method has one core, in a process
-that may use no other, because XLA counts the cores once.
+component of the difference from a reference, over |ω₀|. Every method runs in a process restricted
+to one core, because XLA counts the cores once.
 
     python -m benchmarks.speed.precision 16384 7 1e-6 1e-9     starts, repeats, tolerances: JSON
 """
@@ -23,13 +23,13 @@ TOLERANCES = tuple(10.0**-k for k in range(6, 13))
 
 
 def alone(n: int, repeats: int, tolerances: tuple[float, ...] = TOLERANCES) -> dict[str, Any]:
-    """`compare` in a process with one core."""
+    """Run `compare` in a process with one core."""
     with measure.confined(1):
         return measure.in_fresh_process(__name__, n, repeats, *tolerances)
 
 
 def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, Any]:
-    """Cost and true error of all methods at all tolerances."""
+    """Measure cost and true error of all methods at all tolerances."""
     omegas = starts(n)
     truth, about = reference(omegas)
     everybody, missing = methods()
@@ -62,7 +62,7 @@ def _case(task: Task) -> dict[str, Any]:
 
 
 def errors(ends: Starts, truth: Starts) -> dict[str, float]:
-    """The largest and the median error of the starts that both have."""
+    """Return the largest and the median error over the common starts."""
     both = min(len(ends), len(truth))
     error = np.max(np.abs(ends[:both] - truth[:both]), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}

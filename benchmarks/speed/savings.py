@@ -1,7 +1,7 @@
-"""What each saving saves, in steps and right-hand sides: counts, the same on every machine.
+"""The effect of each saving in steps and right-hand sides: counts, equal on every machine.
 
-One seeded sample, the mixed basin, unless a row says otherwise. Every tried step counts; a
-right-hand side is one call for one start.
+They are for one seeded sample of the mixed basin, unless a row says otherwise. Every tried step
+counts; a right-hand side is one call for one start.
 """
 
 from typing import Any, NamedTuple
@@ -32,15 +32,15 @@ Omegas = Float[np.ndarray, "n 3"]
 
 
 class Sizes(NamedTuple):
-    """How much is counted."""
+    """Sizes of the measurement."""
 
     starts: int = 32768
     points: int = 128
-    """Points on each axis of the map's symmetry cell."""
+    """Number of points on each axis of the map's symmetry cell."""
     fine: int = 4096
-    """Points on each axis of the map that is refined."""
+    """Number of points on each axis of the refined map."""
     precise: int = 256
-    """Starts of the comparison of methods."""
+    """Number of starts for the comparison of methods."""
     tolerances: tuple[float, ...] = TOLERANCES
     solvers: tuple[Any, ...] = SOLVERS
     engines: tuple[str, ...] = engines.NAMES
@@ -79,7 +79,7 @@ def integrate(
 
 
 def _row(name: str, saved: Any, plain: Any, starts: tuple[int, int], note: str) -> dict[str, Any]:
-    """Steps and right-hand sides with the saving and without it."""
+    """Return a row with steps and right-hand sides with and without the saving."""
     counts = {}
     for which, steps, many in zip(("with", "without"), (saved, plain), starts, strict=True):
         made = int(np.sum(steps))
@@ -88,7 +88,7 @@ def _row(name: str, saved: Any, plain: Any, starts: tuple[int, int], note: str) 
 
 
 def by_symmetry(points: int) -> dict[str, Any]:
-    """One symmetry cell of the default map, or the whole plane of φ and ω₃."""
+    """Count one symmetry cell of the default map against the whole plane of φ and ω₃."""
     cell = dt.symmetry_cell(points, points)
     w3, turn = cell.axes["w3"], cell.axes["phi"]
     plane = dt.Grid(w3=np.concatenate([-w3[:0:-1], w3]), phi=np.concatenate([turn, turn + np.pi]))
@@ -100,7 +100,7 @@ def by_symmetry(points: int) -> dict[str, Any]:
 
 
 def by_refinement(points: int) -> dict[str, Any]:
-    """A fine map from runs next to its boundaries only, and from all of its runs."""
+    """Count a fine map refined only next to its boundaries against all of its runs."""
     grid = dt.symmetry_cell(points, points)
     whole = default_map.sweep("order-1", grid, -0.2, RTOL, "native")
     few = adaptive.refine(default_map.tops("order-1", -0.2), grid, rtol=RTOL, engine="native")
@@ -114,7 +114,7 @@ def by_refinement(points: int) -> dict[str, Any]:
 
 
 def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
-    """Runs that end when something is certain, or at one late time for all."""
+    """Count runs that end when a result is certain against runs to one late time."""
     n = len(omegas)
     soon, later = (integrate(deltas, omegas, until) for until in ("outcome", "value"))
     finished = np.asarray(later.status) == engines.FINISHED
@@ -141,13 +141,13 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
 
 
 def _undecided(deltas: Deltas, ends: engines.EndStates) -> int:
-    """How many end states are undecided."""
+    """Return the number of undecided end states."""
     verdict = dt.TransverseReduced(jnp.asarray(deltas)).verdict(ends.y)
     return int(np.sum(np.asarray(verdict.outcome) == dt.Outcome.UNDECIDED))
 
 
 def _exact_sets(late: float, n: int = 128) -> dict[str, Any]:
-    """Starts on the invariant sets, which have measure zero, so that the sample has none."""
+    """Count starts on the invariant sets, which have measure zero and are not in the sample."""
     deltas, omegas = mixed_basin.sample(2 * n)
     omegas[:n, 2] = 0.0  # keeps ω₁
     omegas[n:, :2] = 0.0  # the axis
@@ -158,7 +158,7 @@ def _exact_sets(late: float, n: int = 128) -> dict[str, Any]:
 
 
 def by_refill(deltas: Deltas, omegas: Omegas, engine: str) -> list[dict[str, Any]]:
-    """Lane steps paid for, idle lanes included: refilled lanes against lockstep blocks."""
+    """Count lane steps, including idle lanes, of refilled lanes against lockstep blocks."""
     n = len(omegas)
     ends = integrate(deltas, omegas, "outcome", engine=engine)
     steps, widths = np.asarray(ends.steps), engines.block_widths(engine, n)
@@ -174,13 +174,13 @@ def by_refill(deltas: Deltas, omegas: Omegas, engine: str) -> list[dict[str, Any
 
 
 def lockstep(steps: Int[np.ndarray, " n"], width: int) -> int:
-    """Lane steps of blocks that go on until their slowest lane is finished."""
+    """Return the lane steps of blocks that run until their slowest lane is finished."""
     blocks = np.pad(steps, (0, -len(steps) % width)).reshape(-1, width)
     return int(width * blocks.max(axis=1).sum())
 
 
 def by_dense_output() -> dict[str, Any]:
-    """Calls of the right-hand side that diffrax makes, without and with dense output."""
+    """Count diffrax's calls of the right-hand side without and with dense output."""
     start = end_states.starts(1)[0]
     calls: list[int] = []
     counts = {}
@@ -210,7 +210,7 @@ def by_dense_output() -> dict[str, Any]:
 
 
 def by_method(n: int, tolerances: tuple[float, ...], solvers: tuple[Any, ...]) -> dict[str, Any]:
-    """Right-hand sides for each start against the true error, at τ = 1000, for each method."""
+    """Count right-hand sides for each start against the true error at τ = 1000, by method."""
     omegas = end_states.starts(n)
     truth, about = end_states.reference(omegas)
     deltas, rows = np.full(n, end_states.DELTA), []
@@ -229,7 +229,7 @@ def by_method(n: int, tolerances: tuple[float, ...], solvers: tuple[Any, ...]) -
 
 
 def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
-    """Right-hand sides at each of `ERRORS`, between tolerances by power laws; None outside."""
+    """Return right-hand sides at each of `ERRORS`, interpolated by power laws; None outside."""
     errors, costs = (np.log([r[k] for r in rows]) for k in ("median_error", "evaluations"))
     order = np.argsort(errors)
     costs_at = np.interp(np.log(ERRORS), errors[order], costs[order], left=np.nan, right=np.nan)
@@ -237,7 +237,7 @@ def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
 
 
 def compare(sizes: Sizes) -> dict[str, Any]:
-    """All savings, and which method is the cheapest."""
+    """Count all savings, and find the cheapest method."""
     deltas, omegas = mixed_basin.sample(sizes.starts)
     rows = [by_symmetry(sizes.points), by_refinement(sizes.fine), *by_ending(deltas, omegas)]
     for engine in sizes.engines:

@@ -1,7 +1,7 @@
-"""How the cost grows: with amplitude, shape, batch, cores and grid.
+"""Growth of the cost with amplitude, shape, batch, cores and grid.
 
-Cores and memory are measured in fresh processes. Which cores a process may use is set before it
-starts (`os.sched_setaffinity`, which a child inherits), because JAX counts them once.
+Cores and memory are measured in fresh processes. The cores of a process are set before it starts
+(`os.sched_setaffinity`, which a child inherits), because JAX counts them once.
 
     python -m benchmarks.speed.scaling 32768 3 native jax     starts, repeats, engines: JSON
 """
@@ -27,15 +27,15 @@ from benchmarks.speed.outcomes import IN_JAX, RTOL, run
 
 NAMES = {"native": OURS, "jax": IN_JAX}
 DIFFRAX = "diffrax vmap repacked, tuple"
-BUDGET = 100_000  # steps of a run; at small amplitudes they are many
-SHAPES = (-0.2, 0.3)  # of the tops whose amplitude is varied
-AMPLITUDE = 0.1  # where δ is varied
+BUDGET = 100_000  # largest number of steps of a run; small amplitudes need many
+SHAPES = (-0.2, 0.3)  # δ of the tops whose amplitude is varied
+AMPLITUDE = 0.1  # of the tops whose δ is varied
 SMALL = 0.01  # amplitude below which there are fewer starts
-SMALLEST = 1e-3  # amplitude below which diffrax, ten times as slow, is left out
+SMALLEST = 1e-3  # amplitude below which diffrax, ten times slower, is left out
 
 
 class Sizes(NamedTuple):
-    """How much is measured."""
+    """Sizes of the measurement."""
 
     amplitudes: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-3, 1e-4)
     deltas: tuple[float, ...] = (-0.9, -0.7, -0.51, -0.45, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9)
@@ -43,12 +43,12 @@ class Sizes(NamedTuple):
     batches: tuple[int, ...] = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
     cores: tuple[int, ...] = (1, measure.cores())
     shared: int = 262_144
-    """Starts that the cores share."""
+    """Number of starts that the cores share."""
     maps: tuple[tuple[int, str, bool], ...] = (
         *((n, engine, False) for n in (64, 256, 512, 1024) for engine in engines.NAMES),
         (1024, "native", True),
     )
-    """Points on each axis, engine, whether the result goes to the disk."""
+    """Number of points on each axis, engine, whether the result is written to the disk."""
     repeats: int = 3
     engines: tuple[str, ...] = engines.NAMES
     diffrax: bool = True
@@ -78,7 +78,7 @@ def _peers(sizes: Sizes) -> dict[str, Callable[..., dict[str, Any]]]:
 
 
 def _labelled(samples: dict[Any, Any], sizes: Sizes, budget: int) -> list[dict[str, Any]]:
-    """A row for each sample (δ, ω) and peer: both clocks, steps, right-hand sides, labels."""
+    """Return rows by sample (δ, ω) and peer: both clocks, steps, right-hand sides, labels."""
     rows = []
     for key, (deltas, omegas) in samples.items():
         cases: dict[Any, Any] = {
@@ -100,7 +100,7 @@ def _labelled(samples: dict[Any, Any], sizes: Sizes, budget: int) -> list[dict[s
 
 
 def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
-    """Isotropic starts with one |ω|, for two shapes."""
+    """Measure isotropic starts with one |ω|, for two shapes."""
     rows = []
     for delta, size in itertools.product(SHAPES, sizes.amplitudes):
         n = sizes.starts if size >= SMALL else sizes.starts // 32
@@ -111,7 +111,7 @@ def by_amplitude(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
-    """Isotropic starts of tops with one δ. The peers' regions hold for −1/2 < δ < 1 only."""
+    """Measure isotropic starts of tops with one δ; the peers' regions hold for −1/2 < δ < 1."""
     omegas = mixed_basin.isotropic(sizes.starts, AMPLITUDE)
     rows = []
     for delta in sizes.deltas:
@@ -122,13 +122,13 @@ def by_shape(sizes: Sizes) -> list[dict[str, Any]]:
 
 
 def by_batch(sizes: Sizes) -> list[dict[str, Any]]:
-    """The mixed basin in batches of all sizes."""
+    """Measure the mixed basin in batches of all sizes."""
     samples = {f"N = {n}": mixed_basin.sample(n) for n in sizes.batches}
     return _labelled(samples, sizes, mixed_basin.MAX_STEPS)
 
 
 def by_cores(sizes: Sizes) -> list[dict[str, Any]]:
-    """The mixed basin on one core and on all, each in a process of its own."""
+    """Measure the mixed basin on one core and on all, each in its own process."""
     if not hasattr(os, "sched_setaffinity"):  # not Linux
         return []
     rows = []
@@ -145,17 +145,17 @@ def _on_these_cores(starts: int, repeats: int, names: list[str]) -> list[dict[st
 
 
 def by_memory(sizes: Sizes) -> list[dict[str, Any]]:
-    """One sweep of the default map, each in a process of its own."""
+    """Measure the memory of single sweeps of the default map, each in its own process."""
     return [default_map.measured("memory", n, engine, int(disk)) for n, engine, disk in sizes.maps]
 
 
 def in_fresh_processes(sizes: Sizes) -> dict[str, Any]:
-    """Cores and memory: to be called while this process is small."""
+    """Measure cores and memory; to be called while this process is small."""
     return {"cores": by_cores(sizes), "memory": by_memory(sizes)}
 
 
 def compare(sizes: Sizes) -> dict[str, Any]:
-    """Amplitude, shape and batch."""
+    """Measure the dependence on amplitude, shape and batch."""
     return {
         "rtol": RTOL,
         "budget": BUDGET,

@@ -1,4 +1,4 @@
-"""Surveys: what limits sweeps of 1e9 starts and more, from what a tile, a file and a task cost.
+"""Surveys: limits of sweeps of 1e9 starts and more, from the costs of a tile, a file and a task.
 
     python -m benchmarks.speed.surveys --small     a look
     python -m benchmarks.speed.surveys             all, some minutes on two cores
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-# The workers of the cluster import this file again, so imports that take long are in the functions.
+# Workers of the cluster import this file again, so slow imports are in the functions.
 
 FULL = {"starts": 1 << 22, "tiles": 500}
 FEW = {"starts": 1 << 15, "tiles": 24}
@@ -40,14 +40,14 @@ def grid(starts: int, columns: int) -> Any:
 
 
 def kept(over: Any, **settings: Any) -> None:
-    """Every start is kept, with ω∞."""
+    """Sweep, keeping every start with its ω∞."""
     import dipoletop as dt
 
     dt.sweep(problem, over, progress=False, **settings)
 
 
 def counted(over: Any, **settings: Any) -> None:
-    """Outcomes are counted."""
+    """Count the outcomes."""
     import dipoletop as dt
 
     dt.tally(problem, over, progress=False, **settings)
@@ -57,7 +57,7 @@ WAYS: dict[str, Callable[..., None]] = {"sweep": kept, "tally": counted}
 
 
 def rate(starts: int) -> Record:
-    """Time of a sweep and of a tally in memory, on the cores that this process may use."""
+    """Measure the time of a sweep and a tally in memory, on the cores of this process."""
     from benchmarks.reporting import measure
 
     over, few, found = grid(starts, 1024), grid(ROW, ROW), {}
@@ -69,7 +69,7 @@ def rate(starts: int) -> Record:
 
 
 def overhead(tiles: int) -> Record:
-    """Time of a small tile in memory, in a store, and as a task; the files of a tile as usual."""
+    """Measure the time of a small tile in memory, in a store and as a task, and a tile's files."""
     from benchmarks.reporting import measure
     from dipoletop._maps import tiling
 
@@ -103,7 +103,7 @@ def overhead(tiles: int) -> Record:
 
 
 def small_tiles() -> None:
-    """Run on a worker."""
+    """Make the tiles small, on a worker."""
     from dipoletop._maps import tiling
 
     tiling.TILE = ROW
@@ -111,7 +111,7 @@ def small_tiles() -> None:
 
 @contextlib.contextmanager
 def cluster() -> Iterator[Any]:
-    """A Dask cluster on this machine, a process for each core."""
+    """Start a Dask cluster on this machine, with a process for each core."""
     from distributed import Client, LocalCluster
 
     from benchmarks.reporting import measure
@@ -122,7 +122,7 @@ def cluster() -> Iterator[Any]:
 
 
 def files(store: Path) -> Record:
-    """Files and bytes of each tile, not counting those that a store has once."""
+    """Return files and bytes for each tile, without files that a store has once."""
     tiles = len(list((store / "dipoletop-tiles/done/c").iterdir()))
     every = [file for file in store.rglob("*") if file.is_file() and "c" in file.parts]
     of_tiles = [file for file in every if file.relative_to(store).parts[0] not in ("w3", "phi")]
@@ -131,7 +131,7 @@ def files(store: Path) -> Record:
 
 
 def measured(sizes: dict[str, int]) -> Record:
-    """All cases, each in a process of its own."""
+    """Measure all cases, each in its own process."""
     from benchmarks.reporting import measure
 
     rates = []
