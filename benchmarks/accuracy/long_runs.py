@@ -66,7 +66,7 @@ class Settling(eqx.Module):
     (4.13)–(4.15) hold up to 1/TURNS² and give d ln z = −{(3δ/2)u + δ³ω₃²}/(1−δ) dτ > 0 for
     z = ω₃/u: precession stays faster for ever, and a capture needs z of order one.
     δ > 0: z falls by the same law, as |Ω|^(3δ/(1−δ)), until radiation is faster. From then on the
-    motion is that of (φ, z), where the line attracts everything except a cycle round the section
+    motion is one of (φ, z), where the line attracts everything except a cycle round the section
     ω₁ = 0. Motions leave the neighbourhood of that cycle at a rate 2/(2+δ) in σ = ∫u dτ. While |Ω|
     falls by the factor WOBBLE, ∫u dτ ≥ −ln WOBBLE, so a run that has not been captured by then
     never is, except about 1e-8 of the starts near the boundary. δ > ½ ensures that little of the

@@ -152,7 +152,7 @@ def test_a_tally_and_a_basin_are_not_mixed_up(tmp_path):
     dt.sweep(of_sample, SAMPLE, store=tmp_path / "b.zarr")
     with pytest.raises(dt.StoreMismatch, match=r"t.zarr is a tally \(`Tally.load` reads it\)"):
         dt.Basin.load(tmp_path / "t.zarr")
-    with pytest.raises(dt.StoreMismatch, match=r"b.zarr is none \(`Basin.load` reads a basin\)"):
+    with pytest.raises(dt.StoreMismatch, match=r"b.zarr is not one \(`Basin.load` reads a basin\)"):
         Tally.load(tmp_path / "b.zarr")
 
 

@@ -56,7 +56,7 @@ def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | Non
 def _check_dims(parts: BasinParts, by_name: Mapping[str, Any]) -> None:
     for name in by_name:
         if name not in parts.dims:
-            refuse(name, f"be an axis of this basin ({', '.join(parts.dims) or 'none'})", "is none")
+            refuse(name, f"be an axis of this basin ({', '.join(parts.dims) or 'none'})", "is not")
 
 
 def _chosen(dim: str, size: int, positions: Any) -> np.ndarray:

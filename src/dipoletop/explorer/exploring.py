@@ -1,4 +1,4 @@
-"""The function `explore`, and what it returns."""
+"""The function `explore`, and its result, an `Explorer`."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -153,9 +153,9 @@ def explore(
     In a notebook the result is shown as output; elsewhere its method `serve` opens a page in a
     browser, as `dipoletop explore` does. The picture follows a slider, coarse at first. A click on
     a start shows its verdict, its motion, and the derivatives of ω∞ there. The page also writes the
-    code of what it shows.
+    code of its picture.
 
-    | `problem` | what is explored | quantities |
+    | `problem` | the explored problem | quantities |
     |---|---|---|
     | None | the transverse top at any level | delta, phi, and w_perp, w3 or amplitude, theta |
     | `TransverseReduced`, `TransverseSemi` | this top, at this level and δ | as for None |

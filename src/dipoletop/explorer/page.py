@@ -136,7 +136,7 @@ class Page:
         self._inspected += 1
         self._workshop.turns.drop(self)
 
-    # What the user does.
+    # Actions of the user.
 
     def _change(self, view: View) -> None:
         """Show another view."""

@@ -1,4 +1,4 @@
-"""An explorer's server, on loopback unless told otherwise."""
+"""The server of an explorer, on loopback by default."""
 
 import contextlib
 import signal

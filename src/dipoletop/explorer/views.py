@@ -1,4 +1,4 @@
-"""What a page shows: two axes with their ranges, the other values, levels, tolerance, size."""
+"""The view of a page: two axes with their ranges, the other values, levels, tolerance, size."""
 
 import math
 from collections.abc import Mapping
