@@ -1,1 +1,1 @@
-"""How right the results are: labels, ω∞ and derivatives against independent computations."""
+"""Accuracy of the results: labels, ω∞ and derivatives against independent computations."""

@@ -1,7 +1,7 @@
 """Derivatives of ω∞ against differences: near the boundary and far from it, at every level.
 
-First ones from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the inertia tensor,
-the dipole and ω₀. Second ones of tops by `jax.hessian`.
+First derivatives come from sweeps: of axisymmetric tops by δ and ω₀, of general bodies by the
+inertia tensor, the dipole and ω₀. Second derivatives of tops come from `jax.hessian`.
 
     python -m benchmarks.accuracy.derivatives --small         a look
     python -m benchmarks.accuracy.derivatives full --write    one family; kept beside the others
@@ -21,13 +21,13 @@ from benchmarks.reporting import pages
 from dipoletop import Level, equation_at
 
 RTOLS = (1e-8, 1e-10, 1e-12)  # of the derivatives
-LARGEST = 0.3  # |ω₀|: where all levels hold
-NEAREST = 400  # the nearest starts, among which the starts near the boundary are chosen
-FAR = 0.3  # least ω∞/|ω₀| of starts far from it
+LARGEST = 0.3  # |ω₀|: all levels are valid there
+NEAREST = 400  # number of nearest starts from which the starts near the boundary are chosen
+FAR = 0.3  # least ω∞/|ω₀| of starts far from the boundary
 
 
 def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
-    """Random residual rows: the nearest to the boundary, and those with ω∞ beyond `FAR`.
+    """Return random residual rows: some near the boundary, and some with ω∞ beyond `FAR`.
 
     The distance from the boundary is Newton's estimate, ω∞/|∇ω∞|.
     """
@@ -43,13 +43,13 @@ def drawn(guide: Family, count: int, pool: int) -> dict[str, np.ndarray]:
 
 
 def first(name: str, count: int, pool: int) -> list[dict[str, Any]]:
-    """First derivatives, by sweeps."""
+    """Compare first derivatives, from sweeps."""
     asked, guide, count = with_guide(name, count)
     return compared(asked, guide, (asked.slopes, asked.values, guide.values), count, pool)
 
 
 def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
-    """Second derivatives, by `jax.hessian` of `residual_rotation`."""
+    """Compare second derivatives, from `jax.hessian` of `residual_rotation`."""
     asked, guide, count = with_guide(level, count)
     directions = jnp.asarray(asked.directions)
 
@@ -70,10 +70,10 @@ def second(level: str, count: int, pool: int) -> list[dict[str, Any]]:
 def compared(
     asked: Family, guide: Family, functions: tuple[Any, Function, Function], count: int, pool: int
 ) -> list[dict[str, Any]]:
-    """Errors of derivatives near the boundary and far from it, at each tolerance.
+    """Return errors of derivatives near the boundary and far from it, at each tolerance.
 
-    `functions`: the derivatives to check, the function that they are derivatives of, and this
-    function in the guide.
+    `functions`: the derivatives to check, the function that they differentiate, and the same
+    function for the guide.
     """
     derivative, function, guiding = functions
     ways, lines = asked.directions, []

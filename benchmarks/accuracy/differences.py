@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float, Int
 
 SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
 WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
-RATIO = 0.4  # of a step to the one before
-STEPS = 3e-3 * RATIO ** np.arange(8)  # sizes; next to the boundary short ones are needed
-CERTAIN = 1e-8  # differences that agree worse prove nothing
+RATIO = 0.4  # of a step size to the one before
+STEPS = 3e-3 * RATIO ** np.arange(8)  # step sizes; short ones are needed next to the boundary
+CERTAIN = 1e-8  # differences that agree less well are not used
 
 Function = Callable[[np.ndarray], np.ndarray]
-"""From rows of arguments to a row of values for each."""
+"""A function from rows of arguments to a row of values for each."""
 
 
 def chosen_steps(
@@ -21,7 +21,7 @@ def chosen_steps(
     directions: Float[np.ndarray, "*n d k"],
     among: Float[np.ndarray, "s"] = STEPS,
 ) -> Float[np.ndarray, "n d"]:
-    """For each row and direction the step size whose difference agrees best with the next ones'."""
+    """Return for each row and direction the step size that agrees best with the following ones."""
     n, d = len(rows), directions.shape[-2]
     every = along(function, rows, directions, np.tile(among[:, None, None], (1, n, d)))
     apart = np.max(np.abs(np.diff(every, axis=0)), axis=-1)
@@ -35,7 +35,7 @@ def along(
     directions: Float[np.ndarray, "*n d k"],
     steps: Float[np.ndarray, "s n d"],
 ) -> Float[np.ndarray, "s n d c"]:
-    """Central differences of order 6 of c functions, with steps of their own."""
+    """Return central differences of order 6 of c functions, with given step sizes."""
     moves = SHIFTS[:, None, None, None, None] * steps[..., None] * directions
     around = rows[:, None] + moves
     values = function(around.reshape(-1, rows.shape[1])).reshape(*around.shape[:-1], -1)
@@ -48,24 +48,24 @@ def differences(
     directions: Float[np.ndarray, "*n d k"],
     steps: Float[np.ndarray, "n d"] | None = None,
 ) -> tuple[Float[np.ndarray, "n d c"], Float[np.ndarray, "n d c"]]:
-    """Derivatives of c functions of rows, and the distance of two step sizes' results."""
+    """Return derivatives of c functions of rows, and the difference between two step sizes."""
     fine = chosen_steps(function, rows, directions) if steps is None else steps
     both = along(function, rows, directions, np.stack([fine, fine / RATIO]))
     return both[0], np.abs(both[0] - both[1])
 
 
 def largest(each: np.ndarray) -> np.ndarray:
-    """The largest size in each row."""
+    """Return the largest size in each row."""
     return np.max(np.abs(each), axis=tuple(range(1, each.ndim)))
 
 
 def agree(exact: np.ndarray, apart: np.ndarray) -> Bool[np.ndarray, "n"]:
-    """Whether two step sizes agree well enough, row by row."""
+    """Return whether two step sizes agree well enough, row by row."""
     return largest(apart) < CERTAIN * largest(exact)
 
 
 def certain(exact: np.ndarray, apart: np.ndarray) -> Int[np.ndarray, "m"]:
-    """The rows at which two step sizes agree well enough; there must be some."""
+    """Return the rows at which two step sizes agree well enough; exit if there are none."""
     sure = np.flatnonzero(agree(exact, apart))
     if sure.size == 0:
         raise SystemExit(f"Differences agree to {CERTAIN:.0e} at no start: take a larger --pool.")
@@ -73,12 +73,12 @@ def certain(exact: np.ndarray, apart: np.ndarray) -> Int[np.ndarray, "m"]:
 
 
 def off(derivatives: np.ndarray, exact: np.ndarray) -> dict[str, float]:
-    """Errors over the largest element of each derivative."""
+    """Return errors relative to the largest element of each derivative."""
     return spread(largest(derivatives - exact) / largest(exact))
 
 
 def spread(errors: Float[np.ndarray, "n"]) -> dict[str, float]:
-    """Median and largest error; NaN where there is no derivative."""
+    """Return median and largest error; NaN where there is no derivative."""
     if errors.size == 0:
         return {"median": np.nan, "largest": np.nan}
     return {"median": float(np.median(errors)), "largest": float(np.max(errors))}

@@ -1,7 +1,7 @@
 """Derivatives of motions, balance terms, decay times and ω∞ against differences, at random starts.
 
-Along a random change of everything that a problem depends on: first ones, forwards and backwards
-(the larger error of the two is kept), and second ones.
+Derivatives are along a random change of all parameters of a problem: first ones in forward and
+reverse mode (the larger error of the two is kept), and second ones.
 
     python -m benchmarks.accuracy.directions --small         a look
     python -m benchmarks.accuracy.directions full --write    one family; kept beside the others
@@ -26,15 +26,15 @@ from dipoletop.radiation import schott_energy
 RTOLS = (1e-10, 1e-12)  # of the derivatives; the first is the default for one start
 UNTIL = 20.0  # τ of the end states
 SHARE = 0.5  # of the energy to be lost
-SMALLEST, LARGEST = 0.1, 0.3  # |ω₀|: large enough to be quick, small enough for all levels
-PATIENCE = 1000.0  # τ before which ω∞ and its derivatives are certain
-LONG = 5  # so many of the step sizes of differences: the starts are not next to the boundary
+SMALLEST, LARGEST = 0.1, 0.3  # |ω₀|: large enough for short runs, small enough for all levels
+PATIENCE = 1000.0  # largest τ at which ω∞ and its derivatives may become certain
+LONG = 5  # number of step sizes for differences: the starts are not next to the boundary
 FORWARDS = diffrax.ForwardMode()
 ORDERS = {"first": ("value", ("forwards", "backwards")), "second": ("forwards", ("second",))}
 """The function whose differences are taken, and the derivatives that are compared with them."""
 
 Function = Callable[..., Any]
-"""From an equation, a start, a tolerance and diffrax's `adjoint` to some numbers."""
+"""A function from an equation, a start, a tolerance and diffrax's `adjoint` to some numbers."""
 
 
 class Quantity(NamedTuple):
@@ -42,11 +42,11 @@ class Quantity(NamedTuple):
 
     function: Function
     parts: dict[str, slice]
-    """Numbers whose errors are taken over the largest of them."""
+    """Groups of numbers whose errors are relative to the largest of them."""
 
 
 def motion(equation: Any, omega: Any, rtol: Any, adjoint: Any) -> Float[Any, "6"]:
-    """End state, its kinetic energy and its Schott energy, and the energy radiated so far."""
+    """Return the end state, its kinetic and Schott energies, and the energy radiated so far."""
     options = {} if equation.level == "full" else {"adjoint": adjoint}
     ts = jnp.array([0.0, UNTIL])
     run = dt.simulate(equation, omega, ts, rtol=rtol, balance=True, throw=False, **options)
@@ -56,12 +56,12 @@ def motion(equation: Any, omega: Any, rtol: Any, adjoint: Any) -> Float[Any, "6"
 
 
 def decay(equation: Any, omega: Any, rtol: Any, _: Any) -> Float[Any, "1"]:
-    """τ at which a share of the energy is lost."""
+    """Return τ at which a share of the energy is lost."""
     return dt.decay_time(equation, omega, SHARE, rtol=rtol)[None]
 
 
 def residual(equation: Any, omega: Any, rtol: Any, _: Any) -> Float[Any, "1"]:
-    """ω∞."""
+    """Return ω∞."""
     return dt.residual_rotation(equation, omega, rtol=rtol)[None]
 
 
@@ -74,7 +74,7 @@ QUANTITIES = {
 
 
 def cases(drawn_from: Family, count: int) -> Float[np.ndarray, "n 2*k"]:
-    """Random residual starts, and a random change of each."""
+    """Return random residual starts with a random change of each."""
     rows = drawn_from.draw(20 * count)
     sizes = np.linalg.norm(rows[:, -3:], axis=1)
     rows = rows[(sizes > SMALLEST) & (sizes < LARGEST)]
@@ -86,7 +86,7 @@ def cases(drawn_from: Family, count: int) -> Float[np.ndarray, "n 2*k"]:
 
 
 def derivatives(of: Family, function: Function) -> dict[str, Callable[..., np.ndarray]]:
-    """The value and its derivatives in a family, at rows that hold a problem and a change."""
+    """Return functions for the value and its derivatives, of rows with a problem and a change."""
 
     def value(x: Any, rtol: Any, adjoint: Any = FORWARDS) -> Any:
         return function(*of.problem(*x), rtol, adjoint)
@@ -102,7 +102,7 @@ def derivatives(of: Family, function: Function) -> dict[str, Callable[..., np.nd
         return jax.jvp(lambda x: forwards(x, way, rtol), (x,), (way,))[1]
 
     def of_rows(of_one: Callable[[Any, Any, Any], Any]) -> Callable[..., np.ndarray]:
-        # One after another: most of the time is compilation, which takes longer for batches.
+        # Rows are done in sequence: compilation, most of the time, takes longer for batches.
         @jax.jit
         def compiled(row: Any, rtol: Any) -> Any:
             x, way = jnp.split(row, 2)
@@ -118,7 +118,7 @@ def derivatives(of: Family, function: Function) -> dict[str, Callable[..., np.nd
 
 
 def errors(name: str, quantity: Quantity, count: int) -> list[dict[str, Any]]:
-    """Errors of derivatives along random changes: a row for each part of the quantity."""
+    """Return errors of derivatives along random changes: a row for each part of the quantity."""
     asked = family(name)
     guide = family(COSTLY[name][0] if name in COSTLY else name)
     rows = cases(guide, count)
@@ -142,7 +142,7 @@ def compared(
     apart: Float[np.ndarray, "n c"],
     results: dict[float, list[Float[np.ndarray, "n c"]]],
 ) -> dict[str, Any]:
-    """Errors over the largest component, where the differences agree; the larger of two ways."""
+    """Return errors over the largest component, where differences agree; the larger of two ways."""
     sure = agree(exact, apart)
     size = largest(exact[sure])
     line = {"shown": int(np.sum(sure)), "apart": spread(largest(apart[sure]) / size)}

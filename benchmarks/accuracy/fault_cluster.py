@@ -1,4 +1,4 @@
-"""Sweeps on a Dask cluster whose workers and schedulers are killed in the middle of them."""
+"""Sweeps on a Dask cluster whose workers and schedulers are killed during the sweeps."""
 
 import contextlib
 import os
@@ -51,19 +51,19 @@ class Cluster:
         line = [sys.executable, "-m", "dask", kind, "--no-dashboard", *options]
         line += ["--scheduler-file", str(self.place)]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        # A session of its own: the process that watches a worker would start it again.
+        # A new session, since `kill` must also end the process that would restart a worker.
         run = subprocess.Popen(line, cwd=measure.ROOT, start_new_session=True, **quiet)
         self.processes[kind].append(run)
 
     def kill(self, kind: str, victim: int) -> None:
-        """SIGKILL to a process and all that it started."""
+        """Send SIGKILL to a process and all its children."""
         process = self.processes[kind].pop(victim)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
     def close(self) -> None:
-        """Kill what is left."""
+        """Kill the remaining processes."""
         for kind, processes in self.processes.items():
             while processes:
                 self.kill(kind, 0)

@@ -1,4 +1,4 @@
-"""Stores whose files lose a bit or their end: is it seen, and what does repair make of them?"""
+"""Stores with a flipped bit or a truncated file: is the damage found, and is it repaired?"""
 
 import random
 import shutil
@@ -49,5 +49,5 @@ def damaged(trials: int, rng: random.Random) -> list[dict[str, Any]]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a store."""
+    """Return the content of every file of a store, by its path."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 import dipoletop as dt
-from dipoletop._engines import native_engine  # noqa: F401 (what a sweep imports when it begins)
+from dipoletop._engines import native_engine  # noqa: F401 (imported by a sweep at its beginning)
 from dipoletop._maps import sweep, sweep_plan, tiling  # noqa: F401
 
 COLUMNS = 128
@@ -18,7 +18,7 @@ def problem(w3: jax.Array, phi: jax.Array) -> tuple[dt.TransverseReduced, jax.Ar
 
 
 def swept(folder: str, tiles: int, **settings: Any) -> None:
-    """A sweep of small tiles, a row of the grid each: many moments to be killed at."""
+    """Sweep small tiles, a row of the grid each, so that there are many moments for a kill."""
     jax.config.update("jax_enable_x64", True)
     grid = dt.Grid(w3=np.linspace(0, 0.5, tiles), phi=np.arange(COLUMNS) * np.pi / COLUMNS)
     usual, tiling.TILE = tiling.TILE, COLUMNS
@@ -29,7 +29,7 @@ def swept(folder: str, tiles: int, **settings: Any) -> None:
 
 
 def run(folder: str, tiles: int) -> None:
-    """The same, reported as it goes."""
+    """Sweep as `swept` does, and print the progress."""
     compute = sweep_plan.Plan.compute
 
     def reported(plan: sweep_plan.Plan, numbers: list[int], device: jax.Device) -> list:

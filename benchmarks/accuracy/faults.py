@@ -1,14 +1,14 @@
-"""Sweeps that are killed again and again, damaged stores, a full disk, many tiles.
+"""Sweeps that are killed repeatedly, damaged stores, a full disk, many tiles.
 
     python -m benchmarks.accuracy.faults --small     a look
     python -m benchmarks.accuracy.faults             all, about ten minutes on two cores
     python -m benchmarks.accuracy.faults --write     the same, kept: results/faults.md
 
-Two processes sweep into one store; one of them, mostly both, are killed at random moments, and two
-new ones go on, until the sweep is finished; then the next store. Its bytes are compared with those
-of a sweep that nobody disturbed. The disk is a small file system in memory, if one can be mounted.
-Damages are flipped bits and lost ends of random files. On a cluster of Dask workers and schedulers
-are killed.
+Two processes sweep into one store. One or, mostly, both are killed at random moments, and two new
+ones resume, until the sweep is finished. Its bytes are compared with an undisturbed sweep; then the
+next store begins. The full disk is a small file system in memory, if one can be mounted. Damages
+are flipped bits and lost ends of random files. On a Dask cluster, workers and schedulers are
+killed.
 """
 
 import os
@@ -34,10 +34,10 @@ TILES = 100
 
 
 class Sweeper:
-    """A process that sweeps, and what it prints.
+    """A process that sweeps, with its output.
 
-    It is a fork of this one, which has imported everything but has not started JAX, so that it
-    begins at once.
+    It is a fork of this process, which has imported everything but has not started JAX, so that the
+    sweep begins at once.
     """
 
     def __init__(self, folder: Path, tiles: int) -> None:
@@ -109,7 +109,7 @@ def killed(name: str, kills: int, rng: random.Random, expected: Any, length: flo
 
 
 def full_disk(expected: dict[str, bytes]) -> Row:
-    """A sweep into a file system that is too small, then into a larger one, which goes on."""
+    """Sweep into a file system that is too small, then resume in a larger one."""
     with tempfile.TemporaryDirectory() as room:
         mount: Any = ["mount", "-t", "tmpfs", "tmpfs", room, "-o"]
         if subprocess.run([*mount, "size=400k"], capture_output=True, check=False).returncode:
@@ -130,7 +130,7 @@ def full_disk(expected: dict[str, bytes]) -> Row:
 
 
 def soak(tiles: int) -> Row:
-    """Memory and open files of a process while it computes many tiles."""
+    """Measure memory and open files of a process while it computes many tiles."""
     with tempfile.TemporaryDirectory() as room:
         sweeper = Sweeper(Path(room) / "s.zarr", tiles)
         begun, seen, about = time.perf_counter(), [], Path(f"/proc/{sweeper.pid}")

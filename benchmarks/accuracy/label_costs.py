@@ -1,4 +1,4 @@
-"""What labels of the mixed basin cost, and how many are wrong, at every tolerance."""
+"""Costs of labels of the mixed basin, and numbers of wrong ones, at every tolerance."""
 
 from functools import partial
 from typing import Any
@@ -14,8 +14,8 @@ from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
 from benchmarks.reporting.views import DEFAULT, HEYOKA
 
-RTOL = 1e-8  # of the default
-TRUTH = 1e-11  # of the labels to compare with
+RTOL = 1e-8  # the default tolerance
+TRUTH = 1e-11  # tolerance of the reference labels
 METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}
 Row = dict[str, Any]
 

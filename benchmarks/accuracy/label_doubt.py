@@ -1,8 +1,7 @@
-"""Wrong labels of the first pass: how many there are, and how doubtful each of them is.
+"""Wrong labels of the first pass: their number, and how doubtful each of them is.
 
-For every level and kind of body there are starts at random, and starts that close in on the
-boundary between the outcomes: the middles of a bisection from one start to another with the
-other outcome.
+For every level and kind of body there are random starts, and starts that approach the basin
+boundary: the midpoints of a bisection between two starts with different outcomes.
 """
 
 from collections.abc import Iterator
@@ -46,22 +45,22 @@ class Case(NamedTuple):
     omegas: Float[np.ndarray, "n 3"]
 
     def some(self, which: Any) -> "Case":
-        """Some of them."""
+        """Return some of them."""
         part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[which]), self.equations)
         return Case(part, self.omegas[which])
 
     def labels(self, rtol: float, **way: Any) -> Int[np.ndarray, " n"]:
-        """Outcomes, in the way that `engines.driven` tells."""
+        """Return outcomes, with the settings `way` of `engines.driven`."""
         settings: Any = {"rtol": rtol, "max_steps": MAX_STEPS, "value": False, "slow_flow": False}
         with engines.driven(**way):
             return np.asarray(dt.classify_many(self.equations, self.omegas, **settings).outcome)
 
 
 def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
-    """Tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
+    """Return tops of one kind, δ uniform, |ω₀| log-uniform over two decades and a half."""
     low, high, most = TOPS[kind]
     order = random_bodies.LEVELS[level]
-    most = most if order in (1, None) else min(most, 0.2)  # beyond, the higher orders diverge
+    most = most if order in (1, None) else min(most, 0.2)  # above it, the higher orders diverge
     delta = jnp.asarray(rng.uniform(low, high, n))
     size = most * 10 ** rng.uniform(-2.5, 0, n)
     equations = dt.TransverseSemi(delta) if order is None else dt.TransverseReduced(delta, order)
@@ -69,7 +68,7 @@ def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
 
 
 def bodies(level: str, family: str, n: int, number: int) -> Case:
-    """Bodies of one family of `random_bodies`."""
+    """Return bodies of one family of `random_bodies`."""
     sample = random_bodies.starts(family, level, n, (1, number))
     trailing = random_bodies.equations(level, sample.inertia, sample.dipole)
     equations = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), trailing)
@@ -77,9 +76,9 @@ def bodies(level: str, family: str, n: int, number: int) -> Case:
 
 
 def judged(case: Case, truth: Int[np.ndarray, " n"] | None = None) -> Row:
-    """Wrong labels of the first pass, of one pass at the tolerance, and of the default.
+    """Count wrong labels of the first pass, of one pass at the tolerance, and of the default.
 
-    `lost` are those of the default that one pass has right.
+    `lost` counts labels that are wrong by default but right in one pass.
     """
     if truth is None:
         truth = case.labels(TRUTH, once=True)
@@ -110,7 +109,7 @@ def _shown(case: Case, truth: int) -> Row:
 def closing_in(
     case: Case, rng: np.random.Generator
 ) -> Iterator[tuple[Case, Int[np.ndarray, " n"]]]:
-    """Starts nearer and nearer to the boundary, with their outcomes, round by round."""
+    """Yield starts ever nearer to the boundary, with their outcomes, round by round."""
     case = case.some(slice(PAIRS))
     low, n = case.omegas, len(case.omegas)
     high = np.linalg.norm(low, axis=1)[:, None] * directions(n, rng)

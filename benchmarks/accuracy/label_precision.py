@@ -1,4 +1,4 @@
-"""How precisely must a motion be known for its label? Costs, wrong labels, and what is in doubt.
+"""How precisely must a motion be known for its label? Costs, wrong labels, and doubt.
 
 python -m benchmarks.accuracy.label_precision --small     a look
 python -m benchmarks.accuracy.label_precision             all, eight minutes on two cores

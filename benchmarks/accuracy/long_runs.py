@@ -1,7 +1,7 @@
 """Labels against long integration that uses no verdict.
 
-Each run goes on from the state in which the verdict fell, with the same equation, until its end is
-plain to see (`Settling.plain`, `compare`). `labels.py` makes the table.
+Each run is continued, with the same equation, from the state of its verdict until its end is plain
+(`Settling.plain`, `compare`). `labels.py` makes the table.
 """
 
 from typing import Any, NamedTuple
@@ -22,19 +22,19 @@ ON_LINE, TURNS, WOBBLE = 1e-4, 30.0, 1e-12  # see `Settling`
 class Shape(NamedTuple):
     """A body seen from its dipole."""
 
-    axes: Any  # (3, 3, N): n along the dipole; then across it 2 and 3, principal there
+    axes: Any  # (3, 3, N): n along the dipole; then 2 and 3, the principal axes across it
     unit: Any  # |d|²/J, so that ω = unit Ω is the dimensionless angular velocity; J = n·In
     delta: Any  # 1 − J₃/J if the body is axisymmetric about 3 and n principal, otherwise NaN
     principal: Any  # whether n is a principal axis
 
 
 def _strength(sample: Starts) -> np.ndarray:
-    """|d|²."""
+    """Return |d|²."""
     return np.sum(sample.dipole**2, axis=1)
 
 
 def shapes(sample: Starts) -> Shape:
-    """By numpy, independently of the library."""
+    """Compute the shapes by NumPy, independently of the library."""
     strength = _strength(sample)
     n = sample.dipole / np.sqrt(strength)[:, None]
     lever = np.einsum("nij,nj->ni", sample.inertia, n)
@@ -43,7 +43,7 @@ def shapes(sample: Starts) -> Shape:
     moments, vectors = np.linalg.eigh(across @ sample.inertia @ across)  # the lowest, 0, is n
     same = np.abs(moments / moment[:, None] - 1) < 1e-9
     principal = np.linalg.norm(lever - moment[:, None] * n, axis=1) < 1e-9 * moment
-    swap = same[:, 2]  # the second axis is the one with the moment of the dipole's
+    swap = same[:, 2]  # the second axis is the one whose moment equals the dipole's
     second = np.where(swap[:, None], vectors[:, :, 2], vectors[:, :, 1])
     third = np.where(swap[:, None], vectors[:, :, 1], vectors[:, :, 2])
     delta = 1 - np.where(swap, moments[:, 1], moments[:, 2]) / moment
@@ -53,7 +53,7 @@ def shapes(sample: Starts) -> Shape:
 
 
 class Settling(eqx.Module):
-    """The same equation, whose verdict may also be an end that is plain to see.
+    """An equation whose verdict may also be a plain end of the motion.
 
     RESIDUAL is plain on the line Ω ∥ d: |ω₂| and |ω₃| below ON_LINE·min(1, |ω₁|)·|ω₁|, so small
     that the motion is linear there, and `compare` tests whether the line attracts. (For the
@@ -65,7 +65,7 @@ class Settling(eqx.Module):
     (4.13)–(4.15) hold up to 1/TURNS² and give d ln z = −{(3δ/2)u + δ³ω₃²}/(1−δ) dτ > 0 for
     z = ω₃/u: precession stays faster for ever, and a capture needs z of order one.
     δ > 0: z falls by the same law, as |Ω|^(3δ/(1−δ)), until radiation is faster. From then on the
-    motion is that of (φ, z), where the line attracts everything except a cycle round the section
+    motion is one of (φ, z), where the line attracts everything except a cycle round the section
     ω₁ = 0. Motions leave the neighbourhood of that cycle at a rate 2/(2+δ) in σ = ∫u dτ. While |Ω|
     falls by the factor WOBBLE, ∫u dτ ≥ −ln WOBBLE, so a run that has not been captured by then
     never is, except about 1e-8 of the starts near the boundary. δ > ½ ensures that little of the
@@ -75,8 +75,8 @@ class Settling(eqx.Module):
 
     equation: Any
     shape: Shape
-    rest: Any  # |Ω| that counts as fallen far enough, (N,)
-    long: Any  # True: the verdict is that of a plain end; False: that of the equation; (N,)
+    rest: Any  # |Ω| below which the fall is far enough, (N,)
+    long: Any  # True: the verdict is a plain end; False: the equation's verdict; (N,)
 
     def __call__(self, t, y, args=None):
         return self.equation(t, y, args)
@@ -116,10 +116,11 @@ def _verdict(equation, y):
 
 @jax.jit
 def _attracts(equation, line):
-    """Whether the line of states w n, shape (3, N), attracts: one eigenvalue of the Jacobian is 0.
+    """Return whether the line of states w n, shape (3, N), attracts.
 
-    The trace and the sum of the principal minors are the sum and the product of the other two.
-    They stay accurate where elements differ by a factor ω², the eigenvalues do not.
+    One eigenvalue of the Jacobian is 0. The trace and the sum of the principal minors are the sum
+    and the product of the other two. They stay accurate where elements differ by a factor ω², but
+    the eigenvalues do not.
     """
     jacobian = jax.vmap(jax.jacfwd(lambda v, e: e(0.0, v)), in_axes=(-1, -1))(line, equation)
     j = jnp.moveaxis(jacobian, 0, -1)
@@ -129,7 +130,7 @@ def _attracts(equation, line):
 
 
 def _roundness(inertia: np.ndarray, y: Any) -> np.ndarray:
-    """h = 2E/L² of Ω = y, shape (3, N)."""
+    """Return h = 2E/L² of Ω = y, shape (3, N)."""
     momentum = np.einsum("nij,jn->in", inertia, y)
     return np.sum(momentum * y, axis=0) / np.sum(momentum**2, axis=0)
 
@@ -138,7 +139,7 @@ class Comparison(NamedTuple):
     """Labels, and the ends of the long runs; arrays of shape (N,)."""
 
     outcome: np.ndarray
-    stop: np.ndarray  # in which way, a `Stop`
+    stop: np.ndarray  # a `Stop`
     certified: np.ndarray
     omega_inf: np.ndarray
     error: np.ndarray
@@ -148,12 +149,12 @@ class Comparison(NamedTuple):
 
     @property
     def plain(self) -> np.ndarray:
-        """Whether a run was labelled, and came to a plain end."""
+        """Whether a run has a label and a plain end."""
         return (self.outcome > 0) & (self.final > 0)
 
     @property
     def wrong(self) -> np.ndarray:
-        """Whether that end is another one than the label says."""
+        """Whether the plain end contradicts the label."""
         return self.plain & (self.final != self.outcome)
 
 
@@ -191,17 +192,17 @@ def compare(
 def _long_run(
     equation: Any, shape: Shape, sample: Starts, y: Any, fall: float, budget: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The labels of plain ends, 0 where an end is not plain, and n·Ω there.
+    """Return the labels of plain ends, 0 where an end is not plain, and n·Ω there.
 
-    Where the dipole is off every principal axis there is no line to be captured by. For other
-    bodies than the transverse top, |Ω| fallen by the factor `fall` is a plain STOP in two cases.
-    Either the line attracts nothing at the largest n·Ω that the energy still allows, hence at no
-    smaller one. Or the slow flow, which moves h = 2E/L² in one direction along a line, rises more
-    slowly in the second half (of the fall's logarithm) than in the first: the capture would be
-    behind a repeller, and a repeller is left faster and faster. Free rotation makes h oscillate by
-    a part |d|²|Ω|/J, which is allowed for.
+    If the dipole is off every principal axis, there is no line for a capture. For bodies other than
+    the transverse top, |Ω| fallen by the factor `fall` is a plain STOP in two cases. Either the
+    line does not attract at the largest n·Ω that the energy still allows, hence at no smaller one.
+    Or h = 2E/L², which the slow flow moves in one direction, rises more slowly in the second half
+    (of the fall's logarithm) than in the first: a capture would lie beyond a repeller, which
+    motions leave ever faster. Free rotation makes h oscillate by a relative |d|²|Ω|/J, which is
+    allowed for.
     """
-    # Every component is integrated to its own size: ω₃ falls as ω², so an absolute tolerance fails.
+    # The tolerance is relative to each component: ω₃ falls as ω², so an absolute one fails.
     size, zero = jnp.linalg.norm(y, axis=0), jnp.zeros(y.shape[1])
     h, finished = [_roundness(sample.inertia, y)], np.ones(size.shape, bool)
     for part, steps in ((0.5, budget // 5), (1.0, budget)):
@@ -224,6 +225,6 @@ def _long_run(
 
 
 def _run(equation: Any, y: Any, atol: Any, max_steps: int) -> engines.EndStates:
-    """Until a verdict falls, or for so many steps."""
+    """Integrate until a verdict is reached, for at most `max_steps` steps."""
     bounds = engines.limits(RTOL, atol, max_steps)
     return engines.integrate_by_the_fastest(equation, y, bounds, until="outcome")

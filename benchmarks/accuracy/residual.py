@@ -1,4 +1,4 @@
-"""How exact is ω∞, and its estimated error? Every value against `taylor_truth.py`.
+"""How exact are ω∞ and its estimated error? Every value is compared with `taylor_truth.py`.
 
 Isotropic starts; each row has one δ and one amplitude.
 
@@ -20,7 +20,7 @@ LEVELS = ("order-1", "semi")
 DELTAS = (-0.9, -0.7, -0.5, -0.3, -0.2, -0.05, 0.01, 0.05, 0.1, 0.3, 0.6, 0.81, 0.9, 0.97)
 AMPLITUDES = (1.0, 0.3, 0.1, 0.03, 0.01)
 RTOL = 1e-8
-GOOD = 1e-5  # largest estimate, over |ω∞|, that is good enough for a map
+GOOD = 1e-5  # largest estimated error, over |ω∞|, that is good enough for a map
 MAX_STEPS = 20_000
 REPEATS = 3
 FEW = 5  # residual starts below which a row is left empty
@@ -65,7 +65,7 @@ def row(level: str, delta: float, amplitude: float, n: int) -> dict[str, Any]:
 
 
 def _cost(run: Any) -> float:
-    """The time with an estimate over that without: the median of interleaved ratios."""
+    """Return the time with over the time without an estimate: the median of interleaved ratios."""
     ratios = []
     for _ in range(REPEATS):
         estimated, plain = (

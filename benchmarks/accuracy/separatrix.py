@@ -13,7 +13,7 @@ ORDER = 26  # of the Taylor series
 
 
 def _series(d: np.longdouble, y: np.ndarray) -> np.ndarray:
-    """Taylor coefficients (ORDER + 1, 3, N) of the solution of (4.2)–(4.4), written out anew."""
+    """Return Taylor coefficients (ORDER + 1, 3, N) of the solution of (4.2)–(4.4)."""
     c = np.zeros((ORDER + 1, *y.shape), np.longdouble)
     c[0] = y
     drag, axial = np.zeros((2, ORDER + 1, y.shape[1]), np.longdouble)
@@ -32,7 +32,7 @@ def _series(d: np.longdouble, y: np.ndarray) -> np.ndarray:
 
 
 def outcomes(delta: float, omegas: np.ndarray) -> np.ndarray:
-    """Outcomes of starts (3, N): each runs until precession, or the line, clearly wins."""
+    """Integrate starts (3, N) until precession or the line clearly wins; return the outcomes."""
     d, y = np.longdouble(delta), np.array(omegas, np.longdouble)
     labels, live = np.zeros(y.shape[1], int), np.arange(y.shape[1])
     while live.size:
@@ -53,7 +53,7 @@ def outcomes(delta: float, omegas: np.ndarray) -> np.ndarray:
 
 
 def starts_at(phi: np.ndarray) -> np.ndarray:
-    """Starts with ω⊥ = ω₃ = 1/5 at the angles φ, shape (3, N)."""
+    """Return starts with ω⊥ = ω₃ = 1/5 at the angles φ, shape (3, N)."""
     fifth = np.longdouble(1) / 5
     return np.stack([fifth * np.cos(phi), fifth * np.sin(phi), np.full_like(phi, fifth)])
 
@@ -64,7 +64,7 @@ class Wall(NamedTuple):
     edge: Any
     """The angle φ of the separatrix."""
     between: float
-    """How exactly it is known."""
+    """The uncertainty of `edge`."""
     starts: np.ndarray  # (3, N)
     truth: np.ndarray
     """Their outcomes, (N,)."""

@@ -14,7 +14,7 @@ import dipoletop as dt
 from benchmarks.problems.slow_rotations import Bodies
 
 AMPLITUDE = 1e-6
-SPAN = 100.0  # half times that are integrated over; E − E∞ behind them is that of the history
+SPAN = 100.0  # length of the integration in half times; the history gives E − E∞ after it
 GRADES = 20  # panels towards the separatrix, each a tenth of the one before
 HARMONICS = 64
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -26,7 +26,7 @@ def _powers(body: dt.Body, omegas: jax.Array, n: int) -> jax.Array:
 
 
 def panels(half: float, crossing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights for 0 < t < SPAN·half, where P has a logarithm at one time."""
+    """Return nodes and weights for 0 < t < SPAN·half with a logarithmic singularity of P."""
     steps = 10.0 ** -np.arange(GRADES)
     around = np.concatenate([1 - steps[1:], [1.0], 1 + steps[1:][::-1]]) * crossing
     geometric = np.geomspace(1e-3, SPAN, 40) * half
@@ -37,7 +37,7 @@ def panels(half: float, crossing: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def crossing_time(prediction: dt.Prediction, middle: float, half: float) -> float:
-    """When h passes 1/J₂, by bisection in ln t; half of the half time where it does not."""
+    """Return the time when h passes 1/J₂, by bisection in ln t; half the half time if never."""
     low, high = np.log(1e-9 * half), np.log(SPAN * half)
 
     def above(log: float) -> bool:
@@ -53,7 +53,7 @@ def crossing_time(prediction: dt.Prediction, middle: float, half: float) -> floa
 
 
 def defect(body: dt.Body, omega: np.ndarray) -> float:
-    """What is emitted, and left after that, over E₀ − E∞, minus 1."""
+    """Return (emitted energy + remaining E − E∞)/(E₀ − E∞) − 1."""
     prediction = dt.predict(body, omega)
     half = float(prediction.half_time)
     first, middle, last = 1 / np.diag(body.inertia)  # of principal moments, ascending
@@ -74,7 +74,7 @@ def defect(body: dt.Body, omega: np.ndarray) -> float:
 
 
 def defects(bodies: Bodies, ways: np.ndarray) -> list[tuple[str, float]]:
-    """The largest defect of each family over some starts."""
+    """Return the largest defect of each family over some starts."""
     worst: dict[str, float] = {}
     for family, inertia, dipole in zip(*bodies, strict=True):
         moments = np.sort(np.diag(inertia))

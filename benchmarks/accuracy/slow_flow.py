@@ -1,4 +1,4 @@
-"""Is `predict` right, and its estimated error? Against the same motions turn by turn.
+"""Are `predict` and its estimated error right? Comparison with integration turn by turn.
 
 python -m benchmarks.accuracy.slow_flow --small     a look
 python -m benchmarks.accuracy.slow_flow             all: about four minutes of processor time
@@ -26,21 +26,21 @@ from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
 
 AMPLITUDES = (1e-2, 3e-3, 1e-3, 3e-4)
-BUDGET = 200_000  # steps of a run
-ROUNDING = 1e-9  # differences below it, which are those of the integration, have no order
-FEW = 12  # pairs of differences below which no order is given
+BUDGET = 200_000  # largest number of steps of a run
+ROUNDING = 1e-9  # smaller differences come from the integration, and have no order
+FEW = 12  # least number of pairs of differences for an order
 NEEDLES = (0.3, 0.6, 0.8, 0.95)  # δ
 NEEDLE_AMPLITUDE = 1e-3
-FULL = (1e-2, 3e-3)  # amplitudes at which the full equation is followed, too
-TYPICAL = ((0.6, 0.75, 1.0), (0.0, 0.0, 1.0))  # moments and dipole, whose cost is measured
+FULL = (1e-2, 3e-3)  # amplitudes at which the full equation is integrated, too
+TYPICAL = ((0.6, 0.75, 1.0), (0.0, 0.0, 1.0))  # moments and dipole for the costs
 SPEEDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-15, 1e-25)
-RESOLVED_FROM = 1e-5  # |ω| of those
-MANY = 5_000_000  # steps that a run may take there
+RESOLVED_FROM = 1e-5  # least |ω| of `SPEEDS` that is integrated
+MANY = 5_000_000  # largest number of steps of such a run
 Row = dict[str, Any]
 
 
 def summed(of: Predicted, runs: Resolved, chosen: np.ndarray) -> Row:
-    """Counts and differences of some motions."""
+    """Return counts and differences of some motions."""
     ratio, energy = differences(of, runs)
     both = chosen & (of.outcome > 0) & (runs.outcome > 0)
     signs = both & np.isfinite(of.omega_inf) & np.isfinite(runs.omega_inf)
@@ -64,7 +64,7 @@ def summed(of: Predicted, runs: Resolved, chosen: np.ndarray) -> Row:
 
 
 def on_bodies(small: bool) -> Row:
-    """The chosen bodies from the same directions at every amplitude."""
+    """Compare on the chosen bodies, from the same directions at every amplitude."""
     bodies = slow_rotations.chosen(small)
     ways = directions(2 if small else 8, np.random.default_rng(1))
     family = np.repeat(bodies.family, len(ways))
@@ -92,7 +92,7 @@ def on_bodies(small: bool) -> Row:
 
 
 def _signs(of: Predicted, runs: Resolved) -> np.ndarray:
-    """Residual rotations whose sense is a matter of chance: how many, how many along the dipole."""
+    """Return numbers of residual rotations with a random sense: all, and along the dipole."""
     by_chance = of.sign_by_chance & of.certain & np.isfinite(runs.omega_inf)
     return np.array([by_chance.sum(), np.sum(by_chance & (runs.omega_inf > 0))])
 
@@ -127,12 +127,12 @@ def needle(delta: float, n: int) -> Row:
     random = ~of.certain & ~of.refused
     stops = runs.outcome == Outcome.STOP
     known = random & (stops | np.isfinite(runs.ratio))
-    # The smallest values are not known: their errors exceed them, or the run is out of steps.
+    # The smallest values are unknown: their errors exceed them, or the run is out of steps.
     ratio = np.where(known & ~stops, runs.ratio, 0.0)
     share = of.residual[random]
     spread = np.sqrt(np.sum(share * (1 - share)))
     off = np.sum((runs.outcome == Outcome.RESIDUAL)[random]) - share.sum()
-    relative = (ratio / of.ratio)[random]  # which has nearly the same distribution for all starts
+    relative = (ratio / of.ratio)[random]  # nearly the same distribution for all starts
     return {
         "delta": delta,
         "n": int(random.sum()),
@@ -147,7 +147,7 @@ def needle(delta: float, n: int) -> Row:
 
 
 def in_full() -> list[Row]:
-    """Residual values of an asymmetric body by the full and the semi-reduced equation."""
+    """Compare residual values of an asymmetric body by the full and the semi-reduced equation."""
     body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
     ways = directions(4, np.random.default_rng(0))[:3]  # the last one costs most
     rows = []
@@ -169,7 +169,7 @@ def in_full() -> list[Row]:
 
 
 def costs(n: int, slowest: float) -> list[Row]:
-    """Steps and time of runs, and the time of a prediction, at every amplitude."""
+    """Measure steps and time of runs, and the time of a prediction, at every amplitude."""
     body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
     equation: Any = dt.SemiReduced(body)
     ways = directions(n, np.random.default_rng(0))

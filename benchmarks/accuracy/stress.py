@@ -1,11 +1,11 @@
-"""Labels and integrator where it is hard: a million starts, the separatrix, every tolerance.
+"""Labels and integrator in difficult cases: a million starts, the separatrix, every tolerance.
 
     python -m benchmarks.accuracy.stress --small     a look
     python -m benchmarks.accuracy.stress             all, about ten minutes on one core
     python -m benchmarks.accuracy.stress --write     the same, kept: results/stress.md
 
-Random starts at order 1 are labelled, and integrated on until their end is plain (`long_runs.py`).
-The wall of starts stands at the separatrix (`separatrix.py`).
+Random starts at order 1 are labelled, and integrated further until their end is plain
+(`long_runs.py`). The wall is a set of starts on both sides of the separatrix (`separatrix.py`).
 """
 
 import itertools
@@ -33,9 +33,9 @@ Row = dict[str, Any]
 
 
 def random_starts(block: str, n: int, rng: np.random.Generator) -> Starts:
-    """δ uniform in [−1, 0.99], isotropic directions, |ω| log-uniform.
+    """Return starts with δ uniform in [−1, 0.99], isotropic directions, |ω| log-uniform.
 
-    mixed: |ω| from 1e-3 to 3. tiny: from 1e-30 to 10, hardly any of which can be integrated to its
+    mixed: |ω| from 1e-3 to 3. tiny: from 1e-30 to 10; hardly any of these can be integrated to the
     end. slow: ω⊥ from 1e-30 to 10 and ω₃/ω⊥² from 1e-3 to 1e3, where both outcomes are near.
     """
     delta = rng.uniform(-1, 0.99, n)
@@ -95,7 +95,7 @@ def wall(small: bool) -> Row:
 
 
 def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
-    """Name, equations, starts, times up to 20 braking times, and the exact states there."""
+    """Yield name, equations, starts, times up to 20 braking times, and the exact states there."""
     rng = np.random.default_rng(7)
     deltas = jnp.asarray(rng.uniform(-0.9, 0.9, n))
     speeds = 10 ** rng.uniform(-1, 0.5, n)
@@ -118,7 +118,7 @@ def problems(n: int) -> Iterator[tuple[str, Any, Any, Any, Any]]:
 
 
 def tolerances(small: bool) -> list[Row]:
-    """Largest error over rtol·|ω₀| at every rtol, and the slope of log error on log rtol."""
+    """Return the largest error over rtol·|ω₀| at every rtol, and d log error/d log rtol."""
     methods = [diffrax.Dopri8()] if small else [diffrax.Dopri8(), diffrax.Dopri5(), diffrax.Tsit5()]
     rows = []
     for method, problem in itertools.product(methods, problems(64 if small else 1024)):

@@ -1,9 +1,9 @@
 """ω∞ by an independent integrator: heyoka's Taylor method in long double.
 
-A capture may happen where ω⊥ and ω₃ ~ ω⊥² are smaller than at the start by many orders of
-magnitude, and heyoka's tolerance is absolute below 1. So the variables are x = ω₁/A, y = ω₂/A and
-z = ω₃/B; the units A, B, and 1/r of time, follow the motion. A run ends so near to the residual
-line that the quadratic form ω∞ = ω₁(1 + Q₂) is exact to rounding.
+At a capture ω⊥ and ω₃ ~ ω⊥² may be smaller than at the start by many orders of magnitude, and
+heyoka's tolerance is absolute below 1. So the variables are x = ω₁/A, y = ω₂/A and z = ω₃/B; the
+units A, B, and 1/r of time, follow the motion. A run ends so near the residual line that the
+quadratic form ω∞ = ω₁(1 + Q₂) is exact to rounding.
 """
 
 from typing import Any
@@ -15,11 +15,11 @@ Long = np.longdouble
 TOLERANCE = 2e-19
 NEAR = 1e-5  # largest ω₂/ω₁ and ω₃/ω₁² at the end: the next term is of the fourth power
 SMALL = 0.05  # x² + y² or |z| below which new units are chosen
-BATCH = 64  # most steps with the same units
+BATCH = 64  # largest number of steps with the same units
 
 
 def _order_1(d: Any, spin: Any, a2: Any, b2: Any, _: Any) -> Any:
-    """(4.2)–(4.4), times r; the parameters are δB/r, A²/r, B²/r."""
+    """Return (4.2)–(4.4), times r; the parameters are δB/r, A²/r, B²/r."""
     x, y, z = heyoka.make_vars("x", "y", "z")
     drag = a2 * (x * x + y * y) + (1 + d + d * d) * b2 * z * z
     axial = a2 * ((1 + 2 * d) / (1 - d) * x * x + y * y) + b2 / (1 - d) * z * z
@@ -27,7 +27,7 @@ def _order_1(d: Any, spin: Any, a2: Any, b2: Any, _: Any) -> Any:
 
 
 def _semi(d: Any, spin: Any, a2: Any, b2: Any, units: Any) -> Any:
-    """The semi-reduced level, times r; the other parameters are B, A² and A²/B."""
+    """Return the semi-reduced level, times r; the other parameters are B, A² and A²/B."""
     b, square, ratio = units
     x, y, z = heyoka.make_vars("x", "y", "z")
     u = x * x + y * y
@@ -42,7 +42,7 @@ FIELDS = {"order-1": _order_1, "semi": _semi}
 
 
 class Truth:
-    """The residual rotation of one level.
+    """An integrator for the residual rotation at one level.
 
     Args:
         level: "order-1" or "semi".
@@ -61,7 +61,7 @@ class Truth:
         )
 
     def residual(self, delta: Any, omega0: Any, max_steps: int = 100_000) -> np.longdouble:
-        """ω∞ of a top that ends in residual rotation; NaN if the budget runs out before."""
+        """Return ω∞ of a top that ends in residual rotation; NaN if the budget runs out before."""
         d, w = Long(delta), np.asarray(omega0, Long)
         for _ in range(0, max_steps, BATCH):
             t, z = w[1] / w[0], w[2] / w[0] ** 2
@@ -87,7 +87,7 @@ class Truth:
         return run.state * np.array([a, a, b])
 
     def _form(self, d: Any, t: Any, z: Any, v: Any) -> Any:
-        """Q₂, derived by hand for these two levels."""
+        """Return Q₂, derived by hand for these two levels."""
         if self.level == "order-1":
             beta = (1 + 2 * d) / (1 - d)
             return d * t * z / (1 + beta) - d**2 * z**2 / (2 * beta * (1 + beta))

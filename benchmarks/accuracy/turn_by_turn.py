@@ -17,9 +17,9 @@ REFUSAL = "radiate little within one turn"
 
 
 class Predicted(NamedTuple):
-    """Predictions of N motions; NaN where a rotation is too fast for one."""
+    """Predictions of N motions; NaN where a rotation is too fast for a prediction."""
 
-    outcome: np.ndarray  # UNDECIDED where it is refused, too
+    outcome: np.ndarray  # UNDECIDED also for refused predictions
     refused: np.ndarray
     ends: np.ndarray  # (N, 8): probabilities
     omega_inf: np.ndarray
@@ -27,7 +27,7 @@ class Predicted(NamedTuple):
     quantiles: np.ndarray  # (N, 5), of the ratio
     error: np.ndarray
     time: np.ndarray  # at which energies are compared, see `_time`
-    energy: np.ndarray  # then
+    energy: np.ndarray  # at that time
 
     @property
     def residual(self) -> np.ndarray:
@@ -36,12 +36,12 @@ class Predicted(NamedTuple):
 
     @property
     def certain(self) -> np.ndarray:
-        """Whether L∞/L₀ is no matter of chance."""
+        """Whether L∞/L₀ does not depend on chance."""
         return self.quantiles[:, 0] == self.quantiles[:, -1]
 
     @property
     def sign_by_chance(self) -> np.ndarray:
-        """Whether the rotation is residual for certain, but not its sense."""
+        """Whether residual rotation is certain, but not its sense."""
         return (self.residual == 1) & (self.ends[:, 0] == self.ends[:, 1])
 
 
@@ -51,7 +51,7 @@ UNKNOWN = Predicted(
 
 
 class Resolved(NamedTuple):
-    """The same motions turn by turn."""
+    """The motions of `Predicted`, integrated turn by turn."""
 
     outcome: np.ndarray
     omega_inf: np.ndarray  # NaN where the run is out of steps
@@ -60,12 +60,12 @@ class Resolved(NamedTuple):
 
 
 def momenta(sample: Starts) -> np.ndarray:
-    """|L₀|, shape (N,)."""
+    """Return |L₀|, shape (N,)."""
     return np.linalg.norm(np.einsum("nij,nj->ni", sample.inertia, sample.omega), axis=1)
 
 
 def predicted(sample: Starts) -> Predicted:
-    """Each motion by itself, as `predict` is meant."""
+    """Predict each motion separately, the intended use of `predict`."""
     rows = []
     braking_times = np.linalg.eigvalsh(sample.inertia)[:, 2] ** 3 / (2 * momenta(sample) ** 2)
     for unit, inertia, dipole, omega in zip(braking_times, *sample, strict=True):
@@ -85,14 +85,14 @@ def predicted(sample: Starts) -> Predicted:
 
 
 def _time(half: float, unit: float) -> float:
-    """The half time, unless it is unknown or very late."""
+    """Return the half time, or another time if it is unknown or very late."""
     if not np.isfinite(half):
         return 0.3 * unit  # before the capture of a needle
     return min(half, LATEST * unit) if half > 0 else unit
 
 
 def resolved(sample: Starts, times: np.ndarray, max_steps: int) -> Resolved:
-    """By the semi-reduced equation, which keeps all orders."""
+    """Integrate with the semi-reduced equation, which keeps all orders."""
     every: Any = jax.vmap(lambda inertia, dipole: dt.SemiReduced(dt.Body(inertia, dipole)))(
         jnp.asarray(sample.inertia), jnp.asarray(sample.dipole)
     )
@@ -122,9 +122,9 @@ def compared(sample: Starts, max_steps: int) -> tuple[Predicted, Resolved]:
 
 
 def differences(of: Predicted, runs: Resolved) -> tuple[np.ndarray, np.ndarray]:
-    """Relative differences of L∞/L₀ and of the energy; NaN where there is nothing to compare.
+    """Return relative differences of L∞/L₀ and of the energy; NaN where they cannot be compared.
 
-    Where chance decides on L∞/L₀ its distribution is compared instead, elsewhere.
+    Where L∞/L₀ depends on chance, its distribution is compared elsewhere.
     """
     alike = (of.residual == 1) & of.certain
     of_ratio = np.where(alike, np.abs(runs.ratio / np.where(alike, of.ratio, 1.0) - 1), np.nan)

@@ -1,1 +1,1 @@
-"""Other integrators, driven as fast as we know how, on the same problems."""
+"""Other integrators, used as efficiently as we know how, on the same problems."""

@@ -17,7 +17,7 @@ Peer = Callable[..., dict[str, Any]]
 
 
 def available() -> tuple[dict[str, Peer], list[str]]:
-    """The peers that can run here by name, and one line for each that cannot."""
+    """Return the peers that can run here by name, and one line for each that cannot."""
     peers: dict[str, Peer] = {}
     for way in ("repacked", "chunked", "whole"):
         peers[f"diffrax vmap {way}, tuple"] = partial(with_diffrax.run, as_tuple=True, way=way)

@@ -1,7 +1,7 @@
-"""End states at a fixed time by every method, one core, and the reference to compare with.
+"""End states at a fixed time by every method on one core, and reference values.
 
-A method is `prepare(omegas, rtol) -> task`. What depends on the problem and the tolerance is made
-once; the task, which returns the end states, is what is timed.
+A method is a function `prepare(omegas, rtol) -> task`. It prepares the parts that depend on the
+problem and the tolerance; only the task, which returns the end states, is timed.
 """
 
 import functools
@@ -29,7 +29,7 @@ except ImportError:
 DELTA, AMPLITUDE, TIME = -0.2, 0.2, 1000.0
 MAX_STEPS = 4096
 CHUNK = 512  # starts in one vmap of diffrax: the fastest of 32, 128, 512 and 4096
-SCIPY = "scipy DOP853"  # so slow that it gets a few starts, once
+SCIPY = "scipy DOP853"  # so slow that it gets a few starts, and one run
 FEW = 64
 
 Starts = Float[np.ndarray, "n 3"]
@@ -38,12 +38,12 @@ Method = Callable[[Starts, float], Task]
 
 
 def starts(n: int) -> Starts:
-    """Isotropic starts; the i-th does not depend on how many there are."""
+    """Return isotropic starts; start i does not depend on n."""
     return mixed_basin.isotropic(n, AMPLITUDE)
 
 
 def by_dipoletop(omegas: Starts, rtol: float, engine: str) -> Task:
-    """dipoletop, all starts in the queue of an engine."""
+    """Prepare dipoletop, all starts in the queue of an engine."""
     size = len(omegas)
     atol, last = jnp.full(size, rtol * AMPLITUDE), jnp.full(size, TIME)
     bounds = engines.limits(rtol, atol, MAX_STEPS, last)
@@ -67,24 +67,24 @@ def _solver(as_tuple: bool) -> Callable[..., Any]:
 
 
 def by_diffrax(omegas: Starts, rtol: float, as_tuple: bool) -> Task:
-    """diffrax, Dopri8 under vmap, the state a tuple of scalars or a vector (3,)."""
+    """Prepare diffrax, Dopri8 under vmap, the state a tuple of scalars or a vector (3,)."""
     chunks = range(0, len(omegas), CHUNK)
     solve = _solver(as_tuple)
     return lambda: np.concatenate([solve(omegas[k : k + CHUNK], DELTA, rtol) for k in chunks])
 
 
 def _system(amplitude: float) -> list[tuple[Any, Any]]:
-    """The equation for heyoka, in units of an amplitude and of its inverse."""
+    """Return the equation for heyoka, with the amplitude as the unit of ω, its inverse of time."""
     assert heyoka is not None
     y = heyoka.make_vars("y1", "y2", "y3")
     return list(zip(y, mixed_basin.rate(DELTA, y, amplitude), strict=True))
 
 
 def heyoka_batch(omegas: Starts, rtol: float) -> Task:
-    """heyoka in batch mode; scaled by |ω₀|, because its tolerance is absolute below 1.
+    """Prepare heyoka in batch mode, scaled by |ω₀|, since its tolerance is absolute below 1.
 
-    All coefficients are numbers known to its compiler (the others get δ at run time). Twice and
-    four times the SIMD width are no faster, and two threads are no faster than one.
+    All coefficients are compile-time constants (the other methods get δ at run time). Batches of
+    two and four times the SIMD width are no faster, and two threads are no faster than one.
     """
     assert heyoka is not None
     width, settings = heyoka.recommended_simd_size(), {"compact_mode": False, "fast_math": True}
@@ -108,7 +108,7 @@ def heyoka_batch(omegas: Starts, rtol: float) -> Task:
 
 
 def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
-    """heyoka, one start after another, scaled as in batch mode."""
+    """Prepare heyoka, one start after another, scaled as in batch mode."""
     assert heyoka is not None
     settings = {"compact_mode": False, "fast_math": True}
     integrator = heyoka.taylor_adaptive(_system(AMPLITUDE), np.zeros(3), tol=rtol, **settings)
@@ -127,7 +127,7 @@ def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
 
 
 def by_scipy(omegas: Starts, rtol: float) -> Task:
-    """scipy's DOP853, one start after another, the first few of them."""
+    """Prepare scipy's DOP853 for the first few starts, one after another."""
 
     def end(omega: Any) -> Any:
         def rate(t: float, y: Any) -> Any:
@@ -140,7 +140,7 @@ def by_scipy(omegas: Starts, rtol: float) -> Task:
 
 
 def _in_long_double(omegas: Starts) -> Starts:
-    """heyoka, one start after another, in extended precision."""
+    """Return end states by heyoka, one start after another, in extended precision."""
     assert heyoka is not None
     integrator = heyoka.taylor_adaptive(
         _system(1.0),
@@ -158,7 +158,7 @@ def _in_long_double(omegas: Starts) -> Starts:
 
 
 def reference(omegas: Starts) -> tuple[Starts, str]:
-    """The end states to compare with, and their source; without heyoka of a few starts only."""
+    """Return reference end states and their source; without heyoka for a few starts only."""
     few = by_scipy(omegas, 1e-13)()
     extended = np.finfo(np.longdouble).eps < 1e-18
     if heyoka is None or not extended:
@@ -170,7 +170,7 @@ def reference(omegas: Starts) -> tuple[Starts, str]:
 
 
 def methods() -> tuple[dict[str, Method], list[str]]:
-    """The methods that can run here by name, and a line for each that cannot."""
+    """Return the methods that can run here by name, and a line for each that cannot."""
     everybody: dict[str, Method] = {
         "dipoletop, native engine": partial(by_dipoletop, engine="native"),
         "dipoletop, JAX engine": partial(by_dipoletop, engine="jax"),

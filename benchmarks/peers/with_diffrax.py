@@ -1,9 +1,9 @@
 """diffrax: Dopri8 with an event, under vmap, on all cores.
 
-A vmap of an adaptive loop is lockstep: a batch costs its slowest lane. So there are three ways
-of driving it, each a plan of (width, steps). `whole`: one vmap over all starts. `chunked`:
+A vmap of an adaptive loop runs in lockstep: a batch costs as much as its slowest lane. So there are
+three ways of using it, each a plan of (width, steps). `whole`: one vmap over all starts. `chunked`:
 starts sorted by |ω| (so that slow ones are together), one vmap for each chunk. `repacked`: a few
-steps at a time, finished starts dropped in between, narrower batches for the long tail.
+steps at a time; finished starts are dropped in between, and batches become narrower.
 """
 
 import functools
@@ -25,7 +25,7 @@ from benchmarks.reporting import measure
 def end_state(
     delta: Any, omega: Any, rtol: Any, atol: Any, t1: float, *, as_tuple: bool, **settings: Any
 ) -> tuple[Any, Any]:
-    """ω at the time t1 or at an event, and the number of steps; `settings` are diffrax's."""
+    """Return ω at time t1 or at an event, and the number of steps; `settings` are diffrax's."""
 
     def field(t: Any, y: Any, delta: Any) -> Any:
         rate = mixed_basin.rate(delta, y)
@@ -51,7 +51,7 @@ def end_state(
 
 @functools.cache
 def _solver(as_tuple: bool, max_steps: int) -> Callable:
-    """A jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
+    """Return a jitted batch solve: (δ (b,), ω (b, 3), rtol, |ω₀| (b,)) -> ω, label, steps."""
 
     def decided(t: Any, y: Any, delta: Any, **unused: Any) -> Any:
         return mixed_basin.certificate(delta, y, jnp) != mixed_basin.UNDECIDED
@@ -79,7 +79,7 @@ def _classify(
     plan: list[tuple[int, int]],
     solvers: dict[int, Callable],
 ) -> tuple[Int[np.ndarray, " n"], int]:
-    """Labels, and how many lane steps were made (padding not counted)."""
+    """Return labels, and the number of lane steps (without padding)."""
     labels = mixed_basin.certificate(deltas, omegas.T)
     live = np.flatnonzero(labels == mixed_basin.UNDECIDED)
     amplitude = np.linalg.norm(omegas, axis=1)
@@ -117,7 +117,7 @@ def run(
     way: str = "repacked",
     max_steps: int = mixed_basin.MAX_STEPS,
 ) -> dict[str, Any]:
-    """Labels of all starts by diffrax; the state a tuple of scalars or a vector (3,)."""
+    """Label all starts by diffrax; the state is a tuple of scalars or a vector (3,)."""
     undecided = mixed_basin.certificate(deltas, omegas.T) == mixed_basin.UNDECIDED
     plan = _plan(way, int(undecided.sum()), max_steps)
     solvers = {steps: _solver(as_tuple, steps) for _, steps in plan}

@@ -1,14 +1,14 @@
-"""heyoka in batch mode, driven as fast as we found.
+"""heyoka in batch mode, in the fastest way that we found.
 
-Tried, and no faster: `ensemble_propagate_for_batch` (copies the compiled integrator for
-every batch, about a thousand steps' worth), a Python callback or the certificate after every
-`step()` (numpy on 8 lanes costs tens of steps), threads (half of the time is Python's), wider
-batches, compact mode. Used: all starts advance by rounds of a few steps,
-`propagate_for(..., max_steps=k)` on batches of the SIMD width; after each round one vectorised
-certificate tests every start, and the undecided ones are packed together.
+All starts advance by rounds of a few steps, `propagate_for(..., max_steps=k)` on batches of the
+SIMD width; after each round one vectorised certificate tests every start, and the undecided ones
+are packed together. Not faster are `ensemble_propagate_for_batch` (it copies the compiled
+integrator for every batch, which takes as long as about a thousand steps), a Python callback or the
+certificate after every `step()` (numpy on 8 lanes costs tens of steps), threads (half of the time
+is Python's), wider batches, and compact mode.
 
-heyoka's tolerance is absolute below 1, so the variables are y = ω/|ω₀| and s = |ω₀|τ: then the
-tolerance is relative to |ω₀|, as it is for the others.
+heyoka's tolerance is absolute below 1, so the variables are y = ω/|ω₀| and s = |ω₀|τ. The tolerance
+is then relative to |ω₀|, as for the other integrators.
 Coefficients that depend on δ and |ω₀| only are parameters, computed once for each start.
 """
 
@@ -33,14 +33,14 @@ _integrator: Any = None  # one for each worker process
 def _coefficients(
     delta: Float[np.ndarray, " n"], amplitude: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "6 n"]:
-    """The factors of the monomials of `_system`; the first two are δ and |ω₀|."""
+    """Return the factors of the monomials of `_system`; the first two are δ and |ω₀|."""
     first = amplitude * (1 + delta + delta**2)
     third = amplitude / (1 - delta)
     return np.stack([delta, amplitude, first, third * (1 + 2 * delta), third * (1 - delta), third])
 
 
 def _system() -> list[tuple[Any, Any]]:
-    """(4.2)–(4.4) in y and s, multiplied out so that parameters are not combined at run time."""
+    """Return (4.2)–(4.4) in y and s, expanded so that parameters need not be combined in a run."""
     y1, y2, y3 = heyoka.make_vars("y1", "y2", "y3")
     delta, amplitude, k23, k31, k32, k33 = (heyoka.par[i] for i in range(6))
     a, b, c = y1 * y1, y2 * y2, y3 * y3
@@ -61,7 +61,7 @@ def _prepare(rtol: float) -> None:
 
 
 def _rounds() -> list[int]:
-    """Steps in each round: a quarter of those already made, from 12 up to the budget."""
+    """Return the steps of each round: a quarter of the steps so far, from 12 up to the budget."""
     made, rounds = 0, []
     while made < mixed_basin.MAX_STEPS:
         rounds.append(min(max(12, made // 4), mixed_basin.MAX_STEPS - made))
@@ -90,7 +90,7 @@ def _advance(
 def _classify(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, " n"], int, float]:
-    """Labels, how many lane steps were made (padding not counted), and processor seconds."""
+    """Return labels, the number of lane steps (without padding), and processor seconds."""
     begin = process_time()
     labels = mixed_basin.certificate(deltas, omegas.T)
     live = np.flatnonzero(labels == mixed_basin.UNDECIDED)
@@ -113,9 +113,9 @@ def _classify(
 def run(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
 ) -> dict[str, Any]:
-    """Labels of all starts by heyoka, one process for each core."""
+    """Label all starts by heyoka, with one process for each core."""
     cores = os.cpu_count() or 1
-    order = np.argsort(np.linalg.norm(omegas, axis=1))  # neighbours take like numbers of steps
+    order = np.argsort(np.linalg.norm(omegas, axis=1))  # neighbours need similar numbers of steps
     parts = [order[k::cores] for k in range(cores)]
     begin = perf_counter()
     with ExitStack() as stack:

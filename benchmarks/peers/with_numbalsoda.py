@@ -1,7 +1,7 @@
 """numbalsoda: LSODA and DOP853 in machine code, one start after another, in one thread.
 
-numba compiles the right-hand side and the loop over the starts; δ and the tolerance are given at
-run time. Its installation needs a Fortran compiler.
+numba compiles the right-hand side and the loop over the starts; δ and the tolerance are run-time
+arguments. Installing numbalsoda needs a Fortran compiler.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ def prepare(
     amplitude: float,
     time: float,
 ) -> Callable[[], Float[np.ndarray, "n 3"]]:
-    """A task that returns the end states; those of failed runs are NaN."""
+    """Return a task that returns the end states, NaN for failed runs."""
     follow, field = SOLVERS[solver], _field.address
     times, shape, atol = np.array([0.0, time]), np.array([delta]), rtol * amplitude
 

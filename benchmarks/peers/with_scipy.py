@@ -1,4 +1,4 @@
-"""scipy's DOP853, one start after another: the labels to compare with."""
+"""scipy's DOP853, one start after another: the reference labels."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from benchmarks.reporting import measure
 
 
 def _label(delta: float, omega: Float[np.ndarray, "3"], rtol: float) -> tuple[int, int]:
-    """The label of one undecided start, and its number of steps."""
+    """Return the label of one undecided start, and its number of steps."""
     solver = DOP853(
         lambda t, y: np.array(mixed_basin.rate(delta, y)),
         0.0,
@@ -35,7 +35,7 @@ def _label(delta: float, omega: Float[np.ndarray, "3"], rtol: float) -> tuple[in
 def run(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float
 ) -> dict[str, Any]:
-    """Labels of all starts; the certificate is tested after every step."""
+    """Label all starts, testing the certificate after every step."""
     labels = mixed_basin.certificate(deltas, omegas.T)
     live = np.flatnonzero(labels == mixed_basin.UNDECIDED)
     found, clocks = measure.timed(lambda: [_label(deltas[i], omegas[i], rtol) for i in live])

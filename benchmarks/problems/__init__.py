@@ -1,1 +1,1 @@
-"""Starts and bodies at random, as every benchmark draws them."""
+"""Random starts and bodies for all benchmarks."""

@@ -20,9 +20,9 @@ BODIES: dict[str, Callable[[dt.Body], Any]] = {
     "body, full": dt.Full,
 }
 COSTLY = {"full": ("semi", ("delta", "w3")), "body, full": ("body, semi", ("i1", "d"))}
-"""At these families each start takes seconds. A guide, a hundred times faster, chooses their starts
+"""Families whose starts take seconds each. A guide, a hundred times faster, chooses their starts
 and the steps of the differences, and fewer columns are varied."""
-FRACTION, PATIENCE = 5, 1e4  # a fifth of the starts, decided before that τ
+FRACTION, PATIENCE = 5, 1e4  # for `COSTLY`: a fifth of the starts, decided before this τ
 NAMES = (*Level, *BODIES)
 
 
@@ -31,32 +31,32 @@ class Family(NamedTuple):
 
     name: str
     problem: Callable[..., Any]
-    """From its arguments, the columns, to an equation and a start."""
+    """A function from its arguments, the columns, to an equation and a start."""
     columns: tuple[str, ...]
     draw: Callable[[int], np.ndarray]
-    """Random rows, so many."""
+    """A function from a number to that many random rows."""
     by: tuple[str, ...]
     """The columns by which ω∞ is differentiated."""
     patience: float = np.inf
     """The latest τ at which a motion may be decided."""
 
     def sweep(self, rows: Float[np.ndarray, "n k"], rtol: float, **settings: Any) -> dt.Basin:
-        """ω∞ of rows."""
+        """Return a sweep of rows with ω∞."""
         points = dt.Points(**dict(zip(self.columns, rows.T, strict=True)))
         return dt.sweep(self.problem, points, rtol=rtol, progress=False, **settings)
 
     def values(self, rows: np.ndarray) -> Float[np.ndarray, "n 1"]:
-        """ω∞ at the tolerance `TRUTH`."""
+        """Return ω∞ at the tolerance `TRUTH`."""
         return self.sweep(rows, TRUTH).omega_inf[:, None]
 
     def slopes(self, rows: np.ndarray, rtol: float = TRUTH) -> Float[np.ndarray, "n d"]:
-        """The derivatives of ω∞."""
+        """Return the derivatives of ω∞."""
         basin = self.sweep(rows, rtol, derivatives=self.by)
         return np.stack([basin.derivative(name) for name in self.by], axis=-1)
 
     @property
     def directions(self) -> Float[np.ndarray, "d k"]:
-        """The unit vector in a row that each derivative varies."""
+        """The unit vector in a row along which each derivative is taken."""
         return np.eye(len(self.columns))[[self.columns.index(name) for name in self.by]]
 
 
@@ -69,12 +69,12 @@ def merged(old: list[dict[str, Any]], new: list[dict[str, Any]]) -> list[dict[st
 
 
 def family(name: str) -> Family:
-    """The family of that name."""
+    """Return the family with this name."""
     return top(name) if name in list(Level) else body(name)
 
 
 def with_guide(name: str, count: int) -> tuple[Family, Family, int]:
-    """The family of that name, its guide, and the number of starts."""
+    """Return the family with this name, its guide, and the number of starts."""
     if name not in COSTLY:
         return family(name), family(name), count
     guide, by = COSTLY[name]
@@ -83,7 +83,7 @@ def with_guide(name: str, count: int) -> tuple[Family, Family, int]:
 
 
 def top(level: str) -> Family:
-    """Axisymmetric tops of the mixed basin with a transverse dipole."""
+    """Return the family of axisymmetric tops of the mixed basin with a transverse dipole."""
 
     def problem(delta: Any, w1: Any, w2: Any, w3: Any) -> Any:
         return equation_at(level, delta), jnp.stack([w1, w2, w3])
@@ -97,9 +97,9 @@ def top(level: str) -> Family:
 
 
 def body(name: str) -> Family:
-    """Bodies of any moments between 0.6 and 1, the dipole along axis 1, a principal axis.
+    """Return a family of bodies with moments between 0.6 and 1, the dipole on principal axis 1.
 
-    (The dipole must lie along one, or all motions stop.)
+    (With a dipole off the principal axes all motions would stop.)
     """
 
     def problem(i1: Any, i2: Any, i3: Any, i23: Any, d: Any, w1: Any, w2: Any, w3: Any) -> Any:

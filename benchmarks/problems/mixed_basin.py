@@ -1,4 +1,4 @@
-"""The benchmark problem "mixed basin": its starts, its right-hand side, and when a run ends.
+"""The benchmark problem "mixed basin": its starts, its right-hand side, and its certificate.
 
 Axisymmetric tops with a transverse dipole, equation (4.2)–(4.4), δ uniform in (−0.45, 0.45),
 |ω| log-uniform in 0.05 … 1, isotropic directions. A run ends at a certificate: a region of
@@ -19,7 +19,7 @@ HORIZON = 1e30  # a time τ that no run reaches
 
 
 def sample(n: int, seed: int = 0) -> tuple[Float[np.ndarray, "{n}"], Float[np.ndarray, "{n} 3"]]:
-    """Shapes δ, shape (n,), and starts ω, shape (n, 3); start i depends on (seed, i) only."""
+    """Return shapes δ (n,) and starts ω (n, 3); start i depends on (seed, i) only."""
     shape, size, height, turn = np.random.default_rng(seed).random((n, 4)).T
     low, high = AMPLITUDES
     speed = low * (high / low) ** size
@@ -30,13 +30,13 @@ def sample(n: int, seed: int = 0) -> tuple[Float[np.ndarray, "{n}"], Float[np.nd
 
 
 def isotropic(n: int, amplitude: float) -> Float[np.ndarray, "{n} 3"]:
-    """The directions of the mixed basin, all with |ω| = amplitude."""
+    """Return the directions of the mixed basin, all with |ω| = amplitude."""
     _, omegas = sample(n)
     return amplitude * omegas / np.linalg.norm(omegas, axis=1)[:, None]
 
 
 def rate(delta: Any, w: Any, strength: Any = 1.0) -> tuple[Any, Any, Any]:
-    """dω/dτ of (4.2)–(4.4) as a tuple, for numbers, arrays or symbols.
+    """Return dω/dτ of (4.2)–(4.4) as a tuple, for numbers, arrays or symbols.
 
     With ω = Ay and s = Aτ the equation for dy/ds is the same, its radiation terms (the cubic
     ones) multiplied by `strength` = A.
@@ -51,11 +51,11 @@ def rate(delta: Any, w: Any, strength: Any = 1.0) -> tuple[Any, Any, Any]:
 
 
 def certificate(delta: Any, w: Any, xp: Any = np) -> Any:
-    """The label of a state, −1/2 < δ < 1: UNDECIDED unless the outcome is certain.
+    """Return the label of a state, −1/2 < δ < 1: UNDECIDED unless the outcome is certain.
 
     `w` holds the components on axis 0 (any sequence of three); `xp` is numpy or jax.numpy. ω is in
     units of 1/τ₀ (the regions change when it is scaled). States on an invariant line or plane
-    (ω₃ = 0, …) are not handled: they have measure zero, and the sample has none.
+    (ω₃ = 0, …) are not handled: they have measure zero and do not occur in the sample.
     """
     w1, w2, w3 = w
     a, b, c = w1**2, w2**2, w3**2

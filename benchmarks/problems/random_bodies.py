@@ -1,4 +1,4 @@
-"""Bodies and starts at random: the families whose labels are checked."""
+"""Random bodies and starts: the families whose labels are checked."""
 
 import functools
 from typing import NamedTuple
@@ -37,7 +37,7 @@ def _builder(order: int | None):
 
 
 def equations(level: str, inertia, dipole, *, closed: bool = False):
-    """A batch of equations, trailing lanes; `closed`: diag(1, 1, 1 − δ), dipole (1, 0, 0)."""
+    """Return a batch of equations, lanes last; `closed`: diag(1, 1, 1 − δ), dipole (1, 0, 0)."""
     if not closed:
         return _builder(LEVELS[level])(jnp.asarray(inertia), jnp.asarray(dipole))
     delta, order = jnp.asarray(1 - inertia[:, 2, 2]), LEVELS[level]
@@ -51,12 +51,12 @@ def directions(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def moments(rng, n: int) -> np.ndarray:
-    """Possible principal moments, uniform in the triangle J₁+J₂+J₃ = 2; shape (n, 3)."""
+    """Return possible principal moments, uniform in the triangle J₁+J₂+J₃ = 2; shape (n, 3)."""
     return 1 - rng.dirichlet(np.ones(3), n)  # from the moments of second order ⟨x_i²⟩ > 0
 
 
 def random_rotations(rng, n: int) -> np.ndarray:
-    """Rotation matrices (n, 3, 3)."""
+    """Return random rotation matrices, shape (n, 3, 3)."""
     q, r = np.linalg.qr(rng.normal(size=(n, 3, 3)))
     q = q * np.sign(np.diagonal(r, axis1=1, axis2=2))[:, None, :]
     q[:, :, 0] *= np.linalg.det(q)[:, None]
@@ -64,10 +64,10 @@ def random_rotations(rng, n: int) -> np.ndarray:
 
 
 def starts(family: str, level: str, n: int, seed: int | tuple[int, int] = 0) -> Starts:
-    """Random bodies of one family, each with an isotropic start.
+    """Return random bodies of one family, each with an isotropic start.
 
-    Amplitudes |d|²|Ω|√tr(I⁻²) are log-uniform in 0.01 … 1, but end at 0.2 for the orders from 2 on,
-    which diverge beyond.
+    Amplitudes |d|²|Ω|√tr(I⁻²) are log-uniform from 0.01 to 1, but only up to 0.2 for orders 2 and
+    higher, which diverge at larger ones.
     """
     rng = np.random.default_rng([*np.atleast_1d(seed), FAMILIES.index(family)])
     axis = np.eye(3)[rng.integers(0, 3, n)]
@@ -81,7 +81,7 @@ def starts(family: str, level: str, n: int, seed: int | tuple[int, int] = 0) -> 
         axis = np.eye(3)[np.zeros(n, int)]
         j = np.stack([np.ones(n), 1 + rng.choice([-1, 1], n) * split, 1 - delta], axis=1)
         j[:, 2] = np.clip(j[:, 2], np.abs(j[:, 1] - 1) * 1.01, (1 + j[:, 1]) * 0.999)
-    elif family == "oblate":  # dipole along the axis of the smallest moment: both outcomes occur
+    elif family == "oblate":  # dipole on the axis of the smallest moment: both outcomes occur
         axis = np.eye(3)[np.zeros(n, int)]
         low = rng.uniform(0.41, 0.59, n)
         least = np.maximum(low, 1 - low) + 0.001

@@ -1,7 +1,7 @@
-"""Bodies and starts for the slow flow: forty chosen bodies, and bodies at random.
+"""Bodies and starts for the slow flow: forty chosen bodies, and random bodies.
 
-The largest moment is 1, except for axisymmetric bodies, where that across the axis is; the dipole
-has the length 1.
+The largest moment is 1, except for axisymmetric bodies, whose moment across the axis is 1; the
+dipole has length 1.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.problems.random_bodies import Starts, directions, moments
 
-TILT = 1e-3  # of a dipole off its axis
+TILT = 1e-3  # of a dipole off a principal axis
 DELTAS = (-0.6, -0.3, 0.3, 0.6, 0.9)
 DIPOLES = {"on J1": (1, 0, 0), "on J2": (0, 1, 0), "on J3": (0, 0, 1), "off axis": (0.3, 0.5, 0.8)}
 TILTED = {"off J1": (1, TILT, TILT), "off J2": (TILT, 1, TILT), "off J3": (TILT, TILT, 1)}
@@ -27,7 +27,7 @@ SHAPES = {  # family: moments and dipoles
     "asymmetric, dipole 1e-3 off": [((0.6, 0.75, 1.0), *TILTED)],
     "nearly spherical, 1e-2": [((0.99, 0.995, 1.0), *DIPOLES)],
 }
-KINDS = ("principal", "random", "1e-3 off", "principal")  # of dipoles at random, in turn
+KINDS = ("principal", "random", "1e-3 off", "principal")  # of random dipoles, in turn
 
 
 class Bodies(NamedTuple):
@@ -44,7 +44,7 @@ class Bodies(NamedTuple):
 
 
 def chosen(small: bool) -> Bodies:
-    """The forty bodies; a few of them if `small`."""
+    """Return the forty chosen bodies, or a few of them if `small`."""
     rows = []
     for delta in DELTAS:
         kind = "needle, transverse" if delta > 0 else "disc, transverse"

@@ -1,1 +1,1 @@
-"""What runs cost: time, steps, memory, compilation."""
+"""Costs of runs: time, steps, memory, compilation."""

@@ -61,20 +61,20 @@ def memory(points: int, engine: str, stored: bool) -> dict[str, Any]:
 
 
 def tops(level: str, delta: float) -> Callable[..., Any]:
-    """The starts of a map over φ and ω₃, ω⊥ = 0.2."""
+    """Return the problem of a map over φ and ω₃, ω⊥ = 0.2."""
     return lambda w3, phi: (dt.equation_at(level, delta), dt.cylindrical(0.2, w3, phi))
 
 
 def sweep(
     level: str, grid: dt.Grid, delta: float, rtol: float, engine: str, store: Any = None
 ) -> dt.Basin:
-    """A map over a grid of φ and ω₃, ω⊥ = 0.2."""
+    """Return a map over a grid of φ and ω₃, ω⊥ = 0.2."""
     settings = {"rtol": rtol, "engine": engine, "store": store}
     return dt.sweep(tops(level, delta), grid, progress=False, **settings)
 
 
 def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
-    """Programs compiled when δ, starts, times and tolerance change and nothing else does."""
+    """Return numbers of programs compiled when only δ, starts, times and tolerance change."""
     omegas = jax.random.normal(jax.random.key(0), (256, 3))
     deltas = jnp.linspace(-0.4, 0.4, 256)
     times = jnp.linspace(0.0, 100.0, 11)
@@ -99,7 +99,7 @@ def _compilations(level: str, grid: dt.Grid, engine: str) -> dict[str, int]:
 
 
 def _compiled(task: Callable[[], Any]) -> int:
-    """How many programs are compiled during the task, in any thread."""
+    """Return how many programs are compiled during the task, in any thread."""
     seen: list[str] = []
 
     def listen(event: str, duration_secs: float, **_: Any) -> None:

@@ -1,4 +1,4 @@
-"""What derivatives cost over the values alone, and their errors.
+"""Costs of derivatives relative to the values alone, and their errors.
 
 Derivatives of ω∞ come from the equation's first variations, in the lanes of a sweep or for one
 start through JAX. They are compared with differences.
@@ -107,7 +107,7 @@ def _errors(basin: dt.Basin, precise: dt.Basin, plain: dt.Basin, by: tuple[str, 
 
 
 def _program(function: Callable[..., Any], point: tuple[Any, ...]) -> tuple[Any, float]:
-    """The function compiled for such a point, and the time of compilation."""
+    """Return the function compiled for points of this type, and the time of compilation."""
     compiled, clocks = measure.timed(lambda: jax.jit(function).lower(*point).compile())
     return compiled, clocks["seconds"]
 
@@ -159,8 +159,8 @@ def of_one_start(level: str, small: bool) -> list[Row]:
 def over_many_turns(small: bool) -> list[Row]:
     """Errors of general bodies that radiate weakly, at order 1.
 
-    A unit of time shorter by 1 + a makes ω₀ (1 + a) times as large, |d|² as small, and ω∞ as
-    large: ∂ω∞/∂a = ω∞ at a = 0.
+    A change of the unit of time by 1/(1 + a) multiplies ω₀ and ω∞ by 1 + a and divides |d|² by it,
+    so ∂ω∞/∂a = ω∞ at a = 0.
     """
 
     def made(a: Any, strength: Any, w1: Any, w2: Any, w3: Any) -> Any:
@@ -200,7 +200,7 @@ def in_memory(small: bool) -> list[Row]:
         return value, 0
 
     def end(delta: Any, omega: Any, max_steps: int) -> Any:
-        # As long as the run to ω∞: a few braking times.
+        # As long as the run to ω∞, a few braking times.
         ts = jnp.stack([jnp.zeros(()), 5 / jnp.sum(omega**2)])
         options: Row = {"adjoint": adjoint, "throw": False, "max_steps": max_steps}
         run = dt.simulate(dt.TransverseReduced(delta), omega, ts, **options)

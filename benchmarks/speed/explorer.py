@@ -1,4 +1,4 @@
-"""The explorer: time from a slider to the picture, in a headless browser on the same machine.
+"""The explorer: time from a slider move to the picture, in a headless browser on this machine.
 
     python -m benchmarks.speed.explorer --small     a look
     python -m benchmarks.speed.explorer             all, some minutes on two cores
@@ -61,7 +61,7 @@ def measured(small: bool) -> Record:
 
 
 def single(visit: browsing.Visit, size: int, steps: int) -> Record:
-    """The slider moves, and waits for the finished picture: when do the pictures come?"""
+    """Move the slider, wait for the finished picture, and measure when the pictures come."""
     x, y = grasped(visit)
     times: dict[str, list[float]] = {"first": [], "full": [], "final": []}
     for k in range(1, steps + 4):
@@ -75,7 +75,7 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
             "full": [shown for shown in mine if shown["size"] == size],
             "final": [shown for shown in mine if shown["final"]],
         }
-        if k > 3:  # the first ones compile, and tell what a start costs
+        if k > 3:  # the first moves compile, and measure the cost of a start
             for name, shown in wanted.items():
                 times[name].append(shown[0]["at"] - began)
     visit.page.mouse.up()
@@ -83,7 +83,7 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
 
 
 def moving(visit: browsing.Visit, seconds: float) -> Record:
-    """The slider moves all the time: how old is what a picture shows when it is drawn?"""
+    """Move the slider all the time, and measure the age of a picture's value when it is drawn."""
     x, y = grasped(visit)
     visit.page.evaluate("() => { asked.length = 0; drawn.length = 0 }")
     moves = int(seconds / 0.02)
@@ -93,9 +93,9 @@ def moving(visit: browsing.Visit, seconds: float) -> Record:
     visit.page.mouse.up()
     visit.page.wait_for_timeout(1000)
     asked, drawn = visit.page.evaluate("() => [asked, drawn]")
-    # A value comes again, and its picture a second time when it is refined.
+    # Values recur, and a picture comes a second time when it is refined.
     first = [b for a, b in itertools.pairwise(drawn) if b["value"] != a["value"]]
-    ages, matched = [], -1  # pictures come in the order in which they were asked for
+    ages, matched = [], -1  # pictures come in the order of requests
     for shown in first:
         later = range(matched + 1, len(asked))
         found = next((i for i in later if asked[i][0] == shown["value"]), None)
@@ -110,7 +110,7 @@ def moving(visit: browsing.Visit, seconds: float) -> Record:
 
 
 def grasped(visit: browsing.Visit) -> tuple[float, float]:
-    """Press the mouse on the slider; where that is."""
+    """Press the mouse on the slider, and return the position."""
     box = visit.slider(SLIDER).bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     visit.page.mouse.move(x, y)
@@ -119,7 +119,7 @@ def grasped(visit: browsing.Visit) -> tuple[float, float]:
 
 
 def shares(milliseconds: list[float]) -> Record:
-    """Median and 95 %."""
+    """Return the median and the 95 % quantile."""
     ordered = sorted(milliseconds)
     last = ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))]
     return {"median": statistics.median(ordered), "95%": last, "count": len(ordered)}

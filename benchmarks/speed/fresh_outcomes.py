@@ -1,4 +1,4 @@
-"""The first outcomes of a process by each integrator: from its start to its end, and its memory.
+"""The first outcomes by each integrator in a fresh process: its total time and its memory.
 
 Imports, compilation and a few starts of the mixed basin are in the time; what an integrator keeps
 on the disk is missing the first time and there later.

@@ -1,4 +1,4 @@
-"""Fresh processes: importing, and the first map, beside the import of what they stand on."""
+"""Fresh processes: importing, and the first map, compared with importing the dependencies."""
 
 import statistics
 import tempfile
@@ -29,8 +29,8 @@ def _map(size: int, cache: str | None = None) -> measure.Record:
 
 
 def _compared(cases: dict[str, Any], base: str, repeats: int) -> dict[str, Any]:
-    """The cases, and the medians of their ratios to `base` beside them."""
-    measure.interleaved(cases, 1)  # the first time the files are read from the disk
+    """Measure the cases, and the medians of their ratios to neighbouring runs of `base`."""
+    measure.interleaved(cases, 1)  # a first time, to read the files from the disk
     records = measure.interleaved(cases, repeats)
     ratios = {
         name: {
@@ -46,7 +46,7 @@ def _compared(cases: dict[str, Any], base: str, repeats: int) -> dict[str, Any]:
 
 
 def compare(repeats: int) -> dict[str, Any]:
-    """Importing dipoletop and what it needs; `ratio` is the median over neighbouring runs."""
+    """Measure importing dipoletop and its dependencies; `ratio` compares neighbouring runs."""
     cases = {statement: partial(_fresh, statement) for statement in (OURS, BASE)}
     found = _compared(cases, BASE, repeats)
     return found | {"ratio": found["ratio"][OURS]}
@@ -55,7 +55,7 @@ def compare(repeats: int) -> dict[str, Any]:
 def cold_start(repeats: int, size: int) -> dict[str, Any]:
     """The default map in fresh processes, with an empty cache of machine code and with a full one.
 
-    `ratio` has, for each of the two, the medians of the ratios to neighbouring runs of `COLD_BASE`.
+    `ratio` has for each of the two the median of the ratios to neighbouring runs of `COLD_BASE`.
     """
     with tempfile.TemporaryDirectory() as cache:
         cases = {

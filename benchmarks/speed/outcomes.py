@@ -31,7 +31,7 @@ def run(
     engine: str = "native",
     max_steps: int = mixed_basin.MAX_STEPS,
 ) -> dict[str, Any]:
-    """Labels of all starts by `classify_many`, in the form of a peer."""
+    """Return labels of all starts by `classify_many`, in the form of a peer."""
     shapes, starts = jnp.asarray(deltas), jnp.asarray(omegas)
 
     def classified() -> dt.Classification:
@@ -71,7 +71,7 @@ def labelled(
 def lane_efficiency(
     deltas: Float[np.ndarray, " n"], omegas: Float[np.ndarray, "n 3"], rtol: float, engine: str
 ) -> dict[str, Any]:
-    """The share of lane steps made for a running start, of one core's share after another."""
+    """Return the share of lane steps that advance a running start, one core's part at a time."""
     parts = np.array_split(np.arange(len(deltas)), measure.cores())
     widths = engines.block_widths(engine, len(parts[-1]))
     made, block_steps = 0, np.zeros(2, int)

@@ -22,7 +22,7 @@ def alone(small: bool) -> dict[str, Any]:
 
 
 def compare(n: int, repeats: int, tolerances: tuple[float, ...]) -> dict[str, Any]:
-    """Cost and true error of all methods at all tolerances."""
+    """Measure cost and true error of all methods at all tolerances."""
     omegas = starts(n)
     truth, about = reference(omegas)
     everybody, missing = methods()
@@ -55,7 +55,7 @@ def _case(task: Task) -> dict[str, Any]:
 
 
 def errors(ends: Starts, truth: Starts) -> dict[str, float]:
-    """The largest and the median error of the starts that both have."""
+    """Return the largest and the median error over the common starts."""
     both = min(len(ends), len(truth))
     error = np.max(np.abs(ends[:both] - truth[:both]), axis=1) / AMPLITUDE
     return {"largest_error": float(np.max(error)), "median_error": float(np.median(error))}

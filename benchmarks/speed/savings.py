@@ -1,7 +1,7 @@
-"""What each saving saves, in steps and right-hand sides: counts, the same on every machine.
+"""The effect of each saving in steps and right-hand sides: counts, equal on every machine.
 
-One seeded sample, the mixed basin, unless a row says otherwise. Every tried step counts; a
-right-hand side is one call for one start.
+They are for one seeded sample of the mixed basin, unless a row says otherwise. Every tried step
+counts; a right-hand side is one call for one start.
 """
 
 from typing import Any
@@ -39,7 +39,7 @@ def _row(name: str, saved: Any, plain: Any, starts: tuple[int, int], note: str) 
 
 
 def by_symmetry(points: int) -> dict[str, Any]:
-    """One symmetry cell of the default map, or the whole plane of φ and ω₃."""
+    """Count one symmetry cell of the default map against the whole plane of φ and ω₃."""
     cell = dt.symmetry_cell(points, points)
     w3, turn = cell.axes["w3"], cell.axes["phi"]
     plane = dt.Grid(w3=np.concatenate([-w3[:0:-1], w3]), phi=np.concatenate([turn, turn + np.pi]))
@@ -51,7 +51,7 @@ def by_symmetry(points: int) -> dict[str, Any]:
 
 
 def by_refinement(points: int) -> dict[str, Any]:
-    """A fine map from runs next to its boundaries only, and from all of its runs."""
+    """Count a fine map refined only next to its boundaries against all of its runs."""
     grid = dt.symmetry_cell(points, points)
     whole = default_map.sweep("order-1", grid, -0.2, RTOL, "native")
     few = adaptive.refine(default_map.tops("order-1", -0.2), grid, rtol=RTOL, engine="native")
@@ -92,7 +92,7 @@ def by_ending(deltas: Deltas, omegas: Omegas) -> list[dict[str, Any]]:
 
 
 def _exact_sets(late: float, n: int = 128) -> dict[str, Any]:
-    """Starts on the invariant sets, which have measure zero, so that the sample has none."""
+    """Count starts on the invariant sets, which have measure zero and are not in the sample."""
     deltas, omegas = mixed_basin.sample(2 * n)
     omegas[:n, 2] = 0.0  # keeps ω₁
     omegas[n:, :2] = 0.0  # the axis
@@ -103,7 +103,7 @@ def _exact_sets(late: float, n: int = 128) -> dict[str, Any]:
 
 
 def by_refill(deltas: Deltas, omegas: Omegas, engine: str) -> list[dict[str, Any]]:
-    """Lane steps paid for, idle lanes included: refilled lanes against lockstep blocks."""
+    """Count lane steps, including idle lanes, of refilled lanes against lockstep blocks."""
     n = len(omegas)
     ends = engines.integrate_tops(deltas, omegas, "outcome", RTOL, engine=engine)
     steps, widths = np.asarray(ends.steps), engines.block_widths(engine, n)
@@ -119,7 +119,7 @@ def by_refill(deltas: Deltas, omegas: Omegas, engine: str) -> list[dict[str, Any
 
 
 def lockstep(steps: Int[np.ndarray, " n"], width: int) -> int:
-    """Lane steps of blocks that go on until their slowest lane is finished."""
+    """Return the lane steps of blocks that run until their slowest lane is finished."""
     blocks = np.pad(steps, (0, -len(steps) % width)).reshape(-1, width)
     return int(width * blocks.max(axis=1).sum())
 
@@ -167,7 +167,7 @@ def by_method(n: int, tolerances: list[float], solvers: tuple[Any, ...]) -> dict
 
 
 def _crossings(rows: list[dict[str, Any]]) -> list[float | None]:
-    """Right-hand sides at each of `ERRORS`, between tolerances by power laws; None outside."""
+    """Return right-hand sides at each of `ERRORS`, interpolated by power laws; None outside."""
     errors, costs = (np.log([r[k] for r in rows]) for k in ("median_error", "evaluations"))
     order = np.argsort(errors)
     costs_at = np.interp(np.log(ERRORS), errors[order], costs[order], left=np.nan, right=np.nan)

@@ -1,4 +1,4 @@
-"""How the cost grows: with amplitude, shape, batch, cores and grid.
+"""Growth of the cost with amplitude, shape, batch, cores and grid.
 
 Cores and memory are measured in fresh processes. Which cores a process may use is set before it
 starts (`os.sched_setaffinity`, which a child inherits), because JAX counts them once.

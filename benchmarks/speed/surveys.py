@@ -1,4 +1,4 @@
-"""Surveys: what limits sweeps of 1e9 starts and more, from what a tile, a file and a task cost.
+"""Surveys: limits of sweeps of 1e9 starts and more, from the costs of a tile, a file and a task.
 
     python -m benchmarks.speed.surveys --small     a look
     python -m benchmarks.speed.surveys             all, some minutes on two cores

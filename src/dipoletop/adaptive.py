@@ -1,8 +1,8 @@
-"""Maps that integrate next to the basin boundaries only, and fill in the rest.
+"""Maps that are integrated only near the basin boundaries, and interpolated elsewhere.
 
 A coarse lattice of cells is laid over the grid. Cells whose corners have different fates are halved
-until their corners are neighbours in the grid; the rest is filled in from the corners. Neighbours
-of such a cell are examined too, so that a boundary is followed from cell to cell.
+until their corners are neighbours in the grid; all other cells are filled in from their corners.
+The neighbours of a halved cell are examined, too, so that a boundary is followed from cell to cell.
 """
 
 import time
@@ -23,14 +23,14 @@ from ._maps.sweep import sweep
 from .boundary import fate
 
 Cells = Int[np.ndarray, "_ 2"]
-"""Cells of a lattice by the numbers of their first row and column."""
+"""Cells of a lattice, by the indices of their first row and column."""
 Corners = Int[np.ndarray, "m 2 2"]
-"""Flat numbers of the points at the corners of every cell."""
+"""Flat indices of the points at the corners of every cell."""
 Spans = tuple[Int[np.ndarray, "m 2"], Int[np.ndarray, "m 2"]]
 """First and last row, and first and last column, of every cell."""
 
-PARTS = (65536, 8192, 1024)  # points in one sweep, at most; only the last has less than half
-PIXELS = 1 << 20  # filled in at once, at most, which bounds the memory
+PARTS = (65536, 8192, 1024)  # points in a sweep, at most; only the last sweep has less than half
+PIXELS = 1 << 20  # largest number of points filled in at once, to bound the memory
 
 
 def refine(
@@ -41,29 +41,29 @@ def refine(
     omega_tol: float | None = None,
     **settings: Any,
 ) -> Basin:
-    """The map of `sweep(problem, over)` from far fewer runs: those next to the boundaries.
+    """Compute the map of `sweep(problem, over)` with far fewer runs, only near the boundaries.
 
-    A lattice of about `coarse` × `coarse` cells is integrated; cells whose corners differ in
+    The corners of about `coarse` × `coarse` cells are integrated. Cells whose corners differ in
     their `fate` are halved, down to the grid itself, and their neighbours of the same size are
-    examined too. The rest is filled in from the corners of its cell: labels as they are, ω∞ and τ
-    bilinear, `steps` 0, `certified` where all four are.
+    examined, too. Other points are filled in from the corners of their cell: labels are copied, ω∞
+    and τ are bilinear, `steps` is 0, `certified` is True if it is at all four corners.
 
-    **What can be missed:** an island smaller than a coarse cell that contains no corner and
-    touches no cell that is examined; so, too, single points such as a start exactly on an axis,
-    or a structure that is thinner than the spacing of the grid. A larger `coarse` lowers the risk.
+    **Limitation:** the map can miss an island smaller than a coarse cell that contains no corner
+    and touches no examined cell, single points such as a start exactly on an axis, and structures
+    thinner than the spacing of the grid. A larger `coarse` lowers the risk.
 
     Args:
         problem: as in `sweep`.
         over: two axes of increasing numbers, and any number of axes of length 1.
         coarse: least number of cells along each axis of the first lattice.
-        omega_tol: also halve the cells at whose centre the interpolated ω∞ has an error above
-            this, or where the fate is another one; None examines no centre.
+        omega_tol: also halve cells at whose centre the interpolated ω∞ has a larger error than
+            this, or the fate is different; None examines no centre.
         settings: rtol, atol, max_steps, devices and engine, as in `sweep`.
 
     Returns:
-        A `Basin` over the grid, in memory, with one more column, `computed`: whether the point
-        was integrated, once, exactly where `sweep` would do it; only rounding (the last digits of
-        ω∞ and τ) can depend on which runs share a block. `attrs` hold the number of these points,
+        A `Basin` over the grid, in memory, with one more column, `computed`: whether the point was
+        integrated. Its results then equal `sweep`'s up to rounding (the last digits of ω∞ and τ can
+        depend on the other runs in a block). `attrs` contain the number of these points,
         `computed`, and the size of the first cells in points, `refined_from`.
 
     Raises:
@@ -99,7 +99,7 @@ def refine(
 def _examine(
     picture: "_Picture", lattice: "_Lattice", cells: Cells, omega_tol: float | None
 ) -> Cells:
-    """Which of these cells, and of those that a boundary leads to, to halve; others are filled."""
+    """Return the cells to halve among these and those that a boundary leads to; fill the others."""
     seen = np.zeros(lattice.shape, bool)
     mixed, uniform = [], []
     while len(cells):
@@ -120,7 +120,7 @@ def _examine(
 
 
 class _Lattice:
-    """Every k-th row and column of a grid, and the last of each; cells lie between them."""
+    """Every k-th row and column of a grid, and the last ones; cells lie between them."""
 
     def __init__(self, points: tuple[int, ...], sizes: list[int]) -> None:
         self.points, self.sizes = points, sizes
@@ -131,42 +131,42 @@ class _Lattice:
         self.shape = tuple(len(nodes) - 1 for nodes in self.nodes)
 
     def all(self) -> Cells:
-        """Every cell."""
+        """Return every cell."""
         return np.argwhere(np.ones(self.shape, bool))
 
     def halved(self, cells: Cells) -> tuple["_Lattice", Cells]:
-        """The lattice of half the size where that is more than 1, and the parts of `cells`."""
+        """Return the lattice with half the cell size (at least 1), and the parts of `cells`."""
         parts = [min(2, size) for size in self.sizes]
         finer = _Lattice(self.points, [n // k for n, k in zip(self.sizes, parts, strict=True)])
         offsets = np.argwhere(np.ones(parts, bool))
         return finer, finer._inside(cells[:, None] * parts + offsets)
 
     def around(self, cells: Cells) -> Cells:
-        """The cells and their neighbours, those across a corner too, each once."""
+        """Return the cells and their neighbours, including diagonal ones, each once."""
         near = self._inside(cells[:, None] + np.argwhere(np.ones((3, 3), bool)) - 1)
         flat = np.unique(np.ravel_multi_index(tuple(near.T), self.shape))
         return np.stack(np.unravel_index(flat, self.shape), -1)
 
     def _inside(self, cells: Int[np.ndarray, "m k 2"]) -> Cells:
-        """Those that exist: the last cell of an axis may be shorter than the others."""
+        """Return the cells that exist: the last cell of an axis may be shorter than the others."""
         flat = cells.reshape(-1, 2)
         return flat[np.all((flat >= 0) & (flat < self.shape), axis=1)]
 
     def spans(self, cells: Cells) -> Spans:
-        """First and last row, and first and last column, of every cell."""
+        """Return the first and last row, and the first and last column, of every cell."""
         row_nodes, column_nodes = self.nodes
         row, column = cells.T
         rows = np.stack([row_nodes[row], row_nodes[row + 1]], -1)
         return rows, np.stack([column_nodes[column], column_nodes[column + 1]], -1)
 
     def corners(self, cells: Cells) -> Corners:
-        """Flat numbers of the corners."""
+        """Return the flat indices of the corners."""
         rows, columns = self.spans(cells)
         return rows[:, :, None] * self.points[1] + columns[:, None, :]
 
 
 def _long_axes(grid: Any) -> list[str]:
-    """The two axes of a map."""
+    """Return the two axes of a map."""
     instance("over", grid, Grid)
     lengths = dict(zip(grid.dims, grid.shape, strict=True))
     names = [name for name, n in lengths.items() if n > 1]
@@ -194,7 +194,7 @@ class _Picture:
         self.computed = np.zeros(size, bool)
 
     def compute(self, points: Int[np.ndarray, "..."]) -> None:
-        """Integrate those of the points that have not been integrated."""
+        """Integrate the points that have not been integrated yet."""
         new = np.unique(points[~self.computed[points]])
         for part in _parts(new):
             over = Points(**self.grid.points(part))  # axes of length 1 change no number
@@ -206,14 +206,14 @@ class _Picture:
         self.computed[new] = True
 
     def differ(self, corners: Corners) -> Bool[np.ndarray, "m"]:
-        """Whether the corners have different fates."""
+        """Return whether the corners have different fates."""
         fates = self.fate[corners]
         return np.any(fates != fates[:, :1, :1], axis=(1, 2))
 
     def wrong_at_centre(
         self, lattice: _Lattice, cells: Cells, omega_tol: float
     ) -> Bool[np.ndarray, "m"]:
-        """Whether the centre has another fate, or the interpolated ω∞ is wrong there by more."""
+        """Return whether the fate at the centre, or ω∞ there by more than `omega_tol`, is wrong."""
         corners, spans = lattice.corners(cells), lattice.spans(cells)
         row, column = spans[0].sum(-1) // 2, spans[1].sum(-1) // 2
         centres = row * self.shape[1] + column
@@ -224,7 +224,7 @@ class _Picture:
         return wrong | (self.fate[centres] != self.fate[corners[:, 0, 0]])
 
     def fill(self, lattice: _Lattice, cells: Cells) -> None:
-        """Fill in the points of uniform cells that have not been integrated, from the corners."""
+        """Fill in the points of uniform cells that have not been integrated from the corners."""
         height, width = lattice.sizes[0] + 1, lattice.sizes[1] + 1
         if height == width == 2:
             return
@@ -252,7 +252,7 @@ class _Picture:
             self.columns[name][points[free]] = interpolated[free]
 
     def _weights(self, spans: Spans, places: Any) -> list[Float[np.ndarray, "m _"]]:
-        """How far along its cell, from 0 to 1, every row and every column lies."""
+        """Return the relative position, from 0 to 1, of every row and column in its cell."""
         weights = []
         for values, span, place in zip(self.values, spans, places, strict=True):
             low, high = values[span[:, :1]], values[span[:, 1:]]
@@ -260,7 +260,7 @@ class _Picture:
         return weights
 
     def basin(self, first_sizes: list[int], seconds: float) -> Basin:
-        """The whole map over the grid."""
+        """Return the whole map over the grid."""
         grid, count = self.grid, int(np.sum(self.computed))
         attrs = self.attrs | {"computed": count, "refined_from": first_sizes}
         columns = self.columns | {"computed": self.computed}
@@ -268,7 +268,7 @@ class _Picture:
 
 
 def _parts(points: Int[np.ndarray, "n"]) -> Iterator[Int[np.ndarray, "m"]]:
-    """Parts of a list for single sweeps, whose tiles then have few sizes to compile for."""
+    """Yield parts of a list of points, one for each sweep, with few sizes to compile for."""
     while len(points):
         size = next((n for n in PARTS if len(points) > n // 2), PARTS[-1])
         yield points[:size]
@@ -278,7 +278,7 @@ def _parts(points: Int[np.ndarray, "n"]) -> Iterator[Int[np.ndarray, "m"]]:
 def _bilinear(
     corners: Float[np.ndarray, "m 2 2"], weights: list[Float[np.ndarray, "m _"]]
 ) -> Float[np.ndarray, "m h w"]:
-    """Values within cells: linear along the columns, then along the rows."""
+    """Return the bilinear interpolation within cells."""
     u, v = weights[0][:, :, None], weights[1][:, None, :]
     first = corners[:, :1, 0, None] * (1 - u) + corners[:, 1:, 0, None] * u
     last = corners[:, :1, 1, None] * (1 - u) + corners[:, 1:, 1, None] * u

@@ -1,9 +1,9 @@
 """The atlas of slow motions: how bodies that radiate weakly end, over all shapes or all dipoles.
 
-Every map is one over a triangle. That of bodies is spanned by J₁/J₃ and J₂/J₃, with the needle
-(0, 1), the disc (½, ½) and the sphere (1, 1) at its corners. That of dipoles is spanned by the
-squares of the direction cosines n₁², n₂², n₃², since the slow flow is linear in them. A triangle
-has n² equal cells; each stands for its middle. The directions of L are isotropic.
+Every map is over a triangle. The triangle of bodies has coordinates J₁/J₃ and J₂/J₃, with the
+needle (0, 1), the disc (½, ½) and the sphere (1, 1) at its corners. The triangle of dipoles has the
+squared direction cosines n₁², n₂², n₃² as coordinates, since the slow flow is linear in them. A
+triangle has n² equal cells, each evaluated at its centroid. The directions of L are isotropic.
 """
 
 import dataclasses
@@ -30,19 +30,19 @@ class Ending(enum.IntEnum):
     """How a body ends, over all directions of L."""
 
     RESIDUAL = 0
-    """In residual rotation from every start."""
+    """Residual rotation from every start."""
     BOTH = 1
-    """In residual rotation or in a stop, by the start."""
+    """Residual rotation or a stop, depending on the start."""
     SPIN_1 = 2
-    """In a stop about the axis of J₁, the smallest moment, from every start."""
+    """A stop about the axis of J₁, the smallest moment, from every start."""
     SPIN_3 = 3
-    """In a stop about the axis of J₃, the largest moment, from every start."""
+    """A stop about the axis of J₃, the largest moment, from every start."""
     TUMBLING_LOW = 4
-    """In a stop while tumbling about the axis of J₃, from every start."""
+    """A stop while tumbling about the axis of J₃, from every start."""
     TUMBLING_HIGH = 5
-    """In a stop while tumbling about the axis of J₁, from every start."""
+    """A stop while tumbling about the axis of J₁, from every start."""
     STOPS = 6
-    """In one of two kinds of stop, by the start."""
+    """One of two kinds of stop, depending on the start."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -56,8 +56,8 @@ class Atlas:
             the needle, the disc and the sphere; or n₁², n₂², n₃².
         moments: J₁/J₃, J₂/J₃ and 1, shape (N, 3).
         dipole: direction cosines of the dipole with the axes of J₁, J₂, J₃, shape (N, 3).
-        probability: of each of `prediction.ENDS`, the mean over isotropic L, shape (N, 8).
-        ratio: L∞/L₀, the mean over isotropic L, shape (N,).
+        probability: mean probability of each of `prediction.ENDS` over isotropic L, shape (N, 8).
+        ratio: mean L∞/L₀ over isotropic L, shape (N,).
         error: the largest estimated relative error of a start, shape (N,).
     """
 
@@ -77,7 +77,7 @@ class Atlas:
 
     @property
     def ending(self) -> Int[np.ndarray, "N"]:
-        """How a body ends, over all directions of L: a member of `Ending`."""
+        """The end of each body over all directions of L, a member of `Ending`."""
         stops = self.probability[:, [2, 4, 5, 6]]
         kinds = [Ending.SPIN_1, Ending.SPIN_3, Ending.TUMBLING_LOW, Ending.TUMBLING_HIGH]
         ending = np.array(kinds)[np.argmax(stops, axis=1)]
@@ -86,7 +86,7 @@ class Atlas:
         return np.where(np.all(stops == 0, axis=1), Ending.RESIDUAL, ending)
 
     def columns(self) -> dict[str, Float[np.ndarray, "N"]]:
-        """The numbers of every cell, by name."""
+        """Return the numbers of every cell, by name."""
         vectors = {"J": self.moments, "n": self.dipole}
         named = {f"{letter}{k + 1}": v[:, k] for letter, v in vectors.items() for k in range(3)}
         return named | {
@@ -118,22 +118,22 @@ def atlas(
     n: int = 32,
     progress: bool = False,
 ) -> Atlas:
-    """How slow motions end: over all bodies with the dipole on axis 1, 2 or 3, or over dipoles.
+    """Compute how slow motions end, over all bodies with the dipole on one axis, or all dipoles.
 
-    Ends and L∞/L₀ are means over isotropic L, by a fixed quadrature over h = 2E/L².
+    Probabilities and L∞/L₀ are means over isotropic L, by a fixed quadrature over h = 2E/L².
 
     Args:
-        dipole: the principal axis with the dipole, 1 (smallest moment), 2 or 3; or else
-            `body`. The map is then over J₁/J₃ and J₂/J₃.
-        body: a body with three different moments, whose dipole is varied over all directions.
-        n: cells along an edge; the map has n² cells, of some 10 ms each.
+        dipole: the principal axis with the dipole, 1 (smallest moment), 2 or 3, for a map over
+            J₁/J₃ and J₂/J₃. Give either this or `body`.
+        body: a body with three different moments, for a map over all directions of its dipole.
+        n: cells along an edge; the map has n² cells, which take some 10 ms each.
         progress: whether to show a progress bar.
 
     Returns:
         An `Atlas`; `plots.atlas` draws it.
 
     Raises:
-        ValueError: neither or both of `dipole` and `body`; a `dipole` that is no axis; a `body`
+        ValueError: neither or both of `dipole` and `body`; a `dipole` that is not an axis; a `body`
             with equal moments; an `n` below 2.
 
     Example:
@@ -160,7 +160,7 @@ def atlas(
 
 
 def cells(n: int) -> Float[np.ndarray, "N 3 3"]:
-    """Barycentric coordinates of the three corners of the n² cells of a triangle."""
+    """Return the barycentric coordinates of the corners of the n² cells of a triangle."""
     found = []
     for i in range(n):
         for j in range(n - i):
@@ -172,7 +172,7 @@ def cells(n: int) -> Float[np.ndarray, "N 3 3"]:
 
 
 def _three_moments(body: Body | Particle | None) -> Float[np.ndarray, "3"]:
-    """J₁/J₃, J₂/J₃ and 1, if they differ."""
+    """Return J₁/J₃, J₂/J₃ and 1, after checking that they differ."""
     instance("body", body, Body | Particle, "be a Body or a Particle")
     inertia = np.asarray(body.inertia)  # pyright: ignore[reportOptionalMemberAccess]
     if inertia.ndim != 2:
@@ -186,11 +186,11 @@ def _three_moments(body: Body | Particle | None) -> Float[np.ndarray, "3"]:
 
 
 def spin_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """The J₂/J₃ at given J₁/J₃ between a stop in pure spin about J₃ and tumbling, dipole on J₂.
+    """Return J₂/J₃ against J₁/J₃ on the border of a stop in pure spin about J₃, dipole on J₂.
 
         J₂J₁² = (J₃ − J₂)(J₃ − J₁)²,
 
-    pure spin below it; f′ = 0 at the axis of J₃ there.
+    with pure spin below and tumbling above; on it f′ = 0 at the axis of J₃.
 
     Source: the slow flow at its extreme axes.
     """
@@ -198,10 +198,10 @@ def spin_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
 
 
 def saddle_node_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """The J₂/J₃ at given J₁/J₃ above which a dipole on J₁ leads to residual rotation only.
+    """Return the J₂/J₃ at given J₁/J₃ above which a dipole on J₁ always gives residual rotation.
 
-    Below it the slow flow round J₃ has a tumbling attractor and a repeller; they meet there. It
-    exists for 0.3848 < J₁/J₃ < 2/3, and is NaN elsewhere.
+    Below it the slow flow around J₃ has a tumbling attractor and a repeller, which merge there in a
+    saddle-node bifurcation. It exists for 0.3848 < J₁/J₃ < 2/3, and is NaN elsewhere.
     """
     ratios = np.asarray(ratios, float)
     found = np.asarray(_saddle_nodes(jnp.asarray(ratios)))
@@ -212,7 +212,7 @@ def saddle_node_border(ratios: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]
 
 @jax.jit
 def _saddle_nodes(ratios: Float[Array, "K"]) -> Float[Array, "K"]:
-    """By bisection: whether F of a dipole on J₁ is positive everywhere round J₃."""
+    """Find by bisection where F of a dipole on J₁ becomes positive everywhere around J₃."""
     positions = jnp.linspace(-8.0, 12.0, 801)  # logit x
 
     def positive(j1: Float[Array, ""], j2: Float[Array, ""]) -> Array:

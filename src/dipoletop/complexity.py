@@ -1,7 +1,7 @@
-"""Entropy of basins, dimension of their boundary, and how predictable a fate is.
+"""Entropy of basins, dimension of their boundary, and predictability of a fate.
 
-The numbers describe the scales that are resolved: a smooth boundary has dimension 1 in a plane, a
-fractal one more. The standard error of an estimate does not include the scales left out.
+The numbers describe the resolved scales: a smooth boundary has dimension 1 in a plane, a fractal
+boundary a larger one. Standard errors do not include the effect of unresolved scales.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from .boundary import fate
 OFFSETS = np.array((-1, 0, 1))  # of a point and its two companions, in units of ε
 
 Numbers = Float[np.ndarray, "k"]
-"""One number for each ε, or for each side of the boxes."""
+"""A number for each ε, or for each side of the boxes."""
 
 
 class BasinEntropy(NamedTuple):
@@ -35,13 +35,13 @@ class BasinEntropy(NamedTuple):
     error: float
     """Standard error of `entropy`."""
     boundary_entropy: float
-    """S_bb, the mean over the boxes with more than one label; NaN if there is none."""
+    """S_bb, the mean over the boxes with more than one label; NaN if there are no such boxes."""
     boundary_error: float
     """Standard error of `boundary_entropy`."""
     boxes: int
-    """How many boxes there are."""
+    """Number of boxes."""
     boundary_boxes: int
-    """How many of them have more than one label."""
+    """Number of boxes with more than one label."""
 
     def __repr__(self) -> str:
         return summary(self, entropy="error", boundary_entropy="boundary_error")
@@ -57,7 +57,7 @@ class BoundaryDimension(NamedTuple):
     scales: Int[np.ndarray, "k"]
     """Sides s of the boxes, in points of the grid."""
     counts: Int[np.ndarray, "k"]
-    """N(s), boxes that the boundary enters."""
+    """N(s), the number of boxes that the boundary enters."""
 
     def __repr__(self) -> str:
         return summary(self, dimension="error")
@@ -71,7 +71,7 @@ class UncertaintyExponent(NamedTuple):
     error: float
     """Standard error of `exponent`."""
     dimension: float
-    """D − α, that of the boundary in the D-dimensional region; `error` is its error too."""
+    """D − α, the dimension of the boundary in a D-dimensional region, with the same `error`."""
     epsilons: Float[np.ndarray, "k"]
     """The displacements ε."""
     fractions: Float[np.ndarray, "k"]
@@ -84,21 +84,21 @@ class UncertaintyExponent(NamedTuple):
 
 
 def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
-    """S_b = (1/N) Σᵢ Sᵢ and S_bb = (1/N_b) Σᵢ Sᵢ over N boxes, with Sᵢ = −Σⱼ p_ij ln p_ij.
+    """Compute S_b = (1/N) Σᵢ Sᵢ and S_bb = (1/N_b) Σᵢ Sᵢ over N boxes, Sᵢ = −Σⱼ p_ij ln p_ij.
 
     p_ij is the share of label j in box i and N_b the number of boxes with more than one label.
-    Two labels make at most ln 2, so S_bb > ln 2 needs many boxes with three or more: a sufficient
-    sign of a fractal boundary, not a necessary one. As boxes of a given number of points shrink,
-    S_b falls as side^α, with the uncertainty exponent α.
+    Two labels contribute at most ln 2, so S_bb > ln 2 needs many boxes with three or more labels: a
+    sufficient sign of a fractal boundary, not a necessary one. As boxes with a fixed number of
+    points shrink, S_b falls as side^α, with the uncertainty exponent α.
 
     Args:
-        labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, which
-            stands for its fates; UNDECIDED and FAILED are labels like any other.
-        box: side of a box in points; last rows and columns that fill no box are not used.
+        labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, whose fates
+            are used; UNDECIDED and FAILED are labels like any other.
+        box: side of a box in points; last rows and columns that do not fill a box are not used.
 
     Returns:
-        `BasinEntropy`. The errors are those of the mean of independent boxes; on a regular grid
-        they are too large for a smooth boundary.
+        `BasinEntropy`. The errors hold for the mean of independent boxes; on a regular grid they
+        are too large for a smooth boundary.
 
     Raises:
         ValueError: labels that are not a plane of whole numbers, or a box that does not fit.
@@ -130,9 +130,9 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
 
 
 def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
-    """D in N(s) ~ s^−D, where N(s) boxes of side s contain a part of the boundary.
+    """Compute D in N(s) ~ s^−D, where N(s) boxes of side s contain a part of the boundary.
 
-    The boundary goes through every square of 2 × 2 neighbours that have not the same label.
+    The boundary goes through every square of 2 × 2 neighbours with different labels.
 
     Args:
         labels: as in `basin_entropy`.
@@ -140,8 +140,8 @@ def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
             sixteenth of the shorter side.
 
     Returns:
-        `BoundaryDimension`, by least squares of ln N against −ln s; the standard error is that of
-        the slope, from the scatter about the line.
+        `BoundaryDimension`, by least squares of ln N against −ln s, with the standard error of the
+        slope from the scatter about the line.
 
     Raises:
         ValueError: bad labels, labels without a boundary, or fewer than three scales.
@@ -179,19 +179,19 @@ def uncertainty_exponent(
     along: str | None = None,
     **settings: Any,
 ) -> UncertaintyExponent:
-    """α in f(ε) ~ ε^α: the share f of points whose fate changes if one coordinate moves by ±ε.
+    """Compute α in f(ε) ~ ε^α, the share of points whose fate changes if a coordinate moves by ±ε.
 
-    The boundary then has dimension D − α in D dimensions, and α = 1 if it is smooth. With a
-    smaller α, better knowledge of the start improves the prediction of its fate less.
+    The boundary then has dimension D − α in D dimensions, and α = 1 if it is smooth. The smaller α,
+    the less does a better knowledge of the start improve the prediction of its fate.
 
     Args:
         problem: as in `sweep`.
         over: a grid whose axes span the region, from the least to the largest value on each; an
             axis of length 1 is fixed.
         epsilons: the displacements on the axis `along`; they may lead out of the region.
-        n: random points for each ε; those of different ε are independent.
-        seed: of the random points.
-        along: the coordinate that is moved; None means the last axis that is not fixed.
+        n: random points for each ε; points of different ε are independent.
+        seed: seed of the random points.
+        along: the coordinate to move; None means the last axis that is not fixed.
         settings: rtol, atol, max_steps, devices and engine, as in `sweep`.
 
     Returns:
@@ -238,7 +238,7 @@ def _displacements(epsilons: Any) -> Numbers:
 
 
 def _uncertain_shares(fates: Int[np.ndarray, "k n 3"], steps: Numbers) -> Numbers:
-    """For every ε the share of points with a companion of another fate."""
+    """Return for every ε the share of points with a companion that has another fate."""
     count = fates.shape[1]
     uncertain = np.sum(np.any(fates != fates[:, :, :1], axis=2), axis=1)
     for step, many in zip(steps.tolist(), uncertain.tolist(), strict=True):
@@ -249,7 +249,7 @@ def _uncertain_shares(fates: Int[np.ndarray, "k n 3"], steps: Numbers) -> Number
 
 
 def _region(over: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any], str]:
-    """The least and the largest value on every axis, and the axis to move along."""
+    """Return the least and the largest value on every axis, and the axis to move along."""
     instance("over", over, Grid)
     for name, values in over.axes.items():
         if values.ndim > 1:
@@ -265,7 +265,7 @@ def _region(over: Any, along: str | None) -> tuple[dict[str, Any], dict[str, Any
 
 
 def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
-    """The labels, or the fates of a basin over two axes."""
+    """Return the labels, or the fates of a basin over two axes."""
     must = "be whole numbers over two axes"
     try:
         array = fate(labels).squeeze() if isinstance(labels, Basin) else np.asarray(labels)
@@ -280,13 +280,13 @@ def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
 
 
 def _mixed_squares(plane: Integer[np.ndarray, "n m"]) -> Bool[np.ndarray, "n-1 m-1"]:
-    """Whether the four corners of each square have different labels."""
+    """Return whether the four corners of each square have different labels."""
     first, others = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
     return np.any([first != other for other in others], axis=0)
 
 
 def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
-    """How many boxes of this side hold a mixed square; the last row and column may be smaller."""
+    """Return the number of boxes with a mixed square; boxes at the far edges may be smaller."""
     hit = mixed
     for axis, length in enumerate(mixed.shape):
         hit = np.logical_or.reduceat(hit, np.arange(0, length, side), axis=axis)
@@ -294,7 +294,7 @@ def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:
 
 
 def _fitted_slope(x: Numbers, y: Numbers, weights: Numbers) -> tuple[float, float, float]:
-    """Slope of y over x; its error if `weights` are inverse variances; that from the scatter."""
+    """Return the slope of y over x, its error for inverse-variance `weights`, and from scatter."""
     total = np.sum(weights)
     dx, dy = x - np.sum(weights * x) / total, y - np.sum(weights * y) / total
     spread = np.sum(weights * dx**2)

@@ -1,7 +1,7 @@
 """Outcomes and stability as functions of the shape δ, or of the amplitude |ω₀|.
 
 `continuation` computes the share of every outcome at every value of the parameter and at every
-level of the equation. It takes the same isotropic starts everywhere (common random numbers), so
+level of the equation. It uses the same isotropic starts everywhere (common random numbers), so
 that curves differ by physics, not by chance. `follow_spectrum` computes the eigenvalues of the
 residual line against δ, and `thresholds` the values of δ at which an outcome appears or disappears.
 `plots.continuation` and `plots.diagram` draw the results.
@@ -37,7 +37,7 @@ USUAL = (Level.ORDER_1, Level.SEMI)
 DEFAULT_W = 0.05
 """Angular velocity w at which stability is computed by default; λ/w² hardly depends on w."""
 STEPS = 16
-"""Steps between neighbouring values of δ, so that crossings of eigenvalues are resolved."""
+"""Number of steps between neighbouring values of δ, to resolve crossings of eigenvalues."""
 
 
 class Fractions(NamedTuple):
@@ -57,7 +57,7 @@ class Continuation:
         levels: the levels of the equation.
         basins: the outcomes at each level, over the axes (delta, amplitude, direction).
 
-    Properties: `values`, those of the parameter, and `n`, the number of starts at each value.
+    Properties: `values`, the values of the parameter, and `n`, the number of starts at each value.
     """
 
     parameter: Parameter
@@ -66,7 +66,7 @@ class Continuation:
 
     @property
     def values(self) -> Float[np.ndarray, "values"]:
-        """The values of the parameter, rising."""
+        """The increasing values of the parameter."""
         return self.basins[0].coords[self.parameter]
 
     @property
@@ -85,14 +85,14 @@ class Continuation:
         return "\n".join([head, *lines]) + ")"
 
     def fractions(self, outcome: Outcome, stop: Stop | None = None) -> Fractions:
-        """The shares of the starts with an outcome, with 95 % intervals (Wilson).
+        """Return the shares of the starts with an outcome, with 95 % intervals (Wilson).
 
         Args:
-            outcome: a member of `Outcome`; UNDECIDED and FAILED too.
+            outcome: any member of `Outcome`, including UNDECIDED and FAILED.
             stop: a member of `Stop`, to count only this way of stopping.
 
         Returns:
-            Arrays of shape (levels, values). Each interval is that of one value alone; differences
+            Arrays of shape (levels, values). An interval holds for a single value; differences
             between values or levels are known much better, since the starts are the same.
         """
         counts = np.stack([_counts(basin, outcome, stop) for basin in self.basins])
@@ -100,7 +100,7 @@ class Continuation:
 
 
 def _counts(basin: Basin, outcome: Outcome, stop: Stop | None) -> Int[np.ndarray, "values"]:
-    """The number of starts with an outcome, at each value of the parameter."""
+    """Return the number of starts with an outcome, at each value of the parameter."""
     members = basin.outcome == outcome
     if stop is not None:
         members &= basin.stop == stop
@@ -116,20 +116,20 @@ def continuation(
     seed: int = 0,
     **settings: Any,
 ) -> Continuation:
-    """Share of every outcome against δ at fixed |ω₀|, or against |ω₀| at fixed δ, level by level.
+    """Compute the share of every outcome against δ at fixed |ω₀|, or against |ω₀| at fixed δ.
 
-    The starts are |ω₀| times the same n random directions at every value and level: those of
-    `Sample(n, amplitude, seed=seed)`. The full level is far slower than the others: take
-    n = 50 and a few values there, in a call of its own.
+    The starts are |ω₀| times the same n random directions at every value and level, from
+    `Sample(n, amplitude, seed=seed)`. The full level is far slower than the others: use n = 50 and
+    a few values for it, in a separate call.
 
     Args:
-        delta: shape δ = 1 − I₃/I₁ in [−1, 1); rising values of shape (values,), or one.
-        amplitude: |ω₀| > 0, dimensionless; one, or rising values of shape (values,). Exactly one
-            of the two is a list: it is the parameter that is varied.
+        delta: shape δ = 1 − I₃/I₁ in [−1, 1); one, or increasing values of shape (values,).
+        amplitude: |ω₀| > 0, dimensionless; one, or increasing values of shape (values,). Exactly
+            one of the two must be a list, the parameter that is varied.
         levels: some of order-1 … order-4, semi, full.
-        n: how many starts; a 95 % interval then reaches ±1/√n at most.
+        n: number of starts; the half-width of a 95 % interval is then at most 1/√n.
         seed: a whole number.
-        settings: those of `sweep`, such as `rtol` or `max_steps`; but no `store`.
+        settings: settings of `sweep`, such as `rtol` or `max_steps`, except `store`.
 
     Returns:
         A `Continuation`.
@@ -169,7 +169,7 @@ def continuation(
 
 
 class Branches(NamedTuple):
-    """Eigenvalues λ(δ) of the slow motions near the residual line {w, 0, 0}."""
+    """Eigenvalues λ(δ) of slow perturbations of the residual line {w, 0, 0}."""
 
     levels: tuple[Level, ...]
     delta: Float[np.ndarray, "values"]
@@ -192,13 +192,13 @@ class Branches(NamedTuple):
 
 
 def follow_spectrum(delta: Values, w: ArrayLike = DEFAULT_W, *, levels: Levels = USUAL) -> Branches:
-    """The eigenvalues λ(δ) of perturbations of the equilibria {w, 0, 0}, as continuous branches.
+    """Compute eigenvalues λ(δ) of perturbations of {w, 0, 0} as continuous branches.
 
     These equilibria, the residual line, exist at every δ and level. A branch goes straight through
-    a crossing; where a real pair becomes complex, either branch may take either sign.
+    a crossing; where a real pair becomes complex, its signs are assigned arbitrarily.
 
     Args:
-        delta: rising values of the shape δ in [−1, 1), shape (values,).
+        delta: increasing values of the shape δ in [−1, 1), shape (values,).
         w: the angular velocity along the dipole, dimensionless, not 0.
         levels: some of order-1 … order-4, semi, full.
 
@@ -240,7 +240,7 @@ def follow_spectrum(delta: Values, w: ArrayLike = DEFAULT_W, *, levels: Levels =
 def _continuous(
     x: Float[np.ndarray, "d"], pairs: Complex[np.ndarray, "d 2"]
 ) -> Complex[np.ndarray, "2 d"]:
-    """The pairs in such an order that each continues the straight line through the last two."""
+    """Return the pairs ordered so that each continues the line through the last two values."""
     tracked = np.array(pairs)
     for k in range(2, len(x)):
         slope = (tracked[k - 1] - tracked[k - 2]) / (x[k - 1] - x[k - 2])
@@ -252,16 +252,16 @@ def _continuous(
 
 
 class Threshold(NamedTuple):
-    """A δ at which an outcome appears or disappears: by the theory, and by the sample."""
+    """A δ at which an outcome appears or disappears, by the theory and by the sample."""
 
     level: Level
     event: str
     outcome: Outcome
-    """The outcome that occurs on one side of δ only."""
+    """The outcome that occurs only on one side of δ."""
     delta: float
     """δ by the theory."""
     bracket: tuple[float, float]
-    """Neighbouring values of the sample, one with the outcome and one without, or NaN."""
+    """Neighbouring values of the sample, one with the outcome and one without; NaN if none."""
     hidden: float
     """Upper 95 % limit of the share of an outcome that no start of the sample has."""
 
@@ -275,7 +275,7 @@ class Threshold(NamedTuple):
 
 
 def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Threshold]:
-    """Values of δ at which an outcome appears or disappears, by the theory and by the sample.
+    """Return the δ at which an outcome appears or disappears, by the theory and by the sample.
 
     | event | δ |
     |---|---|
@@ -283,9 +283,9 @@ def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Thr
     | stops end | 0, where precession changes its sense |
     | wobbling stops begin | δ_c2 = 0.7532… (`planar.critical_delta`); order 1: none |
 
-    The line is that of residual rotation, {w, 0, 0}. A share that grows continuously from 0 is not
-    seen in the sample while it is below `hidden`; then both ends of the bracket lie on the side of
-    δ where the outcome occurs. At δ_c2 the share jumps, and the bracket contains δ.
+    The line is the residual line {w, 0, 0}. A share that grows continuously from 0 is invisible in
+    the sample while it is below `hidden`; then both ends of the bracket lie on the side of δ where
+    the outcome occurs. At δ_c2 the share jumps, and the bracket contains δ.
 
     Args:
         continuation: a continuation in delta.
@@ -323,13 +323,13 @@ def thresholds(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> list[Thr
 def _events(
     level: Level, branches: Branches, stable: Bool[np.ndarray, "values"]
 ) -> Iterator[tuple[str, Outcome, float]]:
-    """Name, outcome and δ of every event at a level, by the theory."""
+    """Yield name, outcome and δ of every event at a level, by the theory."""
     yield "stops end", Outcome.STOP, 0.0
     if level.consistent:
         yield "wobbling stops begin", Outcome.STOP, planar.critical_delta()
     for k in np.flatnonzero(np.diff(stable)):
         low, high = branches.delta[k : k + 2]
-        # The root may be a value of the grid, up to rounding: so extend the bracket a little.
+        # The root may equal a value of the grid up to rounding, so extend the bracket a little.
         margin = (high - low) / 1000
         low, high = np.clip([low - margin, high + margin], *branches.delta[[0, -1]]).tolist()
         delta = threshold(lambda d: equation_at(level, d), branches.w, low, high)
@@ -339,7 +339,7 @@ def _events(
 def _nearest_change(
     x: Float[np.ndarray, "v"], flags: Bool[np.ndarray, "v"], delta: float
 ) -> tuple[float, float]:
-    """The two neighbouring values, nearest to δ, between which the flag changes."""
+    """Return the neighbouring values nearest to δ between which the flag changes."""
     changes = np.flatnonzero(np.diff(flags)).tolist()
     if not changes:
         return float("nan"), float("nan")
@@ -348,7 +348,7 @@ def _nearest_change(
 
 
 def _chosen(levels: Levels) -> tuple[Level, ...]:
-    """One level or several, each once."""
+    """Return one level or several as a tuple, each once."""
     chosen = names_of("levels", levels)
     if not chosen or len(set(chosen)) < len(chosen) or not set(chosen) <= set(Level):
         refuse("levels", f"name some of {', '.join(Level)}, each once", f"is {levels!r}")

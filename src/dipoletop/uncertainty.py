@@ -1,7 +1,7 @@
-"""Uncertain parameters carried to the fate: a covariance or ranges, to ω∞ and the outcome.
+"""Propagation of uncertain parameters, with a covariance or ranges, to ω∞ and the outcome.
 
-`propagate` compares the first order, Var ω∞ ≈ gᵀCg, with random draws; `sobol` splits the variance
-over the parameters. All runs of a call go into one sweep or two.
+`propagate` compares the first order, Var ω∞ ≈ gᵀCg, with random draws; `sobol` attributes the
+variance to the parameters. A call makes one sweep or two.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,11 +25,11 @@ from ._maps.sweep import sweep
 from ._runs.classification import UNCHECKED
 from .boundary import Fate, fate
 
-ALSO = ("value", "progress")  # settings of `sweep` that may be given, besides those of the runs
-STORED = (*ALSO, "store", "repair")  # and those of a call that makes a single sweep
+ALSO = ("value", "progress")  # settings of `sweep` that are allowed besides the settings of runs
+STORED = (*ALSO, "store", "repair")  # and if a call makes a single sweep
 RESAMPLES = 400  # of the bootstrap
-ASYMMETRY = 1e-10  # of a covariance, in units of the standard deviations: larger than rounding
-NEGATIVE = 1e-12  # eigenvalue that rounding may leave of 0, for each dimension
+ASYMMETRY = 1e-10  # allowed in a covariance, in units of the standard deviations
+NEGATIVE = 1e-12  # size of a negative eigenvalue allowed for rounding, for each dimension
 
 
 class Estimate(NamedTuple):
@@ -58,13 +58,13 @@ class Propagation:
     """The consequences of a covariance of the parameters for ω∞ and for the outcome.
 
     Attributes:
-        omega_inf: ω∞ at the mean; 0 for a stop, NaN where it is not known.
+        omega_inf: ω∞ at the mean; 0 for a stop, NaN if unknown.
         gradient: g = ∂ω∞/∂x at the mean, by name.
         linear_std: √(gᵀCg), the standard deviation of ω∞ to first order.
         shares: probability of every outcome that occurs, with 95 % intervals (Wilson).
-        other: probability of another fate than that of the mean: another outcome, ω∞ of the
-            other sign, another kind of stop. A fate that is not known counts as another.
-        mean: mean of the signed ω∞ of the draws that end RESIDUAL; NaN if none does.
+        other: probability of a fate that differs from the fate at the mean: another outcome, sign
+            of ω∞ or kind of stop. An unknown fate counts as different.
+        mean: mean of the signed ω∞ of RESIDUAL draws; NaN if there are none.
         std: their standard deviation; NaN for fewer than two.
 
     Property: `trusted`, whether `linear_std` may be used.
@@ -80,7 +80,7 @@ class Propagation:
 
     @property
     def trusted(self) -> bool:
-        """Whether `linear_std` may be used: it is known, and no draw has another fate."""
+        """Whether `linear_std` may be used: it is known, and no draw has a different fate."""
         return bool(np.isfinite(self.linear_std)) and self.other.count == 0
 
     def __repr__(self) -> str:
@@ -92,13 +92,13 @@ class SobolIndices:
     """The shares of the variance of a fate that each parameter causes, alone or with others.
 
     Attributes:
-        target: the number that varies: "omega_inf" or "residual".
+        target: the target f: "omega_inf" or "residual".
         first: S = Var E(f | x) / Var f, by name.
         total: T = 1 − Var E(f | all but x) / Var f, by name.
         mean: E f.
         variance: Var f.
         runs: number of runs.
-        unknown: share of them whose target is not known (UNDECIDED, FAILED).
+        unknown: share of runs with an unknown target (UNDECIDED, FAILED).
     """
 
     target: str
@@ -122,24 +122,24 @@ def propagate(
     seed: int = 0,
     **settings: Any,
 ) -> Propagation:
-    """Var ω∞ ≈ gᵀCg with g = ∂ω∞/∂x, and the same without that approximation from random draws.
+    """Compute Var ω∞ ≈ gᵀCg with g = ∂ω∞/∂x, and without linearisation from random draws.
 
     Args:
-        problem: a function of the parameters x, by name, that gives the equation and the start.
+        problem: a function from the parameters x, by name, to the equation and the start.
         mean: name = value of x.
         covariance: C, shape (m, m), in the order of `mean`; it may be singular.
-        n: number of draws x ~ N(mean, C); one that the problem refuses is FAILED.
-        seed: of the draws; the i-th depends on (seed, i) only.
-        settings: rtol, atol, max_steps, devices, engine, value and progress, as in `sweep`; for
-            the draws `value` is "unchecked" unless it is given, since a statistic needs no
-            estimate of the error of each ω∞.
+        n: number of draws x ~ N(mean, C); a draw that the problem refuses is FAILED.
+        seed: seed of the draws; draw i depends on (seed, i) only.
+        settings: rtol, atol, max_steps, devices, engine, value and progress, as in `sweep`. For
+            the draws the default of `value` is "unchecked", since statistics do not need the
+            estimated error of each ω∞.
 
     Returns:
-        A `Propagation`. Near a basin boundary, where draws have several fates, ω∞ is no linear
+        A `Propagation`. Near a basin boundary, where draws have several fates, ω∞ is not a linear
         function of x, and `trusted` is False.
 
     Raises:
-        ValueError: a mean that is not finite, a matrix that is no covariance, bad settings.
+        ValueError: a mean that is not finite, a matrix that is not a covariance, bad settings.
 
     Source: the first order of the law of propagation of uncertainty (GUM, JCGM 100), and its
         Monte Carlo supplement (JCGM 101).
@@ -178,7 +178,7 @@ def propagate(
 def _normal_draw(
     means: dict[str, float], root: Float[Array, "m m"]
 ) -> Callable[[Array], dict[str, Array]]:
-    """From a random key to parameters from N(mean, RRᵀ)."""
+    """Return a function from a random key to parameters x ~ N(mean, RRᵀ)."""
     centre = jnp.asarray(list(means.values()))
 
     def draw(key: Array) -> dict[str, Array]:
@@ -189,9 +189,9 @@ def _normal_draw(
 
 
 def _root(covariance: Any, m: int) -> Float[Array, "m m"]:
-    """R with RRᵀ = C."""
+    """Return R with RRᵀ = C."""
     matrix = np.asarray(finite("covariance", covariance, (m, m), batch=False))
-    # In units of the standard deviations, so that the units of the parameters do not matter.
+    # Scaled by the standard deviations, so that the units of the parameters do not matter.
     units = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
     values, vectors = np.linalg.eigh(matrix / np.outer(units, units))
     must = "be symmetric without a negative eigenvalue"
@@ -203,7 +203,7 @@ def _root(covariance: Any, m: int) -> Float[Array, "m m"]:
 
 
 def _mean_and_std(values: Float[np.ndarray, "n"]) -> tuple[Estimate, Estimate]:
-    """Mean and standard deviation; var s² = (μ₄ − s⁴)/n for any distribution, n large."""
+    """Return mean and standard deviation with errors, from Var s² = (μ₄ − s⁴)/n for large n."""
     n = len(values)
     mean, error = mean_and_error(values)
     estimate = Estimate(float(mean), float(error))
@@ -226,26 +226,29 @@ def sobol(
     most_unknown: float = 0.01,
     **settings: Any,
 ) -> SobolIndices:
-    """Sᵢ = Var E(f | xᵢ) / Var f and Tᵢ = 1 − Var E(f | all but xᵢ) / Var f, x uniform in a box.
+    """Compute Sᵢ = Var E(f | xᵢ) / Var f and Tᵢ = 1 − Var E(f | all but xᵢ) / Var f in a box.
+
+    The parameters x are independent and uniform in the box.
 
     Args:
-        problem: a function of the parameters x, by name, that gives the equation and the start.
-        bounds: name = (low, high) of each of the m parameters, which vary independently.
+        problem: a function from the parameters x, by name, to the equation and the start.
+        bounds: name = (low, high) for each of the m parameters.
         n: a power of two; n (m + 2) runs are made, in one sweep.
-        seed: of the scrambled Sobol sequence and of the bootstrap.
+        seed: seed of the scrambled Sobol sequence and of the bootstrap.
         target: f: "omega_inf", the signed ω∞, 0 for a stop; or "residual", 1 for residual rotation
             and 0 for a stop.
-        most_unknown: largest share of runs whose target is not known. The m + 2 runs of a point
-            of the sequence are replaced by those of another point if one of them is not known.
+        most_unknown: largest allowed share of runs with an unknown target. If one of the m + 2
+            runs of a point of the sequence is unknown, another point's runs replace all of them.
         settings: rtol, atol, max_steps, devices, engine, value, progress, store and repair, as in
-            `sweep`; `value` is "unchecked" unless it is given.
+            `sweep`; the default of `value` is "unchecked".
 
     Returns:
-        A `SobolIndices`. The intervals come from a bootstrap over points, as if they were random:
-        the error of a Sobol sequence is smaller than that.
+        A `SobolIndices`. The intervals come from a bootstrap that treats the points as random; the
+        error of a Sobol sequence is smaller.
 
     Raises:
-        ValueError: n that is no power of two, an empty range, too many unknown runs, a constant f.
+        ValueError: n that is not a power of two, an empty range, too many unknown runs, a
+            constant f.
 
     Source: Saltelli et al., Comput. Phys. Commun. 181 (2010) 259, by `scipy.stats.sobol_indices`.
 
@@ -284,7 +287,7 @@ def _power_of_two(n: Any) -> int:
 
 
 def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
-    """Saltelli's matrices A, B, and A with one column of B, in the unit cube."""
+    """Return Saltelli's matrices A, B, and A with one column of B, in the unit cube."""
     from scipy.stats import qmc
 
     generator = np.random.default_rng(seed)
@@ -295,7 +298,7 @@ def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"
 
 
 def _target_values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
-    """The target of every run; NaN where it is not known."""
+    """Return the target of every run; NaN where unknown."""
     if target == "omega_inf":
         return basin.omega_inf
     known = np.isin(basin.outcome, (Outcome.RESIDUAL, Outcome.STOP))
@@ -305,7 +308,7 @@ def _target_values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
 def _replace_unknown(
     values: Float[np.ndarray, "pages n"], most_unknown: float, generator: np.random.Generator
 ) -> None:
-    """Put the runs of random other points in place of those of points with an unknown run."""
+    """Replace the runs of points with an unknown run by the runs of other, random points."""
     unknown = np.isnan(values)
     gaps = np.any(unknown, axis=0)
     if np.mean(unknown) > most_unknown or gaps.all():
@@ -318,7 +321,7 @@ def _replace_unknown(
 def _with_intervals(
     values: Float[np.ndarray, "pages n"], names: tuple[str, ...], generator: np.random.Generator
 ) -> list[dict[str, Index]]:
-    """First-order and total indices, each with its percentile interval, by name."""
+    """Return first-order and total indices, each with its percentile interval, by name."""
     n = values.shape[1]
     if np.ptp(values[:2]) == 0:
         refuse("bounds", "make the target vary", f"it is {values[0, 0]:g} everywhere")
@@ -329,7 +332,7 @@ def _with_intervals(
 
 
 def _indices(f: Float[np.ndarray, "pages 1 n"]) -> Float[np.ndarray, "2 m"]:
-    """First-order and total indices."""
+    """Return first-order and total indices."""
     from scipy.stats import sobol_indices
 
     m = len(f) - 2

@@ -1,7 +1,7 @@
-"""Checks of an installation against known values, as `dipoletop validate` runs them.
+"""Checks of an installation against known values, run by `dipoletop validate`.
 
-Every expected value is a closed form, an identity, the result of an independent method, or the
-result of an integration in extended precision.
+Every expected value is a closed form, an identity, the result of an independent method, or of an
+integration in extended precision.
 """
 
 import platform
@@ -29,7 +29,7 @@ Values = ArrayLike | Sequence[float]
 RTOL = 1e-12
 TIMES = np.array([0.0, 10.0, 100.0, 1000.0, 10_000.0])
 STATES = 64  # random states at which an identity is checked
-MANY = 4096  # starts of every batch: with equal sizes the engine compiles once
+MANY = 4096  # starts of every batch: the engine compiles once for equal sizes
 
 # Order 1, δ = −1/5, ω⊥ = ω₃ = 1/5: the orbits of figure 2 at `TIMES` after the first.
 RESIDUAL_ORBIT = (
@@ -55,7 +55,7 @@ class Check(NamedTuple):
     expected: float
     found: float
     scale: float
-    """The size to which the error is relative."""
+    """The scale of the error."""
     tolerance: float
 
     @property
@@ -76,7 +76,7 @@ class Check(NamedTuple):
 
 
 def environment() -> str:
-    """Versions of Python and packages, and JAX's devices, in one line."""
+    """Return the versions of Python and packages, and JAX's devices, in one line."""
     names = ("dipoletop", "jax", "jaxlib", "diffrax", "equinox", "numpy")
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     devices = ", ".join(f"{device.platform}:{device.id}" for device in jax.devices())
@@ -84,31 +84,31 @@ def environment() -> str:
 
 
 def run() -> Iterator[Check]:
-    """All checks, one by one; one that raises an exception is a failed check with its message."""
+    """Yield all checks; an exception becomes a failed check with its message."""
     for check in CHECKS:
         try:
             yield from check()
-        except Exception as error:  # whatever it is, the check shows it
+        except Exception as error:  # of any type: the check shows it
             reason = str(error).strip().splitlines()
             name = f"{check.__name__}: {reason[0] if reason else type(error).__name__}"
             yield Check(name, np.nan, np.nan, 1.0, 0.0)
 
 
 def _worst(name: str, expected: Values, found: Values, *, scale: float, tolerance: float) -> Check:
-    """The check of the component with the largest error, or of the first that is not a number."""
+    """Return the check of the component with the largest error, or of the first NaN."""
     expected, found = np.ravel(np.asarray(expected)), np.ravel(np.asarray(found))
     worst = int(np.argmax(np.abs(found - expected)))
     return Check(name, float(expected[worst]), float(found[worst]), scale, tolerance)
 
 
 def float64() -> list[Check]:
-    """Arithmetic is in double precision."""
+    """Check that arithmetic is in double precision."""
     spacing = float(jnp.asarray(1.0) + 2.0**-52) - 1
     return [Check("double precision: (1 + 2⁻⁵²) − 1", 2.0**-52, spacing, 2.0**-52, 0.0)]
 
 
 def figure_2() -> list[Check]:
-    """The two orbits of the paper's figure 2."""
+    """Check the two orbits of the paper's figure 2."""
     checks = []
     for part, phi, orbit in (("a", np.pi / 30, RESIDUAL_ORBIT), ("b", np.pi / 3, STOPPING_ORBIT)):
         run = simulate(TransverseReduced(-0.2), cylindrical(0.2, 0.2, phi), TIMES, rtol=RTOL)
@@ -120,14 +120,14 @@ def figure_2() -> list[Check]:
 
 
 def residual_rotation() -> list[Check]:
-    """ω∞ of the run of figure 2a."""
+    """Check ω∞ of the run of figure 2a."""
     result = classify(TransverseReduced(-0.2), cylindrical(0.2, 0.2, np.pi / 30), rtol=RTOL)
     expected, name = RESIDUAL_ROTATION, "figure 2a, residual rotation ω∞"
     return [Check(name, expected, float(result.omega_inf), expected, 1e-9)]
 
 
 def exact_solutions() -> list[Check]:
-    """Motions with closed forms."""
+    """Check motions with closed forms."""
     order_1, semi = TransverseReduced, TransverseSemi
     cases = (
         ("rotator (2.4), order 1", order_1, 0.3, (0.0, 0.5, 0.0)),
@@ -145,7 +145,7 @@ def exact_solutions() -> list[Check]:
 
 
 def sphere() -> list[Check]:
-    """δ = 0: ω₁ is constant, so ω∞ = ω₁ at the start."""
+    """Check ω∞ at δ = 0: ω₁ is constant, so ω∞ = ω₁ at the start."""
     starts = _starts(1)
     found = classify_many(TransverseReduced(0.0), starts).omega_inf
     name = f"sphere δ = 0, ω∞ of {MANY} starts"
@@ -170,7 +170,7 @@ CLOSED_FORMS: tuple[tuple[str, Callable[..., Equation], Callable[..., Equation]]
 
 
 def closed_forms() -> list[Check]:
-    """The closed forms of section 4 against the equation of motion of a general body."""
+    """Check the closed forms of section 4 against the equation of motion of a general body."""
     checks = []
     for level, special, general in CLOSED_FORMS:
 
@@ -186,7 +186,7 @@ def closed_forms() -> list[Check]:
 
 
 def energy_balance() -> list[Check]:
-    """Full equation: d/dτ(E − d₁·d₂) = −|d₂|² at every state."""
+    """Check the full equation: d/dτ(E − d₁·d₂) = −|d₂|² at every state."""
 
     def rates(delta: Array, y: Array) -> tuple[Array, Array]:
         equation = TransverseFull(delta)
@@ -207,7 +207,7 @@ def energy_balance() -> list[Check]:
 
 
 def engine() -> list[Check]:
-    """The engine that computes maps, against single runs through diffrax."""
+    """Check the engine that computes maps against single runs through diffrax."""
     few = slice(0, MANY, 32)
     starts, deltas = _starts(2), jnp.linspace(-0.45, 0.2, MANY)
     many = jax.tree.map(lambda x: x[few], classify_many(TransverseReduced(deltas), starts))
@@ -220,7 +220,7 @@ def engine() -> list[Check]:
 
 
 def residual_share() -> list[Check]:
-    """The share of residual rotation, which must agree within four standard errors."""
+    """Check the share of residual rotation within four standard errors."""
     outcome = classify_many(TransverseReduced(-0.2), _starts(3)).outcome
     share = float(np.mean(outcome == Outcome.RESIDUAL))
     spread = np.sqrt(RESIDUAL_SHARE * (1 - RESIDUAL_SHARE) * (1 / MANY + 1 / 200_000))

@@ -98,7 +98,7 @@ def test_shares_are_means_over_the_other_axes(store):
 
 
 def test_what_is_not_computed_yet_is_no_outcome(unfinished):
-    with pytest.raises(dt.StoreMismatch, match="lacks 1 of 6 tiles"):
+    with pytest.raises(dt.StoreMismatch, match="is missing 1 of 6 tiles"):
         dt.Basin.load(unfinished)
     basin = dt.Basin.load(unfinished, unfinished=True)
     missing = basin.outcome == -128

@@ -98,7 +98,7 @@ def of_worker(tmp_path, processes, preload):
     return line.removeprefix("Error: ")
 
 
-LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} lacks it."
+LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} is without it."
 
 
 @pytest.mark.system

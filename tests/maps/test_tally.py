@@ -116,7 +116,7 @@ def test_a_tally_resumes_and_counts_each_tile_once(tmp_path):
     partial = Tally.load(place, unfinished=True)
     assert 0 < partial.starts < alone.starts
     with pytest.raises(
-        dt.StoreMismatch, match=r"hold a finished tally, but .* lacks 7 of 21 tiles"
+        dt.StoreMismatch, match=r"hold a finished tally, but .* is missing 7 of 21 tiles"
     ):
         Tally.load(place)
     assert dt.tally(problem, GRID, store=place, **settings) == alone
@@ -152,7 +152,7 @@ def test_a_tally_and_a_basin_are_not_mixed_up(tmp_path):
     dt.sweep(of_sample, SAMPLE, store=tmp_path / "b.zarr")
     with pytest.raises(dt.StoreMismatch, match=r"t.zarr is a tally \(`Tally.load` reads it\)"):
         dt.Basin.load(tmp_path / "t.zarr")
-    with pytest.raises(dt.StoreMismatch, match=r"b.zarr is none \(`Basin.load` reads a basin\)"):
+    with pytest.raises(dt.StoreMismatch, match=r"b.zarr is not one \(`Basin.load` reads a basin\)"):
         Tally.load(tmp_path / "b.zarr")
 
 

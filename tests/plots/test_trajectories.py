@@ -59,7 +59,7 @@ def test_a_level_without_a_verdict_has_no_asymptote():
 def test_a_batch_of_trajectories_is_refused():
     run = dt.simulate(dt.TransverseAveraged(-0.2), dt.cylindrical(0.2, 0.2, 1.0), [0.0, 1.0, 2.0])
     batch = replace(run, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
-    with pytest.raises(ValueError, match="must be that of one top, but has times of shape"):
+    with pytest.raises(ValueError, match="must describe one top, but has times of shape"):
         plots.trajectory(batch)
 
 

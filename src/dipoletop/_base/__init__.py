@@ -1,1 +1,1 @@
-"""Words and tools that every other part shares; no physics in them."""
+"""Types and tools that all other parts use; no physics."""

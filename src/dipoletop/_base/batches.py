@@ -8,14 +8,14 @@ import equinox as eqx
 
 
 def over_batch(axes: Callable[[Any], int]) -> Callable[[Any], Any]:
-    """A decorator for methods of objects that `jax.vmap` may give batch axes in front.
+    """Return a decorator for methods of objects to which `jax.vmap` may add leading batch axes.
 
     Args:
-        axes: gives the number of batch axes of an object; it may refuse the object, too.
+        axes: function that returns the number of batch axes of an object, or refuses it.
 
     Returns:
-        The decorator. Of a batch, the method is called for each object by `vmap`, and its result
-        has the batch axes in front.
+        The decorator. For a batch, `vmap` calls the method for each object, and the result has the
+        batch axes in front.
     """
 
     def decorate(method: Any) -> Any:

@@ -13,12 +13,12 @@ Bound = Float[Array, "*lanes"]
 def bisect(
     passed: Callable[[Bound], Bool[Array, "*lanes"]], low: Bound, high: Bound, halvings: int
 ) -> tuple[Bound, Bound]:
-    """Enclose the point at which `passed` turns from False to True, in a bracket halved n times.
+    """Return a bracket, halved n times, of the point where `passed` turns from False to True.
 
     The result has no useful derivative: add a step of Newton's method to get one.
 
     Args:
-        passed: whether x lies at or above that point; False where its values are NaN.
+        passed: function of x: whether x lies at or above that point; False for NaN.
         low: a lower bound.
         high: an upper bound, of the same shape.
         halvings: the number n of halvings.
@@ -39,9 +39,9 @@ def bisect(
 def root(
     function: Callable[[Bound], Bound], low: Bound, high: Bound, halvings: int
 ) -> Float[Array, "*lanes"]:
-    """The zero of a function of each lane that is negative at `low` and positive at `high`.
+    """Return the zero in each lane of a function, negative at `low` and positive at `high`.
 
-    By bisection, with the derivatives that follow from the theorem of implicit functions.
+    It is found by bisection, and differentiated by the implicit function theorem.
     """
     x = jax.lax.stop_gradient(sum(bisect(lambda x: function(x) >= 0, low, high, halvings)) / 2)
     value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))

@@ -21,14 +21,14 @@ class CollocationRule(NamedTuple):
     nodes: np.ndarray
     """The n nodes, from 0 to 1, shape (n,)."""
     integrals: np.ndarray
-    """A: from values to the integrals from 0 to each node, shape (n, n)."""
+    """The matrix A from values to the integrals from 0 to each node, shape (n, n)."""
     coefficients: np.ndarray
-    """From values to Chebyshev coefficients on [−1, 1], shape (n, n)."""
+    """The matrix from values to Chebyshev coefficients on [−1, 1], shape (n, n)."""
 
 
 @functools.cache
 def collocation_rule(n: int) -> CollocationRule:
-    """The rule with n Chebyshev nodes of the second kind on [0, 1]."""
+    """Return the rule with n Chebyshev nodes of the second kind on [0, 1]."""
     x = -np.cos(np.pi * np.arange(n) / (n - 1))
     polynomial = np.polynomial.chebyshev
     coefficients = np.linalg.inv(polynomial.chebvander(x, n - 1))
@@ -37,7 +37,7 @@ def collocation_rule(n: int) -> CollocationRule:
 
 
 def chebyshev_sum(coefficients: Float[Array, "n"], t: Real) -> Real:
-    """The sum of cᵢTᵢ(t), −1 ≤ t ≤ 1, by Clenshaw's recurrence."""
+    """Return the sum of cᵢTᵢ(t), −1 ≤ t ≤ 1, by Clenshaw's recurrence."""
 
     def step(carry: tuple[Real, Real], coefficient: Real) -> tuple[tuple[Real, Real], None]:
         first, second = carry

@@ -1,4 +1,4 @@
-"""Checks of arguments: a bad value that is known raises; one that is traced becomes NaN."""
+"""Checks of arguments: a bad known value raises an error; a bad traced value becomes NaN."""
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,24 +17,24 @@ from .forks import refuse_orphan
 LONGEST = 2000  # characters of a value that a message shows
 FLAG = (bool, np.bool_)
 NumberLike = float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""]
-"""A real number as a user may give it."""
+"""A real number as an argument."""
 ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."]
-"""Real numbers as a user may give them: an array of JAX or of NumPy, or nested sequences."""
+"""Real numbers as an argument: an array of JAX or of NumPy, or nested sequences."""
 
 
 def concrete(*values: Any) -> bool:
-    """Whether every leaf is a value, not a tracer."""
+    """Return whether every leaf is a value, not a tracer."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
 def one_line(value: Any) -> str:
-    """A value as text on one line, cut if it is long."""
+    """Return a value as text on one line, cut if it is long."""
     shown = " ".join(str(value).split())  # some values print over many lines
     return shown[:LONGEST] + " …" if len(shown) > LONGEST else shown
 
 
 def refusal(name: str, must: str, was: Any) -> str:
-    """The one grammar of refusals: Argument `name` must …, but …."""
+    """Return the message of a refusal: "Argument `name` must …, but …."."""
     return f"Argument `{name}` must {must}, but {one_line(was)}."
 
 
@@ -44,7 +44,7 @@ def refuse(name: str, must: str, was: Any) -> NoReturn:
 
 
 def described(value: Any) -> str:
-    """A few words on a value of a wrong kind."""
+    """Return a short description of a value of a wrong type."""
     if isinstance(value, type):
         return f"is the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
@@ -53,19 +53,19 @@ def described(value: Any) -> str:
 
 
 def instance(name: str, value: Any, kind: Any, must: str = "") -> Any:
-    """`value`, if it is an instance of `kind`; else a refusal."""
+    """Return `value`; refuse it if it is not an instance of `kind`."""
     if not isinstance(value, kind):
         refuse(name, must or f"be a {kind.__name__}", described(value))
     return value
 
 
 def flag(name: str, value: Any) -> bool:
-    """True or False; a value that merely counts as one is refused."""
+    """Return a boolean; refuse a value that is merely truthy or falsy."""
     return bool(instance(name, value, FLAG, "be True or False"))
 
 
 def names_of(name: str, value: Any) -> tuple[str, ...]:
-    """One name, or several of them."""
+    """Return one name, or several names, as a tuple."""
     if isinstance(value, str):
         return (value,)
     must = "be a name or a sequence of names"
@@ -75,10 +75,10 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
 def real(
     name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True, xp: Any = jnp
 ) -> Any:
-    """`value` as a float array of the natural `shape`, or (if `batch`) one more axis in front.
+    """Return `value` as a float array of `shape`, or (if `batch`) with one more axis in front.
 
-    A length of -1 in `shape` stands for any length. `xp` is `jax.numpy`, or NumPy where the value
-    is known, which copies nothing that is an array of floats already.
+    A length of -1 in `shape` stands for any length. `xp` is `jax.numpy`, or NumPy for known values,
+    which does not copy an array of floats.
     """
     refuse_orphan()  # here, since every computation checks its numbers first
     wanted = str(shape).replace("-1", "n")
@@ -108,7 +108,7 @@ def real(
 
 
 def on_device(value: Any) -> Any:
-    """Make an array of JAX, of known numbers by a copy.
+    """Return an array of JAX; known numbers are copied.
 
     `jnp.asarray` would compile a program for each new shape of a NumPy array.
     """
@@ -121,17 +121,17 @@ def on_device(value: Any) -> Any:
 
 
 def on_host(array: Any) -> Any:
-    """Give known numbers as an array of NumPy, where operations compile nothing."""
+    """Return known numbers as an array of NumPy, whose operations compile nothing."""
     return np.asarray(array) if concrete(array) else array
 
 
 def namespace(*arrays: Any) -> Any:
-    """NumPy if all arrays are NumPy's, else `jax.numpy`."""
+    """Return the module `numpy` if all arrays are NumPy's, else `jax.numpy`."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
 def or_nan(value: Any, valid: Any) -> Any:
-    """`value` where `valid`, else NaN, and so are its derivatives.
+    """Return `value` where `valid`, else NaN, with derivatives NaN, too.
 
     `jnp.where(valid, value, nan)` would have derivatives of 0 in reverse mode.
     """
@@ -144,7 +144,7 @@ def where_valid(
     valid: Bool[Array, "..."] | Bool[np.ndarray, "..."] | np.bool_,
     must: str,
 ) -> Any:
-    """`value`, if all of it is `valid`; else a refusal, or NaN where it is traced.
+    """Return `value`; where it is not `valid`, refuse a known value and make a traced one NaN.
 
     `valid` broadcasts from the left.
     """
@@ -165,7 +165,7 @@ def _some(values: np.ndarray) -> str:
 def finite(
     name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
 ) -> Float[Array, "..."]:
-    """A real array without NaN or inf."""
+    """Return a real array without NaN or inf."""
     array = real(name, value, shape, batch=batch)
     known = on_host(array)
     return where_valid(name, array, namespace(known).isfinite(known), "be finite")
@@ -174,16 +174,16 @@ def finite(
 def positive(
     name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
 ) -> Float[Array, "..."]:
-    """A real array of finite numbers above 0."""
+    """Return a real array of finite numbers above 0."""
     array = finite(name, value, shape, batch=batch)
     return where_valid(name, array, on_host(array) > 0, "be positive")
 
 
 def subnormal(array: Any) -> np.ndarray:
-    """Which numbers are subnormal; in NumPy.
+    """Return a NumPy mask of the subnormal numbers.
 
-    On processors JAX takes them for 0, so that a start near an axis would get the verdict on a
-    start *exactly* on it.
+    On CPUs JAX flushes them to 0, so that a start near an axis would get the verdict of a start
+    *exactly* on it.
     """
     values = np.asarray(array)
     return (values != 0) & (np.abs(values) < np.finfo(values.dtype).tiny)
@@ -200,12 +200,12 @@ def check_equation(equation: Any, name: str = "equation") -> None:
 
 
 def _has_method(value: Any, name: str) -> bool:
-    """Whether the class has it, which is looked up sooner than in the object itself, or that."""
+    """Return whether the class (faster to look up) or the object has the method."""
     return callable(getattr(type(value), name, None)) or callable(getattr(value, name, None))
 
 
 def check_verdict(equation: Any, name: str = "equation") -> None:
-    """Refuse a value that is no equation, or an equation without a `verdict`."""
+    """Refuse a value that is not an equation, or an equation without a `verdict`."""
     check_equation(equation, name)
     if not _has_method(equation, "verdict"):
         refuse(
@@ -222,7 +222,7 @@ def check_body(equation: Any) -> None:
 
 
 def is_single(equation: Any) -> bool:
-    """Whether the equation maps one state to one rate of the same shape; a batch does not."""
+    """Return whether the equation maps one state to a rate of its shape, unlike a batch."""
     leaves, structure = jax.tree.flatten(equation)
     is_array = [isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves]
     kinds = tuple(
@@ -242,8 +242,8 @@ def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
     try:
         y, change = eqx.filter_eval_shape(rate, equation)
     except (TypeError, ValueError):  # as JAX raises where shapes do not fit
-        # All arrays of a batch have its axis in front, and each equation of it fits one state.
-        # Otherwise the fault is the equation's own, and its author is to see it.
+        # In a batch all arrays have the batch axis in front, and each equation fits one state.
+        # Otherwise the fault is in the equation, and its author should see it.
         lengths = {kind.shape[:1] for kind in kinds if isinstance(kind, jax.ShapeDtypeStruct)}
         if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
             raise
@@ -260,7 +260,7 @@ def _fits(function: Callable[[Any], Any], equation: Any) -> bool:
 
 
 def check_single(equation: Any) -> None:
-    """Refuse a value that is no equation, and a batch of equations."""
+    """Refuse a value that is not an equation, and a batch of equations."""
     check_equation(equation)
     if not is_single(equation):
         batch = "is a batch of them (`jax.vmap`, `classify_many` and `sweep` take one)"
@@ -268,12 +268,12 @@ def check_single(equation: Any) -> None:
 
 
 def is_whole_state(omega0: Any) -> bool:
-    """Whether an argument is a state of an equation, rather than a start ω₀ of shape (3,)."""
+    """Return whether an argument is a whole state rather than a start ω₀ of shape (3,)."""
     return real("omega0", omega0, (-1,), batch=False).shape != (3,)
 
 
 def known_start(omega0: Any) -> Float[np.ndarray, "3"]:
-    """A start ω₀ whose numbers are known, in NumPy."""
+    """Return a known start ω₀ as an array of NumPy."""
     start = real("omega0", omega0, (3,), batch=False, xp=np)
     where_valid("omega0", start, np.isfinite(start), "be finite")
     _refuse_subnormal(start)
@@ -288,7 +288,7 @@ def _refuse_subnormal(omega0: Any) -> None:
 
 
 def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
-    """The initial state: lifted from ω₀, or a whole state as it is."""
+    """Return the initial state: lifted from ω₀, or a given whole state unchanged."""
     like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
     shape = jax.eval_shape(equation.lift, like).shape
     initial = finite("omega0", omega0, (-1,), batch=False)
@@ -303,7 +303,7 @@ def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
 
 
 def numbers_by_name(name: str, values: Any) -> dict[str, float]:
-    """A dict of finite numbers, at least one."""
+    """Return named numbers as a dict of finite floats, at least one."""
     if not isinstance(values, Mapping) or not values:
         refuse(name, "be a dict of named numbers", f"is {values!r}")
     return {
@@ -312,7 +312,7 @@ def numbers_by_name(name: str, values: Any) -> dict[str, float]:
 
 
 def corners_of_box(name: str, bounds: Any) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """The lower and the upper corner of a box, a dict of pairs (low, high)."""
+    """Return the lower and the upper corner of a box, a dict of pairs (low, high)."""
     if not isinstance(bounds, Mapping) or not bounds:
         refuse(name, "be a dict of pairs (low, high)", f"is {bounds!r}")
     pairs = []

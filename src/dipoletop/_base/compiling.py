@@ -17,21 +17,22 @@ from .digests import digest
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 CPU_OPTIONS: dict[str, Any] = {}
-"""Options of every program for processors: the older emitters compile in half the time."""
+"""Options of every program for CPUs: the older emitters compile in half the time."""
 if version("jaxlib").startswith("0.10."):
     CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 COMPILED_SOON: dict[str, Any] = CPU_OPTIONS | {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
 }
-"""Options of programs that run for milliseconds and would be compiled for seconds."""
+"""Options of programs that run for milliseconds but would take seconds to compile."""
 
 
 def compiled_soon(function: Function) -> Function:
-    """Make `eqx.filter_jit(function)`, compiled with `COMPILED_SOON` where that is allowed.
+    """Return `eqx.filter_jit(function)`, compiled with `COMPILED_SOON` where that is allowed.
 
-    A call from the host on processors has these options: it is compiled two to three times sooner,
-    and runs as fast within some ten per cent. A call in a trace belongs to a program of the user.
+    A call from the host on CPUs uses these options: compilation is two to three times faster, and
+    the run time is the same within some ten per cent. A call in a trace belongs to a user's
+    program, which has options of its own.
     """
     jit: Any = eqx.filter_jit
     in_trace, on_host = jit(function), jit(function, compiler_options=COMPILED_SOON)
@@ -51,29 +52,29 @@ def compiled_soon(function: Function) -> Function:
 
 
 def _is_host_call(*arguments: Any) -> bool:
-    """Whether no trace is going on, not even one that the arguments do not depend on."""
+    """Return whether no trace is active, even one on which the arguments do not depend."""
     if jax.default_backend() != "cpu" or not concrete(arguments):
         return False
     return not isinstance(jax.device_put(np.float32(0)), Tracer)
 
 
-KEPT = 64  # programs of users' functions
+KEPT = 64  # largest number of kept programs of users' functions
 _programs: dict[bytes, jax.stages.Compiled] = {}
 _lock = threading.Lock()
 
 
 class CompiledPrograms:
-    """Compiled programs of one function of arrays, for processors, by the shapes of its arguments.
+    """Compiled programs of one function of arrays, for CPUs, by the shapes of its arguments.
 
-    A function is traced for each instance, so that what it refers to may have changed; but equal
-    programs are compiled once in a process. One with a callback to Python is not shared.
+    A function is traced again for each instance, since values that it refers to may have changed.
+    Equal programs are compiled once in a process, except those with a callback to Python.
     """
 
     def __init__(self) -> None:
         self._own: dict[Any, jax.stages.Compiled] = {}
 
     def __call__(self, function: Callable[[Any], list[Any]], arguments: Any) -> list[Any]:
-        """The function of these arguments, a list of arrays."""
+        """Return the function's value at these arguments, a list of arrays."""
         leaves, structure = jax.tree.flatten(arguments)
         key = structure, tuple((x.shape, x.dtype) for x in leaves)
         with _lock:
@@ -88,7 +89,7 @@ def _compiled(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
         return lowered.compile(COMPILED_SOON)
     key = digest(text.encode())
     program = _programs.pop(key, None) or lowered.compile(COMPILED_SOON)
-    _programs[key] = program  # behind all that were used earlier
+    _programs[key] = program  # at the end: the most recently used
     while len(_programs) > KEPT:
         del _programs[next(iter(_programs))]
     return program

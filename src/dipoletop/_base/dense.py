@@ -1,9 +1,9 @@
-"""Dense linear systems with some dozen unknowns; on a CPU a batch is solved one by one.
+"""Dense linear systems with some dozen unknowns; on a CPU a batch is solved in sequence.
 
 `jnp.linalg.solve` must not have a batch on a CPU. With jaxlib 0.10 XLA runs independent operations
 of a program on the threads of a pool. Each batched call of LAPACK hands its systems to the same
-pool (`ParallelBatchMap`) and waits for them, on one of its threads. As many such calls at once as
-there are threads wait for ever:
+pool (`ParallelBatchMap`) and waits for them on one of its threads. If there are as many such calls
+as threads, all wait for ever:
 
     m = jnp.broadcast_to(jnp.eye(96) + 0.01, (8, 4, 96, 96))
     jax.jit(lambda m: [jnp.linalg.solve(x, x[..., :7]) for x in m])(m)  # does not return
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 @jax.custom_jvp
 def solve_dense(matrix: Float[Array, "m m"], sides: Float[Array, "m k"]) -> Float[Array, "m k"]:
-    """Solutions x of matrix x = sides; may be vmapped and differentiated."""
+    """Return the solutions x of matrix x = sides; may be vmapped and differentiated."""
     return jax.lax.platform_dependent(matrix, sides, cpu=_one_by_one, default=jnp.linalg.solve)
 
 
@@ -45,6 +45,6 @@ def _(
     if many_matrices:
         sides = jnp.broadcast_to(sides, (size, *sides.shape[-2:]))
         return jax.lax.map(lambda system: _one_by_one(*system), (matrix, sides)), True
-    columns = jnp.moveaxis(sides, 0, -1)  # a batch of sides: more columns of one system
+    columns = jnp.moveaxis(sides, 0, -1)  # right-hand sides of a batch become columns
     x = _one_by_one(matrix, columns.reshape(len(matrix), -1))
     return jnp.moveaxis(x.reshape(columns.shape), -1, 0), True

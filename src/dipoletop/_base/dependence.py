@@ -1,4 +1,4 @@
-"""Which results of a function depend on which of its arguments, as its traced program shows."""
+"""Dependence of the results of a function on its arguments, from its traced program."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,10 +8,10 @@ from jax.extend.core import Literal
 
 
 def dependence(function: Callable[..., Any], *arguments: Any) -> list[tuple[bool, ...]]:
-    """For each argument, an array, whether each leaf of the result may depend on it.
+    """Return for each argument, an array, whether each leaf of the result may depend on it.
 
-    An operation depends on all its operands, so a result may be said to depend on an argument of
-    which it does not. The converse does not happen.
+    Every operation is taken to depend on all its operands, so the answer may be a false yes, but
+    never a false no.
     """
     jaxpr = jax.make_jaxpr(lambda *x: jax.tree.leaves(function(*x)))(*arguments).jaxpr
     sources = {variable: {i} for i, variable in enumerate(jaxpr.invars)}

@@ -1,4 +1,4 @@
-"""Digests: of bytes, of arrays, and of what a function computes, whatever it is called."""
+"""Digests of bytes, of arrays, and of the computation of a function, whatever its name."""
 
 import hashlib
 import re
@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 SIZE = 16
-"""Bytes of a digest."""
+"""Length of a digest in bytes."""
 _NAME = re.compile(r'@(?:"[^"]*"|[\w.$-]+)')
-"""Names of functions in the text of a program."""
+"""Pattern of names of functions in the text of a program."""
 _PLACE = re.compile(r'jax\.result_info = "[^"]*"|backend_config = "?\d+"?')
-"""Names of results, and addresses of callbacks."""
+"""Pattern of names of results and addresses of callbacks."""
 
 
 def digest(*parts: bytes) -> bytes:
-    """Digest of byte strings, each with its length."""
+    """Return the digest of byte strings and their lengths."""
     sha = hashlib.sha256()
     for part in parts:
         sha.update(len(part).to_bytes(8, "little"))
@@ -27,7 +27,7 @@ def digest(*parts: bytes) -> bytes:
 
 
 def array_digest(*arrays: Any) -> bytes:
-    """Digest of numbers, their types and shapes."""
+    """Return the digest of numbers, their types and shapes."""
     return digest(*(part for array in arrays for part in _parts(array)))
 
 
@@ -39,7 +39,7 @@ def _parts(array: Any) -> tuple[bytes, bytes]:
 
 
 def program_digest(function: Callable[..., Any], *arguments: Any) -> bytes:
-    """Digest of what a function of arrays computes (the arguments may be shapes and types).
+    """Return the digest of the computation of a function of arrays, or of shapes and types.
 
     See `lowered_digest`.
     """
@@ -47,10 +47,10 @@ def program_digest(function: Callable[..., Any], *arguments: Any) -> bytes:
 
 
 def lowered_digest(lowered: jax.stages.Lowered) -> bytes:
-    """Digest of the text into which JAX translates a traced program, without names and places.
+    """Return the digest of the text into which JAX translates a traced program, without names.
 
-    It covers operations, shapes, types and constants, but not what a callback to Python computes.
-    Other versions of JAX may translate otherwise.
+    It covers operations, shapes, types and constants, but not the code of callbacks to Python.
+    Other versions of JAX may give another translation.
     """
     numbers: dict[str, int] = {}
 

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 
 def spread_directions(n: int) -> Float[np.ndarray, "n 3"]:
-    """The n points of a Fibonacci spiral on the unit sphere; each stands for 4π/n of it.
+    """Return the n points of a Fibonacci spiral on the unit sphere; each represents an area 4π/n.
 
-    They are isotropic as a set: the mean of a smooth function over them differs from its mean over
-    the sphere by the order of 1/n, not of 1/√n.
+    The mean of a smooth function over them differs from its mean over the sphere by O(1/n), not
+    O(1/√n).
     """
     k = np.arange(n) + 0.5
     cosine = 1 - 2 * k / n

@@ -21,7 +21,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def refuse_orphan() -> None:
-    """Refuse to compute in a process that was forked from one in which JAX had computed."""
+    """Refuse to compute in a process forked from one in which JAX had already computed."""
     if _orphan:
         raise RuntimeError(
             "A process that is forked once JAX has computed cannot compute, since JAX's threads "

@@ -1,7 +1,8 @@
 """Forward-mode derivatives of functions with while-loops, usable under reverse mode.
 
-JAX cannot transpose a loop whose length is not known beforehand. But of a function of few variables
-the whole Jacobian is cheap in forward mode, and a product with a known matrix can be transposed.
+JAX cannot transpose a loop whose length is not known beforehand. But the whole Jacobian of a
+function of few variables is cheap in forward mode, and a product with a known matrix can be
+transposed.
 """
 
 from collections.abc import Callable
@@ -14,15 +15,15 @@ Function = Callable[[Float[Array, "n"], Any], Float[Array, "..."]]
 
 
 def forward_differentiable(function: Function, *, one_by_one: bool = False) -> Function:
-    """The same function of (vector, settings), differentiable in both modes, to any order.
+    """Make a function of (vector, settings) differentiable in both modes, to any order.
 
     All derivatives come from `jax.jacfwd`, so memory does not grow with the length of the loops
     inside. The settings are constant.
 
     Args:
         function: the function.
-        one_by_one: whether values of a batch are computed one after the other, where its lanes
-            would wait for each other in every loop.
+        one_by_one: whether to compute the values of a batch in sequence, so that its lanes do not
+            wait for each other in every loop.
     """
     values = jax.custom_batching.sequential_vmap(function) if one_by_one else function
 

@@ -11,11 +11,11 @@ from .types import Real
 
 
 def safe_divisor(x: Real) -> Real:
-    """The divisor x, or 1 where x = 0: the caller selects another branch there."""
+    """Return the divisor x, or 1 where x = 0: the caller selects another branch there."""
     return jnp.where(x == 0, 1.0, x)
 
 
 def safe_sqrt(x: Real, otherwise: Real | float = 0.0) -> Real:
-    """√x where x > 0, else `otherwise`, with the derivatives of the branch that is selected."""
+    """Return √x where x > 0, else `otherwise`, with the derivatives of the selected branch."""
     positive = x > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), otherwise)

@@ -14,12 +14,12 @@ from .types import Matrix, Real, Vector
 
 
 def largest(components: Array) -> Real:
-    """The largest component, by a chain of `maximum`: XLA:CPU does not vectorise `max`."""
+    """Return the largest component, by a chain of `maximum`; XLA:CPU does not vectorise `max`."""
     return functools.reduce(jnp.maximum, list(components))
 
 
 def length(a: Vector) -> Real:
-    """|a|, without underflow of the squares."""
+    """Return |a|, without underflow of the squares."""
     sizes = jnp.abs(a)
     most = largest(sizes)
     unit = jnp.where(most > 0, most, 1.0)
@@ -28,40 +28,40 @@ def length(a: Vector) -> Real:
 
 
 def scale(s: Real, a: Vector) -> Vector:
-    """Product s a."""
+    """Return s a."""
     return jnp.stack([s * a[0], s * a[1], s * a[2]])
 
 
 def dot(a: Vector, b: Vector) -> Real:
-    """a·b."""
+    """Return a·b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """a×b."""
+    """Return a×b."""
     return jnp.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 def matvec(m: Matrix, a: Vector) -> Vector:
-    """Product m a."""
+    """Return m a."""
     return jnp.stack([dot(m[0], a), dot(m[1], a), dot(m[2], a)])
 
 
 def trace(m: Matrix) -> Real:
-    """Sum of the diagonal."""
+    """Return the sum of the diagonal."""
     return m[0, 0] + m[1, 1] + m[2, 2]
 
 
 def solve(m: Matrix, b: Vector) -> Vector:
-    """Solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
+    """Return the solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
     r0, r1, r2 = cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])
     det = dot(m[0], r0)
     return jnp.stack([(r0[i] * b[0] + r1[i] * b[1] + r2[i] * b[2]) / det for i in range(3)])
 
 
 def inverse(m: Matrix) -> Matrix:
-    """The inverse of m."""
+    """Return the inverse of m."""
     rows = jnp.stack([cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])])
     return jnp.swapaxes(rows, 0, 1) / dot(m[0], rows[0])[None, None]

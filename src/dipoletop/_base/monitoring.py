@@ -1,4 +1,4 @@
-"""Report compilations that are not JAX's own to `jax.monitoring`."""
+"""Reports to `jax.monitoring` of compilations outside JAX."""
 
 import contextlib
 import time

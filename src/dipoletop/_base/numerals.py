@@ -1,4 +1,4 @@
-"""Numbers as text and back, multiples of π among them."""
+"""Conversion of numbers, including multiples of π, to text and back."""
 
 import math
 import re
@@ -8,10 +8,10 @@ WITH_PI = re.compile(r"([+-]?)([0-9.]*)\*?pi(?:/([0-9.]+))?")
 
 
 def number_in(text: str) -> float:
-    """The finite number that a text stands for, such as 0.2, 1e-3, pi/30, 2pi or 2*pi/3.
+    """Return the finite number in a text, such as 0.2, 1e-3, pi/30, 2pi or 2*pi/3.
 
     Raises:
-        ValueError: it stands for none.
+        ValueError: the text is not a finite number.
     """
     parts = WITH_PI.fullmatch(text.strip())
     if parts:
@@ -26,7 +26,7 @@ def number_in(text: str) -> float:
 
 
 def as_text(value: float) -> str:
-    """A number to six digits; a multiple of π as such, as "2π/3"."""
+    """Return a number as text, with six digits, or as a multiple of π such as "2π/3"."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     part = Fraction(value / math.pi).limit_denominator(60)

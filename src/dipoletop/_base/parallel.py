@@ -1,4 +1,4 @@
-"""Threads for all cores and all devices, each with its own dispatch."""
+"""Worker threads for all cores and devices; each dispatches work to its own device."""
 
 import contextlib
 import functools
@@ -12,7 +12,7 @@ import jax
 
 from .checks import refuse
 
-if TYPE_CHECKING:  # for a type checker `jax.Device` is a variable, no type
+if TYPE_CHECKING:  # for a type checker `jax.Device` is a variable, not a type
     from jaxlib._jax import Device
 else:
     Device = jax.Device
@@ -21,16 +21,16 @@ T = TypeVar("T")
 _thread = threading.local()
 _busy: list[Device] = []
 stop_requested = threading.Event()
-"""Set by a handler of signals that raises KeyboardInterrupt, since Python drops an exception that
-comes in a callback, such as those of JAX at garbage collections."""
-LOOK = 1.0  # seconds until `stop_requested` is looked at again
+"""Set by a signal handler that raises KeyboardInterrupt, since Python drops an exception raised
+during a callback, such as JAX's at garbage collection."""
+LOOK = 1.0  # seconds between checks of `stop_requested`
 
 
 def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
-    """One entry for each worker thread: the device that it feeds.
+    """Return the device of each worker thread.
 
-    An accelerator is fed by one thread. A processor runs a small program on one core, so there are
-    as many threads for its devices as the process may use cores.
+    An accelerator has one thread. A CPU runs a small program on one core, so the CPU devices
+    together have as many threads as the process may use cores.
     """
     if getattr(_thread, "is_worker", False):  # it would wait for itself
         refuse(
@@ -71,7 +71,7 @@ def as_worker() -> Iterator[None]:
 
 @functools.cache
 def pool(threads: int) -> ThreadPoolExecutor:
-    """A cached pool: creating a thread costs as much as thousands of integrations."""
+    """Return a cached thread pool: making a thread costs as much as thousands of integrations."""
     return ThreadPoolExecutor(threads, "dipoletop")
 
 
@@ -80,17 +80,17 @@ if hasattr(os, "register_at_fork"):
 
 
 def workers_are_busy() -> bool:
-    """Whether a worker is at a job, for which the end of the process would wait."""
+    """Return whether a worker is running a job, for which the end of the process would wait."""
     return bool(_busy)
 
 
 class ParallelJobs(Generic[T]):
-    """Jobs on all devices: at most two for each worker are in flight, to bound memory.
+    """Jobs on all devices; at most two for each worker are in progress, to bound memory.
 
     Args:
-        task: what is done for a job on a device.
+        task: function of a job and a device.
         jobs: the jobs, which are drawn as workers become free.
-        devices: the devices, each as often as there are threads for it.
+        devices: the devices, each repeated once for each of its threads.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class ParallelJobs(Generic[T]):
         self._pending: set[Future[tuple[int, T]]] = set()
 
     def results(self) -> Iterator[tuple[int, T]]:
-        """(job, result) as the jobs are done."""
+        """Yield (job, result) as the jobs are done."""
         while True:
             self._submit()
             if not self._pending:
@@ -114,7 +114,7 @@ class ParallelJobs(Generic[T]):
                 raise KeyboardInterrupt
 
     def rest(self, seconds: float) -> Iterator[tuple[int, T]]:
-        """(job, result) of the jobs in hand that end within this time; no other is begun."""
+        """Yield (job, result) of running jobs that end within `seconds`, without beginning more."""
         self._jobs = iter(())
         self.cancel()
         done, _ = wait(self._pending, timeout=seconds)
@@ -146,7 +146,7 @@ class ParallelJobs(Generic[T]):
             self._idle.append(device)
 
     def wait(self) -> None:
-        """Until no worker is busy with these jobs."""
+        """Wait until no worker is busy with these jobs."""
         self.cancel()
         wait(self._pending)
 

@@ -1,8 +1,8 @@
-"""Files that this user keeps between processes, and that nobody else can have written.
+"""A cache of files between processes that only this user can have written.
 
-What is kept may be executed, so an entry is used only if it and its folder belong to the user and
-nobody else may write there, and if its checksum is right. Whatever goes wrong, there is simply no
-entry: a cache never makes a computation fail.
+Its content may be executed. So an entry is used only if it and its folder belong to the user,
+nobody else may write there, and its checksum is right. Any error counts as a missing entry, so that
+the cache never makes a computation fail.
 """
 
 import contextlib
@@ -17,16 +17,16 @@ from .digests import SIZE, digest
 VARIABLE = "DIPOLETOP_CACHE"
 """The environment variable that names the folder of the cache, or switches it off."""
 LIMIT = 64 * 2**20
-"""Bytes of all entries together; beyond that the oldest are removed."""
+"""Largest total size of the entries in bytes; beyond it the oldest are removed."""
 
 
 def load(key: bytes) -> bytes | None:
-    """The content that was saved by this key, or None."""
+    """Return the content saved under this key, or None."""
     folder = _folder()
     if folder is None:
         return None
     try:
-        # A link, or a pipe that would make this process wait, is no entry.
+        # Links, and pipes, which would make this process wait, are not entries.
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         with open(os.open(folder / key.hex(), flags | getattr(os, "O_BINARY", 0)), "rb") as file:
             state = os.fstat(file.fileno())
@@ -40,7 +40,7 @@ def load(key: bytes) -> bytes | None:
 
 
 def save(key: bytes, content: bytes) -> None:
-    """Keep the content, in place of an older one."""
+    """Save the content under this key, in place of an older one."""
     folder = _folder(make=True)
     if folder is None:
         return
@@ -70,13 +70,13 @@ def location() -> Path | None:
         base = os.path.join(home, "Library", "Caches")
     else:
         base = os.environ.get("XDG_CACHE_HOME", "")
-        if not os.path.isabs(base):  # as the standard says
+        if not os.path.isabs(base):  # as the XDG standard requires
             base = os.path.join(home, ".cache")
     return Path(base) / "dipoletop" if os.path.isabs(base) else None
 
 
 def _folder(make: bool = False) -> Path | None:
-    """The folder of the cache, if it is there and only this user can write to it."""
+    """Return the folder of the cache if it exists and only this user can write to it, else None."""
     folder = location()
     try:
         if folder is None:
@@ -92,14 +92,14 @@ def _folder(make: bool = False) -> Path | None:
 
 
 def _is_private(state: os.stat_result) -> bool:
-    """Whether this user owns a file and nobody else may write to it."""
-    if not hasattr(os, "getuid"):  # Windows: the folder of a user is closed to others
+    """Return whether this user owns a file and nobody else may write to it."""
+    if not hasattr(os, "getuid"):  # Windows: a user's folder is closed to others
         return True
     return state.st_uid == os.getuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _remove_oldest(folder: Path) -> None:
-    """Remove the oldest entries, until the others are within the limit."""
+    """Remove the oldest entries until the rest is within the limit."""
     files = []
     for file in os.scandir(folder):
         with contextlib.suppress(OSError):  # another process has removed it

@@ -16,7 +16,7 @@ class Share(NamedTuple):
 
 
 def share_of(count: int, n: int) -> Share:
-    """The share count/n with its 95 % interval."""
+    """Return the share count/n with its 95 % interval."""
     low, high = wilson(np.asarray(count), n)
     return Share(count / n, float(low), float(high), count)
 
@@ -24,12 +24,12 @@ def share_of(count: int, n: int) -> Share:
 def wilson(
     counts: Int[np.ndarray, "*any"], n: int | Int[np.ndarray, "*any"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals of shares counts/n: all p with (p − k/n)² ≤ z²p(1 − p)/n (Wilson)."""
+    """Return Wilson's 95 % intervals of shares k/n: all p with (p − k/n)² ≤ z²p(1 − p)/n."""
     z2 = 1.959963984540054**2  # the 97.5 % point of the normal distribution, squared
     p = counts / n
     middle = (p + z2 / (2 * n)) / (1 + z2 / n)
     half = np.sqrt(z2 * p * (1 - p) / n + (z2 / (2 * n)) ** 2) / (1 + z2 / n)
-    # Exact ends at 0 and 1, which rounding would miss.
+    # The ends at 0 and 1 are exact, without rounding errors.
     low = np.where(p == 0, 0.0, middle - half)
     return low, np.where(p == 1, 1.0, middle + half)
 
@@ -37,7 +37,7 @@ def wilson(
 def mean_and_error(
     values: Float[np.ndarray, "n *k"],
 ) -> tuple[Float[np.ndarray, "*k"], Float[np.ndarray, "*k"]]:
-    """Mean over the first axis, and its standard error s/√n; NaN where there are too few values."""
+    """Return the mean over the first axis and its standard error s/√n; NaN for too few values."""
     n = len(values)
     unknown = np.full(values.shape[1:], np.nan)
     mean = np.mean(values, axis=0) if n else unknown

@@ -1,4 +1,4 @@
-"""When a run ends: status codes and rules that every engine follows."""
+"""Rules for the end of a run, and status codes, common to all engines."""
 
 from typing import Any, Literal
 
@@ -10,21 +10,21 @@ from .tolerances import Tolerances
 from .types import Outcome, Real, State, Verdict
 
 RUNNING, FINISHED, EXHAUSTED, BROKEN = 2, 1, 0, -1
-"""Status of a run: still at work; finished (see `Until`); out of steps; not finite, a runaway, or
-a step size below rounding."""
+"""Status of a run: running; finished (see `Until`); out of steps; broken, that is not finite, a
+runaway, or with a step size below rounding."""
 
 Until = Literal["outcome", "value", "slope", "time"]
-"""When a run is finished. "outcome": as soon as its outcome is certain; "value": also ω∞, to the
-tolerance; "slope": also the derivatives of ω∞; "time": at its end time t1 only."""
-VALUE_MARGIN = 0.1  # of the tolerance: the allowed error of ω∞ by its local formula
+"""The condition for the end of a run. "outcome": the outcome is certain; "value": also ω∞ is known
+to the tolerance; "slope": also its derivatives; "time": the end time t1 is reached."""
+VALUE_MARGIN = 0.1  # allowed error of ω∞ by its local formula, relative to the tolerance
 
 
 def decided(
     equation: Any, y: State, tolerances: Tolerances, until: Until, prepared: Any = None
 ) -> Bool[Array, "*lanes"]:
-    """Whether the verdict on a state finishes the run.
+    """Return whether the verdict on a state finishes the run.
 
-    `prepared` is that of `prepared_verdicts`, or None.
+    `prepared` is the result of `prepared_verdicts`, or None.
     """
     if until == "time":
         return jnp.zeros(y.shape[1:], bool)
@@ -39,19 +39,19 @@ def decided(
 
 
 def prepared_verdicts(equation: Any) -> Any:
-    """What an equation prepares for its verdicts (`OptionalMembers`), or None."""
+    """Return the result of an equation's `prepare` (`OptionalMembers`), or None."""
     prepare = getattr(equation, "prepare", None)
     return None if prepare is None else prepare()
 
 
 def verdict_on(equation: Any, y: State, prepared: Any = None) -> Verdict:
-    """The verdict on a state, by what the equation has prepared for it, if anything."""
+    """Return the verdict on a state, using the equation's `prepared` arrays, if any."""
     given = (y,) if prepared is None else (y, prepared)
     return Verdict(*equation.verdict(*given))
 
 
 def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Array, "*lanes"]:
-    """Whether the estimated error of ω∞ is within `margin` times the tolerance, or ω∞ is 0."""
+    """Return whether ω∞ = 0 or its estimated error is within `margin` times the tolerance."""
     rtol, atol = tolerances
     size = jnp.abs(verdict.omega_inf)
     within = verdict.error * size <= margin * (rtol * size + atol)
@@ -59,15 +59,15 @@ def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Arr
 
 
 def slopes_settled(verdict: Verdict, rtol: Real) -> Bool[Array, "*lanes"]:
-    """Whether the estimated error of the derivatives of ω∞, which is high, is within rtol."""
+    """Return whether the (conservative) estimated error of the derivatives of ω∞ is within rtol."""
     return verdict.slope <= rtol
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:
-    """Whether a state can be integrated further: its rate is finite, and it is no runaway.
+    """Return whether a state can be integrated further: a finite rate, and not a runaway.
 
-    A runaway is too large for the powers in the rates, or it is large and changes so fast that
-    floating-point time does not resolve it.
+    A runaway is too large for the powers in the rates, or is large and changes faster than
+    floating-point time resolves.
     """
     size, speed = largest(jnp.abs(y)), largest(jnp.abs(rate))
     limit = float(jnp.finfo(y.dtype).max) ** 0.1

@@ -13,12 +13,12 @@ UNITS = {"years": 365.25 * 86400, "days": 86400.0, "hours": 3600.0}
 
 
 def summary(result: Any, *omit: str, **errors: str) -> str:
-    """`Name(field=value, …)` for a dataclass or a named tuple.
+    """Return `Name(field=value, …)` for a dataclass or a named tuple.
 
     Args:
         result: the result.
         omit: fields that are not shown.
-        errors: field = the attribute that holds its error: it is shown as value ± error.
+        errors: field = name of the attribute with its error; it is shown as value ± error.
     """
     fields = getattr(result, "_fields", None) or [x.name for x in dataclasses.fields(result)]
     names = [name for name in fields if name not in (*omit, *errors.values())]
@@ -28,7 +28,7 @@ def summary(result: Any, *omit: str, **errors: str) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """A value with its estimated error, to one digit more than that error leaves certain."""
+    """Return a value with its estimated error as text, to one digit beyond the certain ones."""
     if not math.isfinite(error):
         return f"{value:.6g} (error not estimated)"
     digits = 16
@@ -46,7 +46,7 @@ def duration(seconds: float) -> str:
 
 
 def span(values: Any) -> str:
-    """The range of an array, and how many of its values are NaN."""
+    """Return the range of an array and its number of NaN, as text."""
     array = np.asarray(values)
     known = array[~np.isnan(array)]
     unknown = f"{array.size - known.size} NaN" if known.size < array.size else ""
@@ -55,7 +55,7 @@ def span(values: Any) -> str:
 
 
 def _text(value: Any, error: Any = None) -> str:
-    """A value in a few words."""
+    """Return a short text of a value."""
     if isinstance(value, Mapping):
         parts = (f"{key}: {_text(x, error and error[key])}" for key, x in value.items())
         return f"{{{', '.join(parts)}}}"

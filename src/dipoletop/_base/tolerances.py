@@ -12,22 +12,22 @@ from .linalg import length
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # engines count steps in 32 bits
 TANGENT_SLACK = 10.0
-"""How much larger the relative error of a first variation may be than that of the state.
+"""Relative tolerance of a first variation in units of the tolerance of the state.
 
-At the same tolerance derivatives are then less exact than values of the equation alone, but not
-next to a boundary. Those of bodies, whose precession gets out of phase, are the least exact: their
-errors grow with the number of turns of a run, about as its square."""
+Derivatives are then less exact than values, except next to a boundary. They are least exact for
+bodies whose precession gets out of phase: their errors grow with the number of turns of a run,
+about as its square."""
 TANGENT_SLACK_ALONE = 3.0
-"""The same for a single initial condition, where steps cost less than compilation."""
+"""`TANGENT_SLACK` for a single initial condition, where steps cost less than compilation."""
 TANGENT_FLOOR = 1e-2
-"""A part of |ω|: smaller variations, for a change by 1, need not be exact."""
+"""Size of a variation (for a change by 1) in units of |ω| below which it need not be exact."""
 SETTINGS = "rtol", "atol", "max_steps", "devices", "engine", "slow_flow"  # passed on to `sweep`
 
 
 class Tolerances(NamedTuple):
-    """What the error of a step may be in each component: atol + rtol·size, in units of 1/τ₀.
+    """The allowed error of a step in each component: atol + rtol·size, in units of 1/τ₀.
 
-    The size of a component is measured by `error_scale_of` the equation.
+    `error_scale_of` the equation defines the size of a component.
     """
 
     rtol: Float[Array, ""]
@@ -39,13 +39,13 @@ class Tolerances(NamedTuple):
 def step_tolerances(
     rtol: Any, atol: Any, omega0: Float[Array, "3"], exact_when_slow: Any = True
 ) -> Tolerances:
-    """The tolerances of a run from ω₀; see `absolute` for what atol = None means."""
+    """Return the tolerances of a run from ω₀; see `absolute` for atol = None."""
     rtol = tolerance("rtol", rtol)
     return Tolerances(rtol, jnp.asarray(absolute(atol, rtol, omega0, exact_when_slow)))
 
 
 def tolerance(name: str, value: Any, xp: Any = jnp) -> Any:
-    """A relative tolerance that the floating-point type in use can meet; for `xp` see `real`."""
+    """Return a relative tolerance, checked against the floating-point type; for `xp` see `real`."""
     array = real(name, value, xp=xp)
     least = 20 * float(jnp.finfo(array.dtype).eps)
     if concrete(array) and not (array.ndim == 0 and least <= float(array) < 1):
@@ -63,10 +63,10 @@ def absolute(
     omega0: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"],
     exact_when_slow: Any = True,
 ) -> Float[Array, "*n"] | Float[np.ndarray, "*n"]:
-    """The absolute tolerance; None means 0, since errors are measured by the present |ω|.
+    """Return the absolute tolerance; None means 0, since errors are relative to the present |ω|.
 
-    Where motions need not be exact once they have become slow, None means rtol·|ω₀|.
-    `exact_when_slow` is a truth value, or one for each start.
+    If motions need not be exact once they are slow, None means rtol·|ω₀|. `exact_when_slow` is one
+    boolean, or one for each start.
     """
     if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol, exact_when_slow):
         return _default_atol_in_numpy(rtol, omega0, np.asarray(exact_when_slow))
@@ -80,7 +80,7 @@ def absolute(
 
 
 def check_atol(atol: Any, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-    """An absolute tolerance: one number, or one for each start."""
+    """Return an absolute tolerance: one number, or one for each start."""
     array = real("atol", atol)
     if array.shape not in ((), shape):
         refuse("atol", f"be a number or have shape {shape}", f"has shape {array.shape}")
@@ -101,9 +101,9 @@ def _default_atol(
 def _default_atol_in_numpy(
     rtol: Any, omega0: Float[np.ndarray, "3 *n"], exact_when_slow: Bool[np.ndarray, "..."]
 ) -> Float[np.ndarray, "*n"]:
-    """The same for known starts, for which JAX would compile a program for every number of them."""
+    """Return `_default_atol` of known starts; JAX would compile anew for each number of them."""
     with np.errstate(all="ignore"):
-        # In place: to get memory from the system takes longer than to compute.
+        # In place: getting memory from the system takes longer than computing.
         atol = np.asarray(np.einsum("i...,i...->...", omega0, omega0))
         if np.all(atol > np.finfo(atol.dtype).tiny):
             if np.all(exact_when_slow):
@@ -119,7 +119,7 @@ def _default_atol_in_numpy(
 
 
 def budget(name: str, value: Any) -> int:
-    """A positive whole number, of steps for instance, that a counter of 32 bits can hold."""
+    """Return a positive whole number, such as of steps, that fits in 32 bits."""
     return whole(name, value, 1, "be a positive whole number", MOST)
 
 
@@ -130,7 +130,7 @@ def whole(
     must: str = "be a whole number, not negative",
     most: int = 2**63 - 1,
 ) -> int:
-    """A whole number from `least` up to `most`, which is by default that of 64 bits."""
+    """Return a whole number from `least` to `most`, by default the largest of 64 bits."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         refuse(name, must, f"is {value!r}")
     if value > most:
@@ -139,9 +139,9 @@ def whole(
 
 
 def check_settings(settings: dict[str, Any], also: tuple[str, ...] = ()) -> None:
-    """Refuse names that are no settings of the runs, nor among those that are allowed `also`.
+    """Refuse names that are neither settings of runs nor in `also`.
 
-    Where the fate is wanted, `value` is no setting: the sign of ω∞ is a part of the fate.
+    `value` is not a setting where the fate is computed, since the fate includes the sign of ω∞.
     """
     allowed = (*SETTINGS, *also)
     for name in settings:

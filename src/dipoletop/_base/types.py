@@ -1,4 +1,4 @@
-"""Names that every module shares: array types, outcomes, verdicts, and what an equation offers."""
+"""Types common to all modules: arrays, outcomes, verdicts, and the interface of an equation."""
 
 import enum
 from collections.abc import Callable
@@ -20,16 +20,16 @@ Flag = Bool[Array, "*#lanes"]
 State = Float[Array, "n *#lanes"]
 """The state of an equation: components on axis 0, lanes (if any) behind."""
 ErrorScale = Callable[[State], State]
-"""From a state to the magnitude that the relative error of each component refers to."""
+"""A function from a state to the scale of the relative error of each component."""
 OmegaScale = Callable[[Vector], Vector]
-"""The same for an angular velocity."""
+"""A function from an angular velocity to the scale of its relative error."""
 
 
 class Outcome(enum.IntEnum):
     """How a run ended."""
 
     FAILED = -1
-    """Not a number, step-size underflow, or a runaway: nothing is known about the top."""
+    """NaN, step-size underflow, or a runaway: nothing is known about the top."""
     UNDECIDED = 0
     """The maximum number of steps was reached before the outcome was certain."""
     RESIDUAL = 1
@@ -43,7 +43,7 @@ class Stop(enum.IntEnum):
 
     NONE = 0
     AXIS = 1
-    """Rotation about a fixed axis of the body that decays (or no rotation at all)."""
+    """A decaying rotation about a fixed axis of the body (or no rotation at all)."""
     ROTATING = 2
     """The angular velocity keeps precessing about the symmetry axis while it decays."""
     WOBBLING = 3
@@ -58,9 +58,9 @@ class Regime(enum.IntEnum):
     RESOLVED = 0
     """Integration of the equation of motion, turn by turn."""
     SLOW_FLOW = 1
-    """The average over the free rotation of a body with three moments."""
+    """The average over the free rotation of a body with three different moments."""
     AVERAGED = 2
-    """The same, of a body with two equal moments."""
+    """The average over the free rotation of a body with two equal moments."""
     UNFOLDED = 3
     """The limit of small amplitudes of a body with two nearly equal moments, rotating across its
     symmetry axis."""
@@ -69,7 +69,7 @@ class Regime(enum.IntEnum):
 
 
 def implied_probability(outcome: Any, xp: ModuleType = np) -> Any:
-    """That a rotation is residual, by its outcome alone: 1, 0 for STOP, NaN where it is not known.
+    """Return the probability of residual rotation from the outcome alone: 1, 0 (STOP) or NaN.
 
     `xp` is NumPy or its counterpart in JAX.
     """
@@ -93,19 +93,19 @@ class Verdict(NamedTuple):
     stop: Int[Array, "*lanes"] | int = 0
     """A member of `Stop`."""
     error: Real | float = 0.0
-    """Estimated error of `omega_inf`, relative to it; 0 where that is a constant of the motion."""
+    """Estimated error of `omega_inf`, relative to it; 0 if ω∞ is a constant of the motion."""
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
     equation: type | None = None
-    """The class of equation that the regions are proven for. `certified` counts only where that
-    very class is integrated, not with another `__call__` or with a torque added from outside."""
+    """The class of equation for which the regions are proven. `certified` counts only if exactly
+    this class is integrated, without another `__call__` or a torque added from outside."""
 
     def belongs_to(self, equation: Any) -> bool:
-        """Whether the regions are proven for the class of this equation."""
+        """Return whether the regions are proven for the class of this equation."""
         return self.equation is type(equation)
 
     def certified_for(self, equation: Any) -> Any:
-        """`certified`, or False if the regions are those of another class."""
+        """Return `certified`, or False if the regions belong to another class."""
         return self.certified & self.belongs_to(equation)
 
 
@@ -117,52 +117,53 @@ jax.tree_util.register_pytree_node(
 
 @runtime_checkable
 class Equation(Protocol):
-    """An equation of motion dy/dτ = F(y): what the library needs to integrate it.
+    """An equation of motion dy/dτ = F(y), with the members that the library needs to integrate it.
 
-    Make it an `equinox.Module` whose array fields are its parameters. `DecidingEquation` and
-    `FullEquation` add what ends a run and what describes a physical branch; `OptionalMembers`
-    lists what an equation may add besides.
+    Make it an `equinox.Module` whose array fields are its parameters. `DecidingEquation` adds the
+    end of a run and `FullEquation` the physical branch; `OptionalMembers` lists further members
+    that an equation may have.
     """
 
     def __call__(self, t: Any, y: State, args: Any = None, /) -> State:
-        """The right-hand side dy/dτ."""
+        """Return the right-hand side dy/dτ."""
         ...
 
     def lift(self, omega0: Vector, /) -> State:
-        """The initial state whose angular velocity is `omega0`."""
+        """Return the initial state whose angular velocity is `omega0`."""
         ...
 
     def omega(self, y: State, /) -> Vector:
-        """The angular velocity of a state, in body axes."""
+        """Return the angular velocity of a state, in body axes."""
         ...
 
 
 @runtime_checkable
 class DecidingEquation(Equation, Protocol):
-    """An equation that can end a run: `classify`, `sweep` and all that is built on them need it."""
+    """An equation that can end a run, as `classify`, `sweep` and functions based on them need."""
 
     def verdict(self, y: State, /) -> Verdict:
-        """The outcome, as soon as the state makes it certain; cheap enough for every step.
+        """Return the outcome, as soon as the state makes it certain; cheap enough for every step.
 
         The last field of the `Verdict`, `equation`, is the class itself, written out, if its
-        regions are proven for that class. A plain tuple of the first fields is taken, too.
+        regions are proven for that class. A plain tuple of the first fields is accepted, too.
         """
         ...
 
 
 class FullEquation(DecidingEquation, Protocol):
-    """A full equation: runaways leave a slow manifold, its physical branch, at the rates named.
+    """A full equation: runaways leave a slow manifold, its physical branch, exponentially.
 
-    The state is (s, a), with a the part of ω′ that is free; s is ω, and behind it whatever else is
-    slow, as an attitude. `_branch` follows the branch by boundary-value problems and asks for every
-    member. An equation with a `branch` (see `OptionalMembers`) needs of these only `runaway_rate`.
+    The state is (s, a): a is the part of ω′ that is free; s is ω, followed by any other slow
+    variables, such as an attitude. `_branch` follows the branch by boundary-value problems and
+    needs every member. An equation with a `branch` (see `OptionalMembers`) needs only
+    `runaway_rate`.
     """
 
     @property
     def runaway_rate(self) -> Real | float:
         """The slowest rate at which a distance from the branch grows near rest, per unit of τ.
 
-        An equation is full if this is there and not None (`_common.is_full`).
+        An equation is full if this member exists and is not None (`_common.is_full`).
         """
         ...
 
@@ -172,29 +173,29 @@ class FullEquation(DecidingEquation, Protocol):
         ...
 
     def fast(self, omega_dot: Vector, /) -> State:
-        """a, the part of a given ω′ that belongs to the state."""
+        """Return a, the part of a given ω′ that belongs to the state."""
         ...
 
     def reduced(self, order: int, /) -> Callable[..., Vector]:
-        """The reduced level of an order, which approximates the branch: s′ by (τ, s)."""
+        """Return the reduced level of an order, which approximates the branch: s′ = f(τ, s)."""
         ...
 
     @property
     def semi(self) -> Callable[..., Vector]:
-        """The same of the semi-reduced level."""
+        """The semi-reduced level, which approximates the branch: s′ = f(τ, s)."""
         ...
 
 
 class OptionalMembers(Protocol):
-    """Members that any equation may have; the library does without those that are missing."""
+    """Members that any equation may have; the library can do without them."""
 
     level: str
     """The label in tables and pictures; if missing, the name of the class (`levels.level_of`)."""
     body: Any
     """The `Body` that moves: energies, powers, spectra and decay times need it.
 
-    A field of that name is a parameter, whose moments and dipole may vary one by one; derivatives
-    of ω∞ take care of that (`_common.has_body_field`)."""
+    A field of that name is a parameter, whose moments and dipole may vary independently;
+    derivatives of ω∞ allow for this (`_common.has_body_field`)."""
     order: int
     """The order of a reduced level; an equation without one counts as semi-reduced.
 
@@ -203,21 +204,21 @@ class OptionalMembers(Protocol):
     """The equation of the physical branch of a full equation, if known in closed form
     (`_common.physical`)."""
     prepare: Callable[[], Any]
-    """What the verdicts on all states need of the parameters alone: a pytree of arrays, lanes
-    behind. An engine computes it once for a run; then `verdict(y, prepared)` takes it."""
+    """A function that returns the quantities in verdicts that depend on the parameters only: a
+    pytree of arrays, lanes last. An engine calls it once for a run, for `verdict(y, prepared)`."""
     torque: Callable[..., Vector]
-    """A torque M from outside by (τ, y), in body axes, whose work the balance of energy contains
+    """A torque from outside, M(τ, y) in body axes, whose work enters the balance of energy
     (`_common.energy_flows`)."""
     start: Any
-    """The attitude at the start, if states hold one (`_common.follows_attitude`)."""
+    """The attitude at the start, if states contain one (`_common.follows_attitude`)."""
     attitude: Callable[[State], Any]
-    """The attitude of a state then, a unit quaternion."""
+    """The attitude of a state, a unit quaternion, if states contain one."""
     elements: int
-    """Into how many elements `_branch` cuts a window of a full equation; if missing, 4
+    """Number of elements into which `_branch` divides a window of a full equation; if missing, 4
     (`_common.elements_of`)."""
     omega_scale: OmegaScale
-    """What relative errors of ω refer to: a static function, or one that can be hashed. If missing,
+    """The scale of relative errors of ω: a static function, or one that can be hashed. If missing,
     the largest component (`_common.omega_scale_of`)."""
     error_scale: ErrorScale
-    """The same for the components of a state; if missing, ω at that state
+    """The scale of relative errors of the components of a state; if missing, from ω at that state
     (`_common.error_scale_of`)."""

@@ -1,4 +1,4 @@
-"""Basins: outcomes on a grid or a sample, with the settings that gave them."""
+"""Basins: outcomes on a grid or a sample, with the settings of the sweep."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Basin:
     | `certified` | `certified` | whether the region that ended the run is proven to decide |
     | `stop` | `stop` | member of `Stop`: in which way a top stops |
     | `regime` | `regime` | member of `Regime`: the law that decided, RESOLVED by integration |
-    | `probability` | `probability` | that the rotation is residual: between 0 and 1 for chance |
+    | `probability` | `probability` | of residual rotation; between 0 and 1 if chance decides |
     | `changed` | `changed` | with `confirm`: whether the second tolerance gives another outcome |
     | `derivative(axis)` | `d_omega_inf_d_…` | with `derivatives`: ∂ω∞/∂axis |
     | `column("computed")` | `computed` | of `adaptive.refine`: integrated, not filled in |
@@ -62,7 +62,7 @@ class Basin:
     Attributes:
         dims: names of the axes.
         shape: lengths of the axes.
-        coords: values on the axes, or of every point; of a single value where a part was taken.
+        coords: values on the axes, or of every point; a single value where one was selected.
         columns: the columns, flat except for components, in memory or on disk.
         attrs: level of the equation, settings, versions.
         seconds: wall time of the sweep, compilation included; NaN for a loaded basin.
@@ -76,11 +76,11 @@ class Basin:
     seconds: float = np.nan
 
     def column(self, name: str) -> np.ndarray:
-        """One column, in the shape of the grid.
+        """Return one column, in the shape of the grid.
 
         Raises:
             ValueError: the basin has no such column.
-            StoreDamaged: the column is on disk, and is not what was written there.
+            StoreDamaged: the column on disk differs from what was written.
         """
         if not isinstance(name, str) or name not in self.columns:
             refuse(
@@ -133,7 +133,7 @@ class Basin:
     def probability(self) -> Float[np.ndarray, "*shape"]:
         """The probability that the rotation is residual: 1 for RESIDUAL, 0 for STOP.
 
-        Between 0 and 1 chance decides, and the outcome is UNDECIDED; NaN where nothing is known.
+        Between 0 and 1 chance decides, and the outcome is UNDECIDED; NaN where it is unknown.
         """
         return self.column("probability")
 
@@ -148,7 +148,7 @@ class Basin:
         return self.column(START)
 
     def derivative(self, axis: str) -> Float[np.ndarray, "*shape"]:
-        """∂ω∞/∂axis (sweeps with `derivatives`).
+        """Return ∂ω∞/∂axis, for sweeps with `derivatives`.
 
         | where | value |
         |---|---|
@@ -175,10 +175,10 @@ class Basin:
         return self.attrs["level"]
 
     def fractions(self) -> dict[str, Share]:
-        """Share of every outcome that occurs, with 95 % intervals (Wilson).
+        """Return the share of every outcome that occurs, with 95 % intervals (Wilson).
 
-        The intervals are those of independent random starts; on a regular grid they overstate the
-        error. Of an unfinished sweep the shares are of what is computed already.
+        The intervals hold for independent random starts; on a regular grid they overstate the
+        error. The shares of an unfinished sweep are among the starts computed so far.
         """
         outcome = self.outcome
         values, counts = np.unique(outcome[outcome != MISSING["int8"]], return_counts=True)
@@ -189,7 +189,7 @@ class Basin:
         }
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The basin as an `xarray.Dataset`, with units, versions and settings as attributes.
+        """Return the basin as an `xarray.Dataset`, with units, versions and settings as attributes.
 
         `xarray.open_zarr` of its store gives the same, except that columns of whole numbers become
         floating-point numbers, NaN where a tile is not computed yet.
@@ -212,7 +212,7 @@ class Basin:
         return data.assign(truths).where(computed)
 
     def isel(self, **positions: Any) -> "Basin":
-        """The part at positions on axes; other axes are kept whole.
+        """Return the part at positions on axes; other axes are kept whole.
 
         Args:
             positions: name = number, slice, or list. An axis with a single number is dropped, and
@@ -232,7 +232,7 @@ class Basin:
         return Basin(*at_positions(self._parts, positions))
 
     def sel(self, *, method: str | None = None, **values: Any) -> "Basin":
-        """The part at values on axes; other axes are kept whole.
+        """Return the part at values on axes; other axes are kept whole.
 
         Args:
             method: None for exactly these values, or "nearest", "pad" or "backfill", as in xarray.
@@ -248,7 +248,7 @@ class Basin:
         return BasinParts(self.dims, self.shape, self.coords, self.columns, self.attrs)
 
     def __eq__(self, other: object) -> bool:
-        """Whether axes, settings and every bit of the columns are the same, versions apart."""
+        """Return whether axes, settings except versions, and every bit of the columns are equal."""
         if not isinstance(other, Basin):
             return NotImplemented
         plain, others = (
@@ -264,7 +264,7 @@ class Basin:
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 
     def compare(self, other: "Basin") -> dict[tuple[str, str], Share]:
-        """Share of every pair of outcomes, of the same start here and in another basin.
+        """Return the share of every pair of outcomes of the same start, here and in another basin.
 
         Args:
             other: a basin of the same shape, such as of another level or tolerance.
@@ -288,24 +288,24 @@ class Basin:
             path: a folder that does not exist yet.
 
         Raises:
-            StoreMismatch: something is there already; nothing of it is touched.
+            StoreMismatch: something exists there already; it is left unchanged.
         """
         saved_basins.save(self._parts, path)
 
     @staticmethod
     def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Basin":
-        """A basin from disk: one that was saved, or a sweep's `store`.
+        """Load a basin from disk: one that was saved, or a sweep's `store`.
 
         Args:
             path: the folder.
-            unfinished: whether to load a sweep that is not finished, too, as far as it is now.
-                Where nothing is computed yet, `outcome`, `stop` and `regime` are −128, which is no
-                member of `Outcome`, `steps` is −2³¹, `certified` is False, and other numbers are
-                NaN; `to_xarray` has NaN everywhere there. Only what is used is verified.
+            unfinished: whether to load an unfinished sweep, too, in its present state. Starts not
+                computed yet have `outcome`, `stop` and `regime` −128, `steps` −2³¹, `certified`
+                False, and NaN for other numbers; `to_xarray` has NaN for all. Data are then
+                verified only when they are used.
 
         Raises:
-            StoreMismatch: it is missing, not a basin, or a sweep that is not finished.
-            StoreDamaged: it is not what was written.
+            StoreMismatch: the store is missing, not a basin, or an unfinished sweep.
+            StoreDamaged: the store differs from what was written.
         """
         return Basin(*saved_basins.load(path, flag("unfinished", unfinished)))
 
@@ -319,7 +319,7 @@ class Basin:
         return "\n      ".join(lines) + ")"
 
     def _summary(self) -> str:
-        """The share of every outcome, and of certified ones."""
+        """Return the shares of every outcome and of certified starts, as text."""
         try:
             shares = [f"{name} {x.share:.2%}" for name, x in self.fractions().items()]
             computed = self.outcome != MISSING["int8"]

@@ -1,7 +1,7 @@
 """Sweeps on a Dask cluster: its workers compute the tiles, and write them to the store.
 
-A task is one tile. Nothing comes back but how many of its starts have each outcome. What is lost
-with the scheduler is what it was told to do, not what is done.
+A task is one tile. It returns only how many of its starts have each outcome. If the scheduler is
+lost, its queue of tasks is lost, but not the finished tiles.
 """
 
 import contextlib
@@ -19,20 +19,20 @@ from .cluster_workers import ClusterJob, compute_tile, job_of
 from .sweep_plan import Plan
 from .sweep_stores import Store, ZarrStore
 
-LARGE = 1 << 20  # bytes of a sweep from which they are sent once to each worker
+LARGE = 1 << 20  # bytes; a larger sweep is sent only once to each worker
 AHEAD = 4  # tasks in flight for each thread of the cluster
 LOOK = 1.0  # seconds until the threads of the cluster are counted again
-RETRIES = 5  # of a tile whose task failed
+RETRIES = 5  # for a tile whose task failed
 
 
 def on_cluster(
     client: Any, plan: Plan, store: Store
 ) -> Callable[[Sequence[int]], Iterator[tuple[int, np.ndarray | None]]]:
-    """A function that has tiles computed by the workers of a client, and yields those finished.
+    """Return a function that has the workers of a client compute tiles, and yields finished ones.
 
     Raises:
-        ValueError: `client` is none, or is closed, or its cluster has no dipoletop, or there is no
-            store.
+        ValueError: `client` is not a client, or is closed; its cluster has no dipoletop; there is
+            no store on disk.
         ConnectionError: the scheduler is lost.
     """
     try:
@@ -54,27 +54,29 @@ def on_cluster(
 
 
 def await_worker(client: Any, seconds: float | None = None) -> None:
-    """Wait until a worker has answered, at most so long.
+    """Wait until a worker has answered, at most `seconds`.
 
     Raises:
-        ValueError: it has no dipoletop, or the scheduler has none: they would fail at our tasks.
-        TimeoutError: none has answered.
+        ValueError: the worker or the scheduler has no dipoletop, so that tasks would fail.
+        TimeoutError: no worker has answered.
     """
     what = importlib.metadata.version, "dipoletop"
     asked = "scheduler"
     try:
         client.run_on_scheduler(*what)
         asked = "worker that has answered"
-        # It is a task that is given, since some clusters start no worker before there is one.
+        # The question is sent as a task, since some clusters start workers only for tasks.
         client.submit(*what, pure=False).result(timeout=seconds)
     except importlib.metadata.PackageNotFoundError:
-        refuse("client", "have a scheduler and workers with dipoletop", f"the {asked} lacks it")
+        refuse(
+            "client", "have a scheduler and workers with dipoletop", f"the {asked} is without it"
+        )
 
 
 def _compute_once(
     client: Any, job: ClusterJob, store: ZarrStore, tiles: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray | None]]:
-    """Yield the tiles as they are finished; those that other processes have claimed are left.
+    """Yield the tiles as they are finished; tiles claimed by other processes are left out.
 
     Raises:
         ConnectionError: the scheduler is lost, or too many workers are.
@@ -101,7 +103,7 @@ def _compute_once(
         for future in running:
             try:
                 if future.status == "error":
-                    future.result()  # raises what is wrong with the tile
+                    future.result()  # raises the error of the tile
             except KilledWorker as error:
                 died = f"The workers died {error.allowed_failures + 1} times with the same tile"
                 raise ConnectionError(f"{died}; {_kept(store)}") from error
@@ -113,9 +115,9 @@ def _compute_once(
 
 
 def _kept_by_workers(client: Any, job: ClusterJob) -> Any:
-    """A job that is sent once to each worker, and again if all that had it are lost.
+    """Return a job that is sent once to each worker, and again if all workers with it are lost.
 
-    Scattered data would not be sent again.
+    Dask would not send scattered data again.
     """
     import dask.config
 
@@ -125,7 +127,7 @@ def _kept_by_workers(client: Any, job: ClusterJob) -> Any:
 
 @contextlib.contextmanager
 def _reaching(client: Any, store: ZarrStore) -> Iterator[None]:
-    """Tell what is kept if the scheduler does not answer, or has lost what it was told to do."""
+    """Raise an error that says what is kept if the scheduler is lost or has lost its tasks."""
     from distributed import CancelledError
     from distributed.client import ClosedClientError
 
@@ -146,6 +148,6 @@ def _kept(store: ZarrStore) -> str:
 
 
 def _cancel(client: Any, running: Any) -> None:
-    """End the tasks of this sweep, if the scheduler has them still."""
+    """End the tasks of this sweep that the scheduler still has."""
     if client.status == "running":
         client.cancel(list(running.futures))

@@ -1,7 +1,7 @@
-"""What a worker of a Dask cluster does for a sweep: it claims a tile, computes it and writes it.
+"""The part of a sweep that a worker of a Dask cluster does: claim a tile, compute it, write it.
 
-A worker that dies loses its claims, so that another one computes its tile; one that is slow keeps
-them, and the tile is computed once.
+A worker that dies loses its claims, so that another one computes its tile. A slow worker keeps
+them, so that the tile is computed once.
 """
 
 import importlib.metadata
@@ -21,7 +21,7 @@ from .store.errors import StoreMismatch
 from .sweep_plan import Plan, plan_of
 from .sweep_stores import ZarrStore
 
-KEPT = 4  # sweeps that a worker keeps at hand
+KEPT = 4  # sweeps that a worker keeps in memory
 CONFIG = "jax_enable_x64", "jax_threefry_partitionable", "jax_default_prng_impl"
 """Settings of JAX on which numbers depend; they travel to the workers."""
 LIBRARIES = "dipoletop", "jax", "jaxlib", "numpy", "llvmlite"
@@ -29,20 +29,20 @@ LIBRARIES = "dipoletop", "jax", "jaxlib", "numpy", "llvmlite"
 
 
 class ClusterJob(NamedTuple):
-    """A sweep as it travels to the workers."""
+    """A sweep in the form in which it is sent to the workers."""
 
     folder: str
-    """Its store."""
+    """The folder of its store."""
     sweep: bytes
     """The problem, the points, the settings and JAX's settings, pickled."""
     name: str
     """A digest of `sweep`."""
     versions: dict[str, str]
-    """Versions where the sweep was called."""
+    """Versions in the process that called the sweep."""
 
 
 def job_of(plan: Plan, folder: Path) -> ClusterJob:
-    """The sweep that is called here, to be sent to workers."""
+    """Return the sweep of a plan in the form in which it is sent to workers."""
     import cloudpickle
 
     config = {name: getattr(jax.config, name) for name in CONFIG}
@@ -53,7 +53,7 @@ def job_of(plan: Plan, folder: Path) -> ClusterJob:
 
 
 def versions_here() -> dict[str, str]:
-    """The versions of Python and of the libraries in this process."""
+    """Return the versions of Python and of the libraries in this process."""
     found = {"Python": platform.python_version()}
     for name in LIBRARIES:
         try:
@@ -64,7 +64,7 @@ def versions_here() -> dict[str, str]:
 
 
 def compute_tile(job: ClusterJob, tile: int) -> tuple[int, bool, np.ndarray | None]:
-    """Compute a tile: its number, whether it is finished, and its counts if found here.
+    """Compute a tile; return its number, whether it is finished, and its counts if found here.
 
     Raises:
         ValueError: this worker cannot work on the sweep.
@@ -96,7 +96,7 @@ _lock = threading.Lock()
 
 
 def _session(job: ClusterJob) -> _Session:
-    """The plan and the store of a sweep on this worker, whose digests are compared."""
+    """Return the plan and the store of a sweep on this worker, after comparing their digests."""
     import cloudpickle
 
     with _lock:
@@ -107,7 +107,7 @@ def _session(job: ClusterJob) -> _Session:
             for option, value in config.items():
                 jax.config.update(option, value)
             plan = plan_of(problem, over, settings)
-            # A store has one sweep in a process; the oldest ones are given up.
+            # A store has one sweep in a process; the oldest sweeps are dropped.
             for old in [job.folder, *list(_sessions)[: 1 - KEPT]]:
                 if old in _sessions:
                     _sessions.pop(old).store.close()
@@ -116,7 +116,7 @@ def _session(job: ClusterJob) -> _Session:
 
 
 def _check_python(job: ClusterJob) -> None:
-    """Functions are pickled as code, which another Python cannot read."""
+    """Refuse another Python version: functions are pickled as byte code, which it cannot read."""
     there = job.versions["Python"]
     if there.split(".")[:2] != [str(part) for part in sys.version_info[:2]]:
         has = f"the one on {platform.node()} has Python {platform.python_version()}"
@@ -124,14 +124,14 @@ def _check_python(job: ClusterJob) -> None:
 
 
 def _store(job: ClusterJob, plan: Plan) -> ZarrStore:
-    """The store that the client has made."""
+    """Return the store that the client has made."""
     node = platform.node()
-    if not Path(job.folder).is_dir():  # one that is made here may be seen by nobody else
+    if not Path(job.folder).is_dir():  # a folder made here may be invisible to others
         was = f"is {job.folder}, where the worker on {node} finds nothing"
         refuse("store", "be a path that all workers see", was)
     try:
         return ZarrStore(job.folder, plan, False)
-    except StoreMismatch as error:  # the client has opened it: what differs is this worker
+    except StoreMismatch as error:  # the client could open it, so this worker differs
         here, there = versions_here(), job.versions
         others = [f"{x} {here[x]}, not {there[x]}" for x in here if here[x] != there[x]]
         remark = f" (it has {'; '.join(others)})" if others else ""

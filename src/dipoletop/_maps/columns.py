@@ -11,13 +11,13 @@ from .._base.types import Outcome, Regime, Stop
 
 
 class ColumnSpec(NamedTuple):
-    """Type of the numbers of a column, their unit, and what they mean."""
+    """The type, unit and meaning of the numbers of a column."""
 
     dtype: str
     unit: str
     meaning: str
     flags: dict[str, int] = {}  # noqa: RUF012 (never changed)
-    """Values by their names, where numbers stand for names."""
+    """Values by name, for columns whose numbers stand for names."""
 
 
 def _members(enumeration: Any) -> dict[str, int]:
@@ -46,7 +46,7 @@ OPTIONAL_COLUMNS: dict[str, ColumnSpec] = {
     "computed": ColumnSpec("bool", "1", "whether the start was integrated, not filled in"),
     "counts": ColumnSpec("int64", "1", "how many starts, see the header"),
 }
-"""Columns of some basins, and that of a tally."""
+"""Columns of some basins, and the column of a tally."""
 
 MISSING: dict[str, Any] = {
     "int8": -128,
@@ -55,16 +55,16 @@ MISSING: dict[str, Any] = {
     "float64": nan,
     "bool": False,
 }
-"""What stands for numbers that are not computed yet, by their type."""
+"""Fill values for numbers that are not computed yet, by their type."""
 
 DERIVATIVE_PREFIX = "d_omega_inf_d_"
 """A column of derivatives has this prefix and the name of the axis."""
 
 CONVENTIONS = "CF-1.11"
-"""By which attributes are named."""
+"""The conventions for names of attributes."""
 
 VERSION = "version_"
-"""What the attributes of versions begin with."""
+"""The prefix of attributes with versions."""
 
 START = "omega0"
 """The column of starts, in basins of samples."""
@@ -78,11 +78,11 @@ AXES: dict[str, tuple[str, str]] = {
     "amplitude": ("1/tau_0", "magnitude of the angular velocity"),
     START: ("1/tau_0", "angular velocity at the start, in body axes"),
 }
-"""Unit and meaning of arguments with a customary name; others have neither."""
+"""Unit and meaning of arguments with a usual name; other arguments have neither."""
 
 
 class BasinParts(NamedTuple):
-    """All that a basin consists of, as plain values: what a store takes and gives."""
+    """The content of a basin as plain values, in the form that a store reads and writes."""
 
     dims: tuple[str, ...]
     shape: tuple[int, ...]
@@ -92,7 +92,7 @@ class BasinParts(NamedTuple):
 
 
 def is_result(column: str) -> bool:
-    """Whether a column tells what became of the starts, rather than what they were."""
+    """Return whether a column holds results, rather than the starts or their parameters."""
     return column in COLUMNS | OPTIONAL_COLUMNS or column.startswith(DERIVATIVE_PREFIX)
 
 
@@ -104,7 +104,7 @@ def check_arguments(origin: str, names: Iterable[str]) -> None:
 
 
 def column_spec(column: str) -> ColumnSpec:
-    """Type, unit and meaning of a column."""
+    """Return type, unit and meaning of a column."""
     if column.startswith(DERIVATIVE_PREFIX):
         axis = column.removeprefix(DERIVATIVE_PREFIX)
         unit, meaning = f"1/tau_0 per unit of {axis}", f"derivative of omega_inf by {axis}"
@@ -115,7 +115,7 @@ def column_spec(column: str) -> ColumnSpec:
 
 
 def coordinate_dims(name: str, dims: tuple[str, ...], ndim: int) -> tuple[str, ...]:
-    """Names of the axes of coordinates: values on an axis, of points, or of a single point."""
+    """Return the names of the axes of coordinates of a grid axis, of points or of one point."""
     if ndim == 0:
         return ()
     first = name if name in dims else dims[0]
@@ -123,24 +123,24 @@ def coordinate_dims(name: str, dims: tuple[str, ...], ndim: int) -> tuple[str, .
 
 
 def component_dims(name: str, count: int) -> tuple[str, ...]:
-    """Names of the axes of the components of vectors, or of arrays of numbers."""
+    """Return the names of the component axes of vectors or arrays."""
     if name == START:
         return ("component",)[:count]
     return tuple(f"{name}_{k}" for k in range(1, 1 + count))
 
 
 def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that every format of data can hold; truth values become text."""
+    """Return the attributes in a form that every data format can hold; booleans become text."""
     return {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
 
 
 def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes without the versions of libraries, by which sweeps do not differ."""
+    """Return the attributes without the versions of libraries, which do not distinguish sweeps."""
     return {key: x for key, x in attrs.items() if not key.startswith(VERSION)}
 
 
 def labels(name: str) -> dict[str, Any]:
-    """Attributes of a column or an axis by the conventions CF: its unit, meaning and flags."""
+    """Return the CF attributes of a column or an axis: unit, meaning and flags."""
     dtype, unit, meaning, flags = column_spec(name)
     if dtype == "bool":
         flags = {"no": 0, "yes": 1}

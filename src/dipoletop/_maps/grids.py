@@ -12,17 +12,17 @@ from .._base.checks import described, finite, positive, real, refuse
 from .._base.tolerances import budget, whole
 
 PointValues = Array | Mapping[str, Array | np.ndarray]
-"""What a problem takes: the start ω₀, or its named arguments; of one point or of many."""
+"""The arguments of a problem: the start ω₀, or named values; of one point or of many."""
 Draw = Callable[[Array], PointValues]
-"""From a random key to one point."""
-BLOCK = 1 << 32  # starts of a sample that are told apart by one number of 32 bits
+"""A function from a random key to one point."""
+BLOCK = 1 << 32  # starts of a sample that one number of 32 bits can index
 MOST_STARTS = BLOCK**2 // 2 - 1
 Numbers = ArrayLike | Sequence[Any]
 """Numbers as an array, or as nested lists."""
 
 
 class Header(NamedTuple):
-    """All that tells a grid, points or a sample from others, as plain values and arrays."""
+    """Plain values and arrays that identify a grid, points or a sample."""
 
     kind: str
     settings: dict[str, Any]
@@ -32,8 +32,8 @@ class Header(NamedTuple):
 class Grid:
     """Every combination of the values on named axes.
 
-    The names are those of the arguments of the sweep's `problem`: any of δ, ω⊥, ω₃, φ, an
-    amplitude, a direction, an inertia ratio, ….
+    The names are the arguments of the sweep's `problem`, such as δ, ω⊥, ω₃, φ, an amplitude, a
+    direction or an inertia ratio.
 
     Args:
         axes: name = values; shape (n,) for numbers, or (n, …) for vectors such as directions. A
@@ -70,11 +70,11 @@ class Grid:
 
     @property
     def header(self) -> Header:
-        """All that tells this grid from others."""
+        """Plain values and arrays that identify this grid."""
         return Header("Grid", {}, self.axes)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[np.ndarray, "n *rest"]]:
-        """The arguments of the problem at flat indices (C order)."""
+        """Return the arguments of the problem at flat indices (C order)."""
         per_axis = np.unravel_index(index, self.shape)
         return {
             name: values[along]
@@ -86,11 +86,11 @@ class Grid:
 
 
 class Points:
-    """Single points, listed one by one.
+    """A list of single points.
 
     Args:
-        columns: name = values, all of the same length; the names are those of the arguments of
-            the sweep's `problem`. Shape (n,) for numbers, or (n, …) for vectors such as starts.
+        columns: name = values, all of the same length; the names are the arguments of the
+            sweep's `problem`. Shape (n,) for numbers, or (n, …) for vectors such as starts.
 
     Raises:
         ValueError: there is no column, one is not finite, or their lengths differ.
@@ -124,11 +124,11 @@ class Points:
 
     @property
     def header(self) -> Header:
-        """All that tells these points from others."""
+        """Plain values and arrays that identify these points."""
         return Header("Points", {}, self.columns)
 
     def points(self, index: Int[np.ndarray, "n"]) -> dict[str, Float[np.ndarray, "n *rest"]]:
-        """The arguments of the problem for the points with these numbers."""
+        """Return the arguments of the problem for the points with these numbers."""
         return {name: values[index] for name, values in self.columns.items()}
 
     def __repr__(self) -> str:
@@ -150,7 +150,7 @@ def _described(axes: dict[str, np.ndarray]) -> str:
 
 
 def described_axis(name: str, values: np.ndarray) -> str:
-    """The name of an axis and its numbers, such as "phi: 256 values in [0, 3.129]"."""
+    """Return a description of an axis, such as "phi: 256 values in [0, 3.129]"."""
     if values.ndim > 1:
         shape = str(values.shape[1:])
         return f"{name}: {len(values)} vector{'s' * (len(values) > 1)} of shape {shape}"
@@ -160,16 +160,16 @@ def described_axis(name: str, values: np.ndarray) -> str:
 
 
 def counted(shape: tuple[int, ...]) -> str:
-    """The number of starts, such as "51 456 starts"."""
+    """Return the number of starts, such as "51 456 starts"."""
     size = int(np.prod(shape))
     return f"{size:,} start{'s' * (size != 1)}".replace(",", " ")
 
 
 def symmetry_cell(n_phi: int = 512, n_w3: int = 512, w3_max: ArrayLike = 0.5) -> Grid:
-    """One symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
+    """Return a grid over one symmetry cell of the transverse top: 0 ≤ φ < π, 0 ≤ ω₃ ≤ ω₃max.
 
     Every level of the equation has the symmetries (ω₂, ω₃) → −(ω₂, ω₃) and φ → φ + π, which give
-    all other starts; `plots.basin` draws them too.
+    all other starts; `plots.basin` draws them, too.
 
     Args:
         n_phi: number of points on φ.
@@ -191,8 +191,8 @@ class Sample:
         n: number of starts.
         amplitude: |ω₀| of isotropic starts; a pair (least, most) draws it log-uniformly.
         seed: a whole number.
-        draw: another distribution than the isotropic one, such as `uniform_box(low, high)`: a
-            function of a random key that gives ω₀, or a dict of the `problem`'s arguments.
+        draw: a function from a random key to ω₀, or to a dict of the `problem`'s arguments, such as
+            `uniform_box(low, high)`; None: isotropic starts.
 
     Raises:
         ValueError: n < 1, an amplitude that is not positive, or a `draw` that is not callable.
@@ -223,19 +223,19 @@ class Sample:
 
     @property
     def coords(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """None: a sample has no axis but its number. A basin keeps its starts in columns."""
+        """An empty dict: a sample has no coordinates; a basin keeps its starts in columns."""
         return {}
 
     @property
     def header(self) -> Header:
-        """All that tells this sample from others, except the function `draw`."""
+        """Plain values that identify this sample, except for the function `draw`."""
         settings: dict[str, Any] = {"seed": self.seed}
         if self.amplitude is not None:
             settings["amplitude"] = np.asarray(self.amplitude, float).tolist()
         return Header("Sample", settings, {})
 
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
-        """The starts with these numbers, shape (n, 3), or a dict of arrays."""
+        """Return the starts with these numbers, shape (n, 3), or a dict of arrays."""
         key = jax.random.key(self.seed)
         # A key takes 32 bits at once.
         high, low = (jnp.asarray(part, "uint32") for part in np.divmod(index, BLOCK))
@@ -258,7 +258,7 @@ class Sample:
 
 
 def isotropic(amplitude: Numbers) -> Draw:
-    """Isotropic starts with |ω₀| = amplitude, or log-uniform in a pair (least, most)."""
+    """Return a `draw` of isotropic starts, |ω₀| = amplitude or log-uniform in (least, most)."""
     bounds = np.atleast_1d(np.asarray(finite("amplitude", amplitude)))
     if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
         refuse("amplitude", "be positive, or a pair 0 < least ≤ most", f"is {amplitude}")
@@ -274,7 +274,7 @@ def isotropic(amplitude: Numbers) -> Draw:
 
 
 def uniform_box(low: Numbers, high: Numbers) -> Draw:
-    """Starts uniform in the box low ≤ ω₀ ≤ high; both of shape (3,)."""
+    """Return a `draw` of starts uniform in the box low ≤ ω₀ ≤ high, bounds of shape (3,)."""
     least = finite("low", low, (3,), batch=False)
     most = finite("high", high, (3,), batch=False)
     if bool(jnp.any(least > most)):

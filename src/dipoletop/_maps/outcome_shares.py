@@ -1,4 +1,4 @@
-"""Shares of outcomes while a sweep runs, in a few words for its progress bar."""
+"""Shares of outcomes while a sweep runs, as a short text for its progress bar."""
 
 import numpy as np
 from jaxtyping import Int
@@ -11,7 +11,7 @@ class RunningShares:
     """Counts of the outcomes that this process has found so far.
 
     Args:
-        random: whether the starts are, so that shares have intervals.
+        random: whether the starts are random, so that shares have confidence intervals.
     """
 
     def __init__(self, random: bool) -> None:
@@ -19,12 +19,12 @@ class RunningShares:
         self._counts = dict.fromkeys(Outcome, 0)
 
     def add(self, counts: Int[np.ndarray, "outcomes"]) -> None:
-        """Add the numbers of some more starts that have each outcome; see `counted_outcomes`."""
+        """Add the counts of each outcome among further starts; see `counted_outcomes`."""
         for outcome, count in zip(Outcome, counts.tolist(), strict=True):
             self._counts[outcome] += count
 
     def text(self) -> str:
-        """Such as "residual 46.6%, stop 53.4%", with 95 % intervals of random starts."""
+        """Return such as "residual 46.6%, stop 53.4%", with 95 % intervals for random starts."""
         size = sum(self._counts.values())
         parts = []
         for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED):

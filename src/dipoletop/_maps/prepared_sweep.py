@@ -1,4 +1,4 @@
-"""A sweep that is made again and again, over other values on the same axes."""
+"""A sweep that is repeated with other values on the same axes."""
 
 import time
 from dataclasses import dataclass, replace
@@ -16,11 +16,11 @@ from .unfinished_tiles import finish
 
 @dataclass(frozen=True)
 class PreparedSweep:
-    """What does not depend on the values on the axes is found once; see `sweep`.
+    """A sweep whose preparation, independent of the values on the axes, is done once; see `sweep`.
 
-    Tracing the problem and choosing an engine take longer than some ten thousand starts. So do
-    several tiles: what is done for each of them in Python is done by one thread at a time. An
-    engine that has its own threads is therefore given all starts at once.
+    Tracing the problem and choosing an engine take longer than running some ten thousand starts. So
+    does a division into tiles, whose Python code runs in one thread at a time. An engine with its
+    own threads therefore gets all starts at once.
 
     Attributes:
         plan: the plan of a sweep over any grid with the same axes.
@@ -30,7 +30,7 @@ class PreparedSweep:
 
     @classmethod
     def of(cls, problem: Problem, grid: Grid, **settings: Any) -> "PreparedSweep":
-        """A sweep with the `settings` that `Settings` names, all checked.
+        """Prepare a sweep with `settings`, the fields of `Settings`, after checking them.
 
         Raises:
             ValueError: bad arguments.
@@ -42,7 +42,7 @@ class PreparedSweep:
         return cls(replace(plan, devices=plan.devices[:1], cut=Tiling.whole, threads=threads))
 
     def __call__(self, grid: Grid, rtol: float) -> Basin:
-        """The basin over a grid with these axes, as `sweep` gives it.
+        """Return the basin over a grid with these axes, as from `sweep`.
 
         Raises:
             ValueError: a bad tolerance, or values that the problem refuses.

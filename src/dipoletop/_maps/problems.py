@@ -1,4 +1,4 @@
-"""A sweep's problem: from points to their equations and starts, vectorised."""
+"""The problem of a sweep: the vectorised map from points to their equations and starts."""
 
 import functools
 import inspect
@@ -26,16 +26,16 @@ from .columns import check_arguments
 from .grids import Grid, Points, PointValues, Sample
 
 Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
-"""From the named values of one point to the equation and the start ω₀."""
+"""A function from the named values of one point to the equation and the start ω₀."""
 StartBlock = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 """Equations and starts of N points; every array has a trailing lane axis."""
 
 
 @dataclass(frozen=True)
 class BlockBuilder:
-    """From points to their equations and starts.
+    """A function from points to their equations and starts.
 
-    With `derivatives` the equation is a `Tangent`, whose variations are along these arguments.
+    With `derivatives` the equation is a `Tangent` with variations along these arguments.
     """
 
     problem: Problem
@@ -54,7 +54,7 @@ class BlockBuilder:
             check_arguments("over", self.over.header.values)
 
     def __call__(self, points: PointValues) -> StartBlock:
-        """The block of these points, which `over` gives; in NumPy on processors."""
+        """Return the block of these points of `over`; in NumPy on CPUs."""
         with as_worker():
             if jax.default_backend() != "cpu":
                 return self._jitted(points)
@@ -84,11 +84,11 @@ class BlockBuilder:
 
     def _vectorised(self, points: PointValues) -> StartBlock:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
-        with self._tracing:  # so that the user's function need not be thread-safe
+        with self._tracing:  # the user's function need not be thread-safe
             return jax.vmap(of_point, out_axes=-1)(points)
 
     def _equation_and_start(self, point: PointValues) -> tuple[Equation, Vector]:
-        with jax.ensure_compile_time_eval():  # numbers of the problem's own are known, and checked
+        with jax.ensure_compile_time_eval():  # the problem's constants stay concrete: checked
             pair = self.problem(**point) if isinstance(point, dict) else self.problem(point)
         if not (isinstance(pair, tuple | list) and len(pair) == 2):
             refuse("problem", "return (equation, omega0)", f"returns {type(pair).__name__}")
@@ -97,7 +97,7 @@ class BlockBuilder:
         return equation, real("omega0 of problem", omega0, (3,), batch=False)
 
     def _with_variations(self, point: Any) -> tuple[Tangent, Vector]:
-        """A point's equation with its variations along `derivatives`, and its start."""
+        """Return a point's equation with its variations along `derivatives`, and its start."""
 
         def varied(values: tuple[Array, ...]) -> Any:
             changes = dict(zip(self.derivatives, values, strict=True))
@@ -115,7 +115,7 @@ class BlockBuilder:
         return tangent, omega0
 
     def program_digests(self) -> dict[str, bytes]:
-        """Digests of every function that is computed for a point, by its role."""
+        """Return the digest of every function that is evaluated for a point, by its role."""
         points = self.over.points(np.zeros(1, int))
         made, omegas = self.template()
         equation = physical(made)
@@ -136,7 +136,7 @@ class BlockBuilder:
 
 
 def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: Any) -> bytes:
-    """Digest of a method of the equation, as a function of its arrays and of the argument."""
+    """Return the digest of a method as a function of the equation's arrays and the argument."""
     arrays, rest = eqx.partition(equation, _is_shape)
 
     def leaves(arrays: Any, argument: Any) -> list[Any]:
@@ -146,12 +146,12 @@ def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: 
 
 
 def _rates(equation: Equation, at: tuple[Array, State]) -> State:
-    """dy/dτ at (τ, y)."""
+    """Return dy/dτ at (τ, y)."""
     return equation(*at, None)
 
 
 def _verdict(equation: DecidingEquation, y: State) -> Verdict:
-    """The verdict, certified only if its regions are proven for this class of equation."""
+    """Return the verdict, certified only if its regions are proven for this class of equation."""
     verdict = Verdict(*equation.verdict(y))
     return verdict._replace(certified=verdict.certified_for(equation))
 
@@ -161,7 +161,7 @@ def _is_shape(leaf: Any) -> bool:
 
 
 def check_problem(problem: Any) -> None:
-    """Refuse what cannot be called."""
+    """Refuse a problem that is not callable."""
     if not callable(problem):
         refuse("problem", "be a function that gives (equation, omega0)", f"is {problem!r}")
 
@@ -176,7 +176,7 @@ def _check_derivatives(points: PointValues, derivatives: tuple[str, ...]) -> Non
 
 
 def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
-    """Refuse names that are not those of the problem's arguments."""
+    """Refuse names that do not match the arguments of the problem."""
     try:
         signature = inspect.signature(problem)
     except ValueError:  # some callables have no signature
@@ -189,7 +189,7 @@ def _check_names(problem: Problem, names: tuple[str, ...]) -> None:
 
 
 def first_lanes(block: StartBlock, length: int) -> Any:  # a `StartBlock` of another length
-    """The equations and starts of the first points."""
+    """Return the equations and starts of the first `length` points."""
     if block[1].shape[1] == length:
         return block
     arrays, rest = eqx.partition(block, _is_array)
@@ -197,7 +197,7 @@ def first_lanes(block: StartBlock, length: int) -> Any:  # a `StartBlock` of ano
 
 
 def joined(blocks: Sequence[Any]) -> Any:  # of several lengths
-    """One block of the lanes of several."""
+    """Return one block with the lanes of several blocks."""
     if len(blocks) == 1:
         return blocks[0]
     arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
@@ -210,5 +210,5 @@ def _is_array(leaf: Any) -> bool:
 
 
 def block_digest(block: StartBlock) -> bytes:
-    """Digest of equations and starts, parameter by parameter."""
+    """Return the digest of equations and starts, parameter by parameter."""
     return array_digest(*jax.tree.leaves(eqx.filter(block, eqx.is_array)))

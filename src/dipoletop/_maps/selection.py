@@ -9,12 +9,11 @@ from .._base.checks import refuse
 from .columns import BasinParts
 
 Positions = dict[str, Any]
-"""For some axes the positions of what is wanted: a number, a slice, or an array of either kind that
-NumPy takes."""
+"""The wanted positions on some axes: a number, a slice, or an integer or boolean array."""
 
 
 def at_positions(parts: BasinParts, positions: Mapping[str, Any]) -> BasinParts:
-    """The part at these positions. An axis with a single position is dropped; its value is kept."""
+    """Return the part at these positions; an axis with a single position becomes a coordinate."""
     _check_dims(parts, positions)
     chosen = {
         dim: _chosen(dim, size, positions.get(dim, slice(None)))
@@ -33,7 +32,7 @@ def at_positions(parts: BasinParts, positions: Mapping[str, Any]) -> BasinParts:
 
 
 def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | None) -> Positions:
-    """The positions of values on axes, as `xarray.Dataset.sel` finds them."""
+    """Return the positions of values on axes, as `xarray.Dataset.sel` finds them."""
     import xarray
 
     _check_dims(parts, values)
@@ -44,7 +43,7 @@ def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | Non
             refuse(name, "be an axis of numbers (`isel` takes positions)", "is one of vectors")
         coords = {} if on_axis is None else {name: on_axis}
         every = xarray.DataArray(np.arange(sizes[name]), coords, (name,))
-        is_range = isinstance(wanted, slice) or on_axis is None  # for which there is no method
+        is_range = isinstance(wanted, slice) or on_axis is None  # no `method` applies to these
         try:
             found = every.sel({name: wanted}, method=None if is_range else method)
         except (KeyError, IndexError, TypeError, ValueError) as error:
@@ -57,11 +56,11 @@ def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | Non
 def _check_dims(parts: BasinParts, by_name: Mapping[str, Any]) -> None:
     for name in by_name:
         if name not in parts.dims:
-            refuse(name, f"be an axis of this basin ({', '.join(parts.dims) or 'none'})", "is none")
+            refuse(name, f"be an axis of this basin ({', '.join(parts.dims) or 'none'})", "is not")
 
 
 def _chosen(dim: str, size: int, positions: Any) -> np.ndarray:
-    """The positions on an axis as an array, of rank 0 for a single one."""
+    """Return the positions on an axis as an array; of rank 0 for a single position."""
     try:
         chosen = np.asarray(np.arange(size)[positions])
     except (IndexError, TypeError, ValueError) as error:
@@ -72,7 +71,7 @@ def _chosen(dim: str, size: int, positions: Any) -> np.ndarray:
 
 
 def _dim_of(name: str, parts: BasinParts) -> str | None:
-    """The axis along which coordinates go; None for a single point."""
+    """Return the axis along which coordinates vary; None for a single point."""
     if name in parts.dims:
         return name
     listed = parts.dims[:1] == ("point",) and parts.coords[name].ndim > 0

@@ -36,15 +36,15 @@ def sweep(
     slow_flow: SlowFlow = "auto",
     client: Any = None,
 ) -> Basin:
-    """Outcomes of a problem on every point of a grid, a list or a sample.
+    """Compute the outcome of a problem at every point of a grid, a list or a sample.
 
     Args:
-        problem: a function that gives the equation and the start ω₀, from the grid's axes (by
-            name) or the sample's start. It is vectorised, so it must be pure JAX.
+        problem: a function from the grid's axes (by name) or the sample's start to the equation and
+            the start ω₀. It is vectorised, so it must be pure JAX.
         over: a `Grid`, `Points` or a `Sample`.
-        rtol: relative tolerance of every step; `omega_inf_error` tells how exact ω∞ is.
-        atol: absolute tolerance; None means none, since errors are measured by the present |ω|; or,
-            with `value=False`, rtol·|ω₀| for tops all of whose slow motions have the same outcome.
+        rtol: relative tolerance of every step; `omega_inf_error` gives the error of ω∞.
+        atol: absolute tolerance. None means 0, since errors are relative to the present |ω|; but
+            rtol·|ω₀| with `value=False` for tops all of whose slow motions have the same outcome.
         max_steps: budget of each run; one that would exceed it is predicted, or UNDECIDED.
         value: whether ω∞ is wanted, not only the outcome; see the table below.
         derivatives: arguments of the problem, each a number; `basin.derivative(name)` is then
@@ -56,17 +56,17 @@ def sweep(
             `StoreDamaged`.
         progress: whether to show a progress bar; None shows it on a terminal only. A text is its
             label.
-        devices: which devices to use, with a thread each; None means all GPUs of this process if
-            there are any, else all cores. A list may name both.
+        devices: the devices to use, with a thread each; None means all GPUs of this process if
+            there are any, else all cores. A list may contain both.
         engine: "jax", "native" (machine code, for float64 on processors; it needs llvmlite), or
             "auto", the fastest that can run here; `basin.attrs["engine"]` is the one that ran.
         slow_flow: whether runs that would take more than `max_steps` are predicted by the average
-            over free rotation: "auto", True (all that the first state does not decide) or False;
-            see `classify`. `basin.regime` tells which law decided.
+            over free rotation: "auto", True (all runs that the first state does not decide) or
+            False; see `classify`. `basin.regime` names the law that decided.
         client: a `distributed.Client` (`pip install 'dipoletop[dask]'`): the workers of its cluster
             compute the tiles, and write them to the store, which they must see at the same path.
-            The tile of a worker that dies is computed by another one. `devices` is then ignored.
-            The page `notebooks/clusters.md` shows how such a cluster is started.
+            If a worker dies, another one computes its tile. `devices` is then ignored. The page
+            `notebooks/clusters.md` shows how to start such a cluster.
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -74,14 +74,14 @@ def sweep(
     | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about 1/3 |
     | False | the outcome is certain | infinite, and ω∞ NaN, unless ω₁ is constant | least |
 
-    With `value=False` the native engine runs starts at rtol = 1e-4 first, and again at `rtol` where
-    that leaves the outcome in doubt, as near a boundary; `confirm` runs every start at its own
+    With `value=False` the native engine runs starts at rtol = 1e-4 first, and again at `rtol` if
+    that leaves the outcome in doubt, as near a boundary; the runs of `confirm` all have its
     tolerance.
 
-    With a `store` a grid of any size needs little memory, and an interrupted sweep is resumed when
-    it is called again. Finished tiles are read first; the equations and starts that they were
-    computed from are compared bit by bit with those of this call. On another kind of processor
-    these may differ, and the store is then refused.
+    With a `store` a grid of any size needs little memory, and calling an interrupted sweep again
+    resumes it. The finished tiles are read first, and their equations and starts are compared bit
+    by bit with this call's. On another kind of processor these may differ; the store is then
+    refused.
 
     Returns:
         A `Basin`.
@@ -89,9 +89,9 @@ def sweep(
     Raises:
         ValueError: bad arguments. A run that fails is an outcome, FAILED.
         StoreMismatch: the store holds another sweep, or its path cannot be used.
-        StoreDamaged: the store is not as it was written.
-        ConnectionError: the scheduler of the `client` was lost, or several workers with the same
-            tile. Finished tiles are kept, and the same call goes on.
+        StoreDamaged: the store differs from what was written.
+        ConnectionError: the scheduler of the `client` was lost, or several workers died with the
+            same tile. Finished tiles are kept; the same call resumes the sweep.
 
     Example:
         >>> import dipoletop as dt

@@ -1,4 +1,4 @@
-"""What a sweep computes: its arguments, checked, and from them the columns of each tile."""
+"""The plan of a sweep: its checked arguments, and from them the columns of each tile."""
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
@@ -39,15 +39,15 @@ class ComputedTile(NamedTuple):
 
     tile: int
     columns: Columns
-    """What is kept of it."""
+    """The columns that are kept."""
     inputs: bytes
     """A digest of its equations and starts."""
     outcomes: Int[np.ndarray, "outcomes"]
-    """How many of its starts have each outcome."""
+    """Numbers of its starts with each outcome."""
 
 
 def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[str, ...]:
-    """The arguments along which ω∞ is differentiated, checked."""
+    """Return the arguments along which ω∞ is differentiated, after checking them."""
     names = names_of("derivatives", derivatives)
     if len(set(names)) < len(names):
         refuse("derivatives", "name each argument once", f"is {', '.join(names)}")
@@ -57,22 +57,22 @@ def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[st
 
 
 class Rules(NamedTuple):
-    """How exactly the runs of a sweep are made, and when they end."""
+    """The tolerances of the runs of a sweep, and when they end."""
 
     rtols: list[Float[Array, ""]]
-    """The tolerance of the columns; then, if outcomes are to be confirmed, a second one."""
+    """The tolerance of the columns and, if outcomes are to be confirmed, a second one."""
     atol: Any
-    """The absolute tolerance as the user gave it; see `sweep` for None."""
+    """The absolute tolerance given by the user; see `sweep` for None."""
     max_steps: int
     """Budget of every run."""
     value: Value
-    """Whether ω∞ is wanted, and with an estimate of its error."""
+    """Whether to compute ω∞, and its error estimate."""
     slow_flow: SlowFlow
-    """Whether slow runs are predicted."""
+    """Whether to predict slow runs."""
 
 
 class Settings(NamedTuple):
-    """The arguments of a sweep that tell how it is computed, as the user gave them; see `sweep`."""
+    """The arguments of a sweep that say how to compute it, as given by the user; see `sweep`."""
 
     rtol: Any = 1e-8
     atol: Any = None
@@ -84,22 +84,22 @@ class Settings(NamedTuple):
     slow_flow: SlowFlow = "auto"
     devices: Sequence[Any] | None = None
     reduction: Reduction | None = None
-    """What is counted, if starts are not kept one by one."""
+    """The counts to keep, if starts are not kept."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a sweep computes.
+    """The plan of a sweep.
 
     Attributes:
-        blocks: builds the equations and starts of a tile.
+        blocks: function from points to the equations and starts of a tile.
         equation: the equation, with the shapes and types of its arrays for one point.
         rules: tolerances and budgets.
-        devices: the devices, each as often as there are threads for it.
+        devices: the devices, each repeated once for each of its threads.
         engines: the engine of each device.
-        settings: what `blocks` and `rules` do not tell, and the arguments as the user gave them.
-        cut: how starts of a shape are cut into tiles.
-        threads: how many share a tile, of an engine that has its own.
+        settings: the arguments as given by the user.
+        cut: function from the shape of the starts to their tiling.
+        threads: number of threads for one tile in an engine that has its own.
     """
 
     blocks: BlockBuilder
@@ -113,7 +113,7 @@ class Plan:
 
     @functools.cached_property
     def tiling(self) -> Tiling:
-        """How the starts are cut into tiles."""
+        """The division of the starts into tiles."""
         return self.cut(self.blocks.over.shape)
 
     @property
@@ -128,7 +128,7 @@ class Plan:
 
     @functools.cached_property
     def drawn(self) -> dict[str, tuple[int, ...]]:
-        """What is kept of every point of a sample, and its shape: the start, and its parameters."""
+        """Shapes of the start and the parameters that are kept for every point of a sample."""
         over = self.blocks.over
         return drawn_shapes(over) if isinstance(over, Sample) else {}
 
@@ -152,7 +152,7 @@ class Plan:
         }
 
     def header(self) -> dict[str, Any]:
-        """All that tells this sweep from another one, except the swept values."""
+        """Return the data that identify this sweep, except the swept values."""
         over, reduction = self.blocks.over, self.settings.reduction
         digests = self.blocks.program_digests()
         header = {
@@ -170,20 +170,20 @@ class Plan:
         return header if reduction is None else reduction.header(header, self.tiling)
 
     def points(self, tile: int, device: Device) -> PointValues:
-        """The points of a tile, filled up to one length for all: programs are made for it."""
+        """Return the points of a tile, padded to a common length, so that programs fit all."""
         compiles = self.engines[device].compiles_for_size
         size = power_of_two(self.tiling.tile_size) if compiles else self.tiling.tile_size
         return self.blocks.over.points(self.tiling.padded_indices(tile, size))
 
     def inputs(self, tile: int, device: Device) -> bytes:
-        """A digest of the equations and starts of a tile."""
+        """Return a digest of the equations and starts of a tile."""
         block = self.blocks(self.points(tile, device))
         return block_digest(first_lanes(block, self.tiling.length(tile)))
 
     def queues(self, tiles: Sequence[int]) -> list[Sequence[int]]:
-        """The tiles that are computed in one queue; several on accelerators.
+        """Return groups of tiles, each computed in one queue; on accelerators, of several tiles.
 
-        A store keeps its tiles whatever the device, and no run sees its neighbours.
+        The tiles of a store do not depend on the device, and runs do not depend on each other.
         """
         starts = largest_tile(self.devices)
         shared = -(-len(tiles) // len(self.devices))  # every device has work
@@ -192,7 +192,7 @@ class Plan:
         return [tiles[i : i + length] for i in range(0, len(tiles), length)]
 
     def compute(self, tiles: Sequence[int], device: Device) -> list[ComputedTile]:
-        """The columns of each tile, and a digest of what they were computed from."""
+        """Compute the columns of each tile, and a digest of its equations and starts."""
         points = [self.points(tile, device) for tile in tiles]
         padded = [self.blocks(of_tile) for of_tile in points]
         lengths = [self.tiling.length(tile) for tile in tiles]
@@ -244,7 +244,7 @@ class Plan:
 
 
 def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) -> Plan:
-    """The plan of a sweep, all of its arguments checked.
+    """Return the plan of a sweep after checking its arguments.
 
     Raises:
         ValueError: bad arguments.
@@ -269,14 +269,14 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
 
 
 def column_names(settings: Settings, derivatives: Iterable[str]) -> list[str]:
-    """Names of the columns of results, in order."""
+    """Return the names of the columns of results, in order."""
     confirmed = [] if settings.confirm is None else ["changed"]
     names = [DERIVATIVE_PREFIX + name for name in derivatives]
     return [*COLUMNS, *names, *confirmed]
 
 
 def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:
-    """Shapes of the start of a sample's point, and of each parameter that it draws."""
+    """Return the shapes of the start and of each parameter that a sample draws for a point."""
     point = jax.eval_shape(over.draw, jax.random.key(0))
     parameters = {name: x.shape for name, x in point.items()} if isinstance(point, dict) else {}
     check_arguments("draw", parameters)
@@ -284,7 +284,7 @@ def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:
 
 
 def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:
-    """What is kept of the points of a sample, as many as the block has lanes."""
+    """Return the starts and parameters of a sample's points, one for each lane of the block."""
     (_, omegas), length = block, block[1].shape[1]
     values = {name: omegas.T if name == START else points[name][:length] for name in names}
     return {name: np.asarray(column, float) for name, column in values.items()}

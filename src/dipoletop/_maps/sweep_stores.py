@@ -1,4 +1,4 @@
-"""Where a sweep keeps its columns: in memory, or in a store on disk, which it may resume."""
+"""Stores for the columns of a sweep: in memory, or on disk, where it can be resumed."""
 
 import contextlib
 from collections.abc import Callable
@@ -17,21 +17,21 @@ from .sweep_plan import ComputedTile, Plan
 
 @runtime_checkable
 class Store(Protocol):
-    """What a sweep needs of the place where its columns are kept."""
+    """The interface that a sweep needs from the store of its columns."""
 
     patience: ClassVar[float]
-    """Seconds for which an interrupted sweep waits for its tiles in hand, to keep them."""
+    """Seconds for which an interrupted sweep waits for the tiles in progress, to keep them."""
 
     def unfinished(self) -> list[int]:
-        """The tiles to compute."""
+        """Return the tiles to compute."""
         ...
 
     def claim(self, tile: int) -> bool:
-        """Whether this process is to compute a tile."""
+        """Return whether this process is to compute a tile."""
         ...
 
     def is_finished(self, tile: int) -> bool:
-        """Whether a tile is in place."""
+        """Return whether a tile is in place."""
         ...
 
     def write(self, computed: ComputedTile) -> None:
@@ -48,11 +48,11 @@ class Store(Protocol):
 
 
 class MemoryStore:
-    """A store of this process alone, whose tiles in hand are lost by an interruption.
+    """A store in memory; an interruption loses the tiles in progress.
 
     Args:
         plan: the sweep.
-        keep: what takes the columns of a tile.
+        keep: called with each computed tile.
     """
 
     patience: ClassVar[float] = 0.0
@@ -62,15 +62,15 @@ class MemoryStore:
         self._finished: set[int] = set()
 
     def unfinished(self) -> list[int]:
-        """Every tile."""
+        """Return every tile."""
         return list(range(self._count))
 
     def claim(self, tile: int) -> bool:
-        """Whether this process is to compute a tile: always."""
+        """Return whether this process is to compute a tile: always."""
         return True
 
     def is_finished(self, tile: int) -> bool:
-        """Whether a tile is in place."""
+        """Return whether a tile is in place."""
         return tile in self._finished
 
     def write(self, computed: ComputedTile) -> None:
@@ -79,10 +79,10 @@ class MemoryStore:
         self._finished.add(computed.tile)
 
     def reopen(self) -> None:
-        """Nothing is to be done."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing is to be done."""
+        """Do nothing."""
 
 
 class ColumnsInMemory:
@@ -101,17 +101,17 @@ class ColumnsInMemory:
             self._columns[name][self._plan.tiling.span(computed.tile)] = values
 
     def contents(self) -> BasinParts:
-        """The finished basin."""
+        """Return the finished basin."""
         over = self._plan.blocks.over
         return BasinParts(over.dims, over.shape, over.coords, self._columns, self._plan.attrs)
 
 
 class ZarrStore:
-    """Columns in a store on disk, which this sweep begins or resumes, alone or beside others.
+    """Columns in a store on disk, which this sweep begins or resumes; other processes may join.
 
     Raises:
         StoreMismatch: the path cannot be used, or holds another sweep.
-        StoreDamaged: the store is not as it was written, and is not to be repaired.
+        StoreDamaged: the store differs from what was written, and is not to be repaired.
     """
 
     patience: ClassVar[float] = 10.0
@@ -131,11 +131,11 @@ class ZarrStore:
 
     @property
     def folder(self) -> Path:
-        """Where it is."""
+        """The folder of the store."""
         return self._tiles.folder
 
     def unfinished(self) -> list[int]:
-        """The tiles to compute. Finished ones are read, and their inputs are compared."""
+        """Return the tiles to compute, after reading finished ones and comparing their inputs."""
         tiles = self._tiles
         left = tiles.unfinished()
         finished = tiles.tiling.others(left)
@@ -158,7 +158,7 @@ class ZarrStore:
         return sorted([*left, *damaged])
 
     def claim(self, tile: int) -> bool:
-        """Whether this process is to compute a tile: not if another one does, or has done so."""
+        """Return whether this process is to compute a tile, which no other process does or did."""
         if not self._claims.take(tile):
             return False
         if self.is_finished(tile):
@@ -167,11 +167,11 @@ class ZarrStore:
         return True
 
     def is_finished(self, tile: int) -> bool:
-        """Whether a tile is on disk."""
+        """Return whether a tile is on disk."""
         return self._tiles.is_finished(tile)
 
     def progress(self) -> tuple[int, int]:
-        """The number of finished tiles, and of all."""
+        """Return the number of finished tiles, and of all tiles."""
         count = self._tiles.tiling.count
         return count - len(self._tiles.unfinished()), count
 
@@ -185,7 +185,7 @@ class ZarrStore:
         self._claims.give_back(computed.tile)
 
     def give_back(self, tile: int) -> None:
-        """End the claim on a tile that is not written."""
+        """Release the claim on a tile that is not written."""
         self._claims.give_back(tile)
 
     def reopen(self) -> None:
@@ -194,7 +194,7 @@ class ZarrStore:
             self._claims = self._tiles.claims()
 
     def close(self) -> None:
-        """Give the store back to other processes."""
+        """Release the store to other processes."""
         self._tidy()
         self._claims.close()
 
@@ -204,5 +204,5 @@ class ZarrStore:
         return self._tiles
 
     def contents(self) -> BasinParts:
-        """The finished basin, whose columns are read from disk when they are used."""
+        """Return the finished basin, whose columns are read from disk when they are used."""
         return self._tiles.contents()

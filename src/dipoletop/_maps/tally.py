@@ -1,4 +1,4 @@
-"""The function `tally`: a sweep of which no more than counts is kept."""
+"""The function `tally`: a sweep that keeps only counts."""
 
 import dataclasses
 import time
@@ -32,20 +32,20 @@ def tally(
     client: Any = None,
     **settings: Any,
 ) -> Tally:
-    """Count the outcomes of a sweep, without keeping every start: for more starts than disks hold.
+    """Count the outcomes of a sweep without keeping its starts, for more than fit on a disk.
 
-    A store holds no more than the counts of each tile, so that 1e10 starts take some 100 MB. A tile
-    counts once, however often the sweep is killed and run again.
+    A store holds only the counts of each tile, so that 1e10 starts take some 100 MB. Each tile is
+    counted once, even if the sweep is killed and run again.
 
     Args:
         problem: as in `sweep`.
         over: as in `sweep`; a `Sample` may have up to 2⁶³ − 1 starts.
-        keep: names of axes of a `Grid`; the starts of each combination of their values are counted
-            together. Without any all starts are.
-        histograms: a mapping to edges of bins, which increase, from the column that is counted:
+        keep: names of axes of a `Grid`; starts are counted separately for each combination of
+            values on these axes. By default all starts are counted together.
+        histograms: a mapping from the column to count to increasing edges of bins. The column is
             "omega_inf", "omega_inf_error", "time", "steps", or a derivative ("d_omega_inf_d_" and
             its name).
-        value: whether ω∞ is wanted, as in `sweep`; None: if a histogram counts it.
+        value: whether to compute ω∞, as in `sweep`; None: if a histogram counts it.
         derivatives: as in `sweep`.
         store: a folder for the counts of each tile, which the same tally resumes; `Tally.load`
             reads it.
@@ -60,7 +60,7 @@ def tally(
     Raises:
         ValueError: bad arguments.
         StoreMismatch: the store holds something else, or its path cannot be used.
-        StoreDamaged: the store is not as it was written.
+        StoreDamaged: the store differs from what was written.
 
     Example:
         >>> import dipoletop as dt

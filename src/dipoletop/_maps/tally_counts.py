@@ -1,9 +1,9 @@
-"""What is counted of the starts of a sweep that does not keep them one by one.
+"""The counts of a sweep that does not keep its starts.
 
-A cell is a combination of values on the axes that are kept; all starts of a cell are counted
-together. The counts of a cell are, one behind the other: the starts of each outcome, those with a
-certified label, and for each histogram the values below its first edge, in each bin, and above its
-last edge. A bin holds its lower edge; the last bin holds both.
+A cell is a combination of values on the kept axes; all starts of a cell are counted together. The
+counts of a cell are, in this order: the starts with each outcome, the starts with a certified
+label, and for each histogram the values below its first edge, in each bin, and above its last edge.
+A bin includes its lower edge; the last bin includes both.
 """
 
 import math
@@ -20,7 +20,7 @@ from .columns import DERIVATIVE_PREFIX
 from .grids import Grid, Points, Sample
 from .tiling import Tiling
 
-CERTIFIED = len(Outcome)  # the place of the certified starts, behind those of each outcome
+CERTIFIED = len(Outcome)  # index of the count of certified starts
 HEAD = CERTIFIED + 1
 ROTATION = "omega_inf", "omega_inf_error"
 MOTION = "time", "steps"
@@ -28,16 +28,16 @@ LARGEST = 1 << 16  # bins of a histogram
 
 
 def counted_outcomes(outcomes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "outcomes"]:
-    """How many starts have each outcome, in the order of `Outcome`."""
+    """Return how many starts have each outcome, in the order of `Outcome`."""
     return np.bincount(outcomes.astype(int) - min(Outcome), minlength=len(Outcome))
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """Which starts are counted together, and in which bins.
+    """The reduction of a sweep to counts: the axes that separate cells, and the bins of histograms.
 
     Attributes:
-        keep: the axes that are kept; they come first among those of the grid.
+        keep: the kept axes; they are the first axes of the grid.
         edges: the edges of the bins, by the column that is counted.
     """
 
@@ -50,7 +50,7 @@ class Reduction:
         return HEAD + sum(len(edges) + 1 for edges in self.edges.values())
 
     def place(self, column: str) -> slice:
-        """Where the counts of a histogram are among those of a cell."""
+        """Return the slice of a cell's counts that holds a histogram."""
         first = HEAD
         for name, edges in self.edges.items():
             if name == column:
@@ -61,13 +61,13 @@ class Reduction:
         )
 
     def shape(self, tiling: Tiling) -> tuple[int, ...]:
-        """The shape of the counts of a tile that is not shortened."""
+        """Return the shape of the counts of a tile that is not shortened."""
         return (*tiling.chunk[: len(self.keep)], self.width)
 
     def counts(
         self, columns: Mapping[str, np.ndarray], tiling: Tiling, tile: int
     ) -> Int[np.ndarray, "..."]:
-        """The counts of a tile from its columns; cells that a shortened tile lacks have none."""
+        """Return the counts of a tile from its columns; 0 for cells missing in a shortened tile."""
         lengths = [indices.stop - indices.start for indices in tiling.box(tile)]
         kept, others = lengths[: len(self.keep)], math.prod(lengths[len(self.keep) :])
         outcome = columns["outcome"]
@@ -91,7 +91,7 @@ class Reduction:
         return whole
 
     def header(self, plain: Mapping[str, Any], tiling: Tiling) -> dict[str, Any]:
-        """The header of the store of a tally, from that of the same sweep with every start."""
+        """Return the header of a tally's store, from the header of the sweep with every start."""
         return {
             **plain,
             "dims": ["tile"],
@@ -113,13 +113,13 @@ class Reduction:
 def bins_of(
     values: Float[np.ndarray, "n"] | Int[np.ndarray, "n"], edges: Float[np.ndarray, "edges"]
 ) -> Int[np.ndarray, "n"]:
-    """The bins of values: 0 below the first edge, then 1 …, and len(edges) above the last one."""
+    """Return the bins of values: 0 below the first edge, 1 … between, len(edges) above the last."""
     places = np.searchsorted(edges, values, side="right")
     return np.where(values == edges[-1], len(edges) - 1, places)
 
 
 def is_counted(column: str, values: np.ndarray, outcome: Int[np.ndarray, "n"]) -> np.ndarray:
-    """Which values a histogram counts: those of residual rotations, or of all that is decided."""
+    """Return the mask of values that count: known ones of residual, or of all decided, starts."""
     residual = outcome == Outcome.RESIDUAL
     of_motion = column in MOTION
     which = residual | (outcome == Outcome.STOP) if of_motion else residual
@@ -129,13 +129,13 @@ def is_counted(column: str, values: np.ndarray, outcome: Int[np.ndarray, "n"]) -
 def reduction_of(
     over: Grid | Points | Sample, keep: str | Sequence[str], histograms: Any, columns: Sequence[str]
 ) -> Reduction:
-    """The reduction that is asked for, checked.
+    """Return the reduction after checking the arguments.
 
     Args:
-        over: what is swept.
+        over: the points of the sweep.
         keep: names of axes of a grid.
         histograms: edges of bins by the names of columns.
-        columns: what can be counted.
+        columns: the columns that can be counted.
     """
     names = names_of("keep", keep)
     known = over.dims if isinstance(over, Grid) else ()
@@ -170,7 +170,7 @@ def _edges(column: str, values: Any) -> Float[np.ndarray, "edges"]:
 
 
 def with_kept_first(over: Grid | Points | Sample, keep: Sequence[str]) -> Grid | Points | Sample:
-    """The same points, those of a grid in another order: its tiles lie in few cells then."""
+    """Return the points with the kept axes first, so that each tile lies in few cells."""
     if not isinstance(over, Grid) or not keep:
         return over
     others = [name for name in over.dims if name not in keep]

@@ -1,4 +1,4 @@
-"""Tallies: how many starts have each outcome, and histograms, without keeping every start."""
+"""Tallies: counts of outcomes, and histograms, without keeping every start."""
 
 import threading
 from collections.abc import Iterable
@@ -35,7 +35,7 @@ class Shares(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """The edges of the bin that holds a number of every cell; NaN if nothing was counted."""
+    """The edges of the bin that contains a quantile, for every cell; NaN if nothing was counted."""
 
     low: Float[np.ndarray, "*cells"]
     high: Float[np.ndarray, "*cells"]
@@ -50,8 +50,8 @@ class Tally:
         shape: their lengths.
         coords: the values on all axes, kept or not, or of points.
         counts: the numbers of starts, shape (cells, …); use the methods below.
-        reduction: what is counted where.
-        size: number of starts of the sweep; `starts` is less while it is not finished.
+        reduction: the meaning of the counts.
+        size: number of starts of the sweep; `starts` is smaller while it is unfinished.
         attrs: level of the equation, settings, versions.
         seconds: wall time of the sweep, compilation included; NaN for a loaded tally.
     """
@@ -77,22 +77,22 @@ class Tally:
 
     @property
     def certified(self) -> Int[np.ndarray, "*cells"]:
-        """How many starts ended in a region that is proven to decide."""
+        """Numbers of starts that ended in a region that is proven to decide."""
         return np.asarray(self.counts[..., CERTIFIED])
 
     def count(self, outcome: Outcome) -> Int[np.ndarray, "*cells"]:
-        """How many starts have an outcome."""
+        """Return how many starts have an outcome."""
         return np.asarray(self.counts[..., int(Outcome(outcome)) - min(Outcome)])
 
     def fractions(self) -> dict[str, Shares]:
-        """Share of every outcome that occurs, in every cell, with 95 % intervals (Wilson).
+        """Return the share of every outcome that occurs, by cell, with 95 % intervals (Wilson).
 
-        The intervals are those of independent random starts; on a regular grid they overstate the
-        error. Of an unfinished sweep the shares are of what is counted already.
+        The intervals hold for independent random starts; on a regular grid they overstate the
+        error. The shares of an unfinished sweep are among the starts counted so far.
         """
         counts = {outcome: self.count(outcome) for outcome in Outcome}
         sizes = np.asarray(np.sum(self.counts[..., :CERTIFIED], axis=-1))
-        with np.errstate(invalid="ignore", divide="ignore"):  # of cells not counted yet
+        with np.errstate(invalid="ignore", divide="ignore"):  # cells not counted yet
             return {
                 outcome.name: Shares(np.asarray(count / sizes), *wilson(count, sizes), count)
                 for outcome, count in counts.items()
@@ -100,16 +100,16 @@ class Tally:
             }
 
     def edges(self, column: str) -> Float[np.ndarray, "edges"]:
-        """The edges of the bins of a histogram."""
+        """Return the edges of the bins of a histogram."""
         self.reduction.place(column)
         return self.reduction.edges[column]
 
     def histogram(self, column: str) -> Int[np.ndarray, "*cells bins"]:
-        """How many values of a column lie in each bin; see `outside` for the others.
+        """Return how many values of a column lie in each bin; see `outside` for the others.
 
-        Of `omega_inf`, its error and derivatives these are the values of RESIDUAL starts; of `time`
-        and `steps` those of RESIDUAL and STOP. Numbers that are not known (NaN) are not counted.
-        A bin holds its lower edge; the last one holds both.
+        Values of `omega_inf`, its error and derivatives count for RESIDUAL starts only; `time` and
+        `steps` for RESIDUAL and STOP. Unknown numbers (NaN) are not counted. A bin includes its
+        lower edge; the last one includes both.
 
         Raises:
             ValueError: the column has no histogram.
@@ -117,19 +117,19 @@ class Tally:
         return self.counts[..., self.reduction.place(column)][..., 1:-1]
 
     def outside(self, column: str) -> tuple[Int[np.ndarray, "*cells"], Int[np.ndarray, "*cells"]]:
-        """How many values of a column lie below the first edge, and above the last one."""
+        """Return how many values of a column lie below the first edge, and above the last one."""
         every = self.counts[..., self.reduction.place(column)]
         return np.asarray(every[..., 0]), np.asarray(every[..., -1])
 
     def quantile(self, column: str, q: Any) -> Bounds:
-        """The bin that holds the q-quantile of the counted values of a column, in every cell.
+        """Return the bin that contains the q-quantile of the values of a column, in every cell.
 
-        The smallest value with at least the share q of all values at or below it lies there; it is
-        known to the width of that bin, which is infinite outside of all edges.
+        The quantile is the smallest value with at least the share q of all values at or below it.
+        Beyond the edges the bin is infinite.
 
         Args:
-            column: one that has a histogram.
-            q: from 0 to 1.
+            column: a column with a histogram.
+            q: the share, from 0 to 1.
         """
         if not (isinstance(q, int | float | np.number) and 0 <= q <= 1):
             refuse("q", "be a number from 0 to 1", f"is {q!r}")
@@ -142,10 +142,10 @@ class Tally:
         return Bounds(*(np.where(known, ends[place + k], np.nan) for k in (0, 1)))
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The counts as an `xarray.Dataset` over the kept axes.
+        """Return the counts as an `xarray.Dataset` over the kept axes.
 
         `starts` has the axis `outcome`; a histogram has an axis of bins, whose edges are the
-        coordinates `…_low` and `…_high`. What lies outside is in the first and the last bin.
+        coordinates `…_low` and `…_high`. Values outside the edges are in the first and last bin.
         """
         import xarray
 
@@ -170,7 +170,7 @@ class Tally:
         return xarray.Dataset(variables, coords, attrs)
 
     def __eq__(self, other: object) -> bool:
-        """Whether all counts are the same, of the same cells and bins."""
+        """Return whether cells, bins and all counts are the same."""
         if not isinstance(other, Tally):
             return NotImplemented
         same = (self.dims, self.size) == (other.dims, other.size)
@@ -186,24 +186,24 @@ class Tally:
 
     @staticmethod
     def load(path: str | bytes | PathLike[Any], *, unfinished: bool = False) -> "Tally":
-        """The tally in the `store` of `tally`.
+        """Load the tally in the `store` of `tally`.
 
         Args:
             path: the folder.
-            unfinished: whether to load one that is not finished, too, as far as it is now.
+            unfinished: whether to load an unfinished tally, too, in its present state.
 
         Raises:
-            StoreMismatch: it is missing, no tally, or one that is not finished.
-            StoreDamaged: it is not what was written.
+            StoreMismatch: the store is missing, not a tally, or an unfinished one.
+            StoreDamaged: the store differs from what was written.
         """
         tiles = open_store(path)
         if "tally" not in tiles.header:
-            must, reason = "be a tally", f"{tiles.folder} is none (`Basin.load` reads a basin)"
+            must, reason = "be a tally", f"{tiles.folder} is not one (`Basin.load` reads a basin)"
             raise StoreMismatch("path", tiles.folder, must, reason)
         left = tiles.unfinished()
         if left and not flag("unfinished", unfinished):
             reason = (
-                f"{tiles.folder} lacks {len(left)} of {tiles.tiling.count} tiles; "
+                f"{tiles.folder} is missing {len(left)} of {tiles.tiling.count} tiles; "
                 "run the tally again with this store"
             )
             raise StoreMismatch("path", tiles.folder, "hold a finished tally", reason)
@@ -211,7 +211,7 @@ class Tally:
 
     @property
     def merged(self) -> "Tally":
-        """The counts of all cells together."""
+        """The tally with all cells merged into one."""
         counts = np.sum(self.counts, axis=tuple(range(len(self.dims))))
         reduction = replace(self.reduction, keep=())
         return replace(self, dims=(), shape=(), counts=counts, reduction=reduction)
@@ -247,20 +247,20 @@ class CountsInMemory:
 
 
 def no_counts(reduction: Reduction, tiling: Tiling) -> Int[np.ndarray, "..."]:
-    """Zeros for all counts."""
+    """Return zeros for all counts."""
     return np.zeros((*tiling.shape[: len(reduction.keep)], reduction.width), np.int64)
 
 
 def add_counts(
     counts: Int[np.ndarray, "..."], part: Int[np.ndarray, "..."], tiling: Tiling, tile: int
 ) -> None:
-    """Add the counts of a tile to those of all cells, in place."""
+    """Add the counts of a tile to the counts of its cells, in place."""
     cells = tiling.box(tile)[: part.ndim - 1]
     counts[cells] += part[tuple(slice(cell.stop - cell.start) for cell in cells)]
 
 
 def tally_on_disk(tiles: Tiles, finished: Iterable[int]) -> Tally:
-    """The sum of the counts of these tiles."""
+    """Return the tally of these tiles of a store."""
     header = tiles.header
     own, tiling = header["tally"], tiling_of_starts(header)
     edges = {name: np.asarray(values) for name, values in own["edges"].items()}
@@ -279,6 +279,6 @@ def tally_of(
     counts: Int[np.ndarray, "..."],
     attrs: dict[str, Any],
 ) -> Tally:
-    """A tally of these counts."""
+    """Return a tally of these counts."""
     shape = tiling.shape[: len(reduction.keep)]
     return Tally(reduction.keep, shape, coords, counts, reduction, tiling.size, attrs)

@@ -10,20 +10,20 @@ from jaxtyping import Int
 from .._engines.interface import power_of_two
 from .._runs.memory_limits import TILE
 
-MANY = 65536  # tiles; rather than more of these, they have up to `LARGEST` starts
+MANY = 65536  # tiles; to avoid more of them, a tile may have up to `LARGEST` starts
 LARGEST = 1 << 20
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """How a grid of this shape is cut into boxes, its tiles.
+    """The division of a grid of this shape into boxes, its tiles.
 
-    A box has one index on the first axes, a piece of one axis, and all of those behind it. So the
-    flat indices of a tile (C order) are consecutive, and tiles follow one another.
+    A box has one index on the first axes, a range of the next axis, and the full range of all later
+    axes. So the flat indices of a tile (C order) are consecutive, and tiles follow one another.
 
     Attributes:
         shape: lengths of the axes.
-        chunk: lengths of a box; the last one on its axis may be shorter.
+        chunk: lengths of a box; the last box on an axis may be shorter.
     """
 
     shape: tuple[int, ...]
@@ -31,7 +31,7 @@ class Tiling:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], most: int) -> "Tiling":
-        """Tiles with at most so many starts each."""
+        """Return the tiling with at most `most` starts in each tile."""
         chunk = list(shape)
         for axis, length in enumerate(shape):
             behind = math.prod(shape[axis + 1 :])
@@ -42,14 +42,14 @@ class Tiling:
 
     @classmethod
     def of_sweep(cls, shape: tuple[int, ...]) -> "Tiling":
-        """Tiles for all cores, even of a small grid; the same on every machine."""
+        """Return a tiling with enough tiles for all cores; the same on every machine."""
         size = math.prod(shape)
         few, usual = power_of_two(-(-size // 8)), power_of_two(-(-size // MANY))
         return cls.of(shape, min(few, max(TILE, min(usual, LARGEST))))
 
     @classmethod
     def whole(cls, shape: tuple[int, ...]) -> "Tiling":
-        """One tile."""
+        """Return the tiling with one tile."""
         return cls(shape, shape)
 
     @property
@@ -73,37 +73,37 @@ class Tiling:
         return math.prod(self.grid)
 
     def others(self, tiles: Iterable[int]) -> list[int]:
-        """All tiles except these."""
+        """Return all tiles except these."""
         return sorted(set(range(self.count)) - set(tiles))
 
     def box(self, tile: int) -> tuple[slice, ...]:
-        """The indices of a tile on every axis."""
+        """Return the indices of a tile on every axis."""
         firsts = [k * i for k, i in zip(self.chunk, self.place(tile), strict=True)]
         ends = [min(i + k, n) for i, k, n in zip(firsts, self.chunk, self.shape, strict=True)]
         return tuple(slice(*pair) for pair in zip(firsts, ends, strict=True))
 
     def place(self, tile: int) -> tuple[int, ...]:
-        """Where a tile is in the grid of tiles."""
+        """Return the indices of a tile in the grid of tiles."""
         return tuple(int(i) for i in np.unravel_index(tile, self.grid)) if self.grid else ()
 
     def length(self, tile: int) -> int:
-        """Number of starts in a tile."""
+        """Return the number of starts in a tile."""
         return math.prod(indices.stop - indices.start for indices in self.box(tile))
 
     def span(self, tile: int) -> slice:
-        """The flat indices of a tile."""
+        """Return the flat indices of a tile."""
         box = self.box(tile)
         corner = tuple(indices.start for indices in box)
         first = int(np.ravel_multi_index(corner, self.shape)) if corner else 0
         return slice(first, first + self.length(tile))
 
     def padded_indices(self, tile: int, length: int) -> Int[np.ndarray, "length"]:
-        """The flat indices of a tile, with its last one again until there are so many."""
+        """Return the flat indices of a tile, padded to `length` with its last index."""
         span = self.span(tile)
         return np.minimum(np.arange(span.start, span.start + length), span.stop - 1)
 
     def tiles_with(self, flat: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The tiles to which these flat indices belong."""
+        """Return the tiles to which these flat indices belong."""
         if not self.shape:
             return np.zeros_like(flat)
         index = np.unravel_index(flat, self.shape)

@@ -23,7 +23,7 @@ from .problems import Problem
 
 
 class Quantity(NamedTuple):
-    """What may be given or varied: its symbol, meaning, default, usual range, and bounds."""
+    """A quantity that may be given or varied: symbol, meaning, default, usual range, bounds."""
 
     symbol: str
     meaning: str
@@ -73,23 +73,23 @@ def _bounds(quantity: Quantity) -> str:
 
 
 def describe(values: Mapping[str, float]) -> str:
-    """The values with their symbols."""
+    """Return the values with their symbols."""
     return ", ".join(
         f"{QUANTITIES[name].symbol} = {as_text(value)}" for name, value in values.items()
     )
 
 
 def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
-    """ω₀ of shape (3,), from the quantities by their names."""
+    """Return ω₀, shape (3,), from the quantities by name."""
     if "amplitude" not in values:
         return cylindrical(values["w_perp"], values["w3"], values["phi"])
     amplitude, theta = values["amplitude"], values["theta"]
     return cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), values["phi"])
 
 
-@functools.cache  # the same function for every sweep of a level, so that none is traced again
+@functools.cache  # the same function for every sweep of a level, so that it is traced once
 def problem_of_top(level: Level) -> Problem:
-    """The problem of a sweep at a level, over δ and the quantities of a start."""
+    """Return the problem of a sweep at a level, over δ and the quantities of a start."""
 
     def problem(**point: Any) -> tuple[Equation, Array]:
         return equation_at(level, point["delta"]), initial_condition(point)

@@ -1,4 +1,4 @@
-"""The tiles of a sweep that are not finished yet: computed here, on a cluster, or by others."""
+"""Computation of the unfinished tiles of a sweep: here, on a cluster, or by other processes."""
 
 import contextlib
 import functools
@@ -16,21 +16,21 @@ from .outcome_shares import RunningShares
 from .sweep_plan import Plan
 from .sweep_stores import Store
 
-POLL = 0.2  # seconds until the tiles of other processes are looked for again
+POLL = 0.2  # seconds between checks for tiles that other processes have finished
 
 Finished: TypeAlias = tuple[int, Int[np.ndarray, "outcomes"] | None]
-"""A finished tile, and how many starts have each outcome if this sweep has found them."""
+"""A finished tile, and the counts of its outcomes if this sweep has computed them."""
 
 
 def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
-    """Compute what is left of a sweep, and close its store, which can be read then."""
+    """Compute the unfinished tiles of a sweep, then close its store, so that it can be read."""
     with contextlib.closing(store):
         if client is None:
             once = functools.partial(_compute_once, plan, store)
         else:
             once = on_cluster(client, plan, store)
         _compute(plan, store, once, progress)
-        if client is not None:  # what killed workers left is removed when the store is closed
+        if client is not None:  # closing removes the files that killed workers left
             store.reopen()
 
 
@@ -67,10 +67,10 @@ def _compute(
 
 
 def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:
-    """Yield the tiles as they are finished, here or by other processes; some may be left over.
+    """Yield the tiles as they are finished, here or by other processes; some may remain.
 
-    The worker that has computed a tile writes it, too: to create files takes as long as to compute.
-    After an interruption, the tiles in hand are kept if they do not take much longer.
+    The thread that has computed a tile also writes it: creating files takes as long as computing.
+    After an interruption, the tiles in progress are kept if they do not take much longer.
     """
     queues = plan.queues(tiles)
 

@@ -12,7 +12,7 @@ from .columns import DERIVATIVE_PREFIX
 
 
 def unfold(basin: Basin) -> Basin:
-    """The same basin with φ ∈ [0, 2π) and ω₃ ∈ [−max, max] instead of one symmetry cell.
+    """Extend a basin from one symmetry cell to φ ∈ [0, 2π) and ω₃ ∈ [−max, max].
 
     If the dipole lies along axis 1 and the axes are principal, every level has two symmetries:
 
@@ -21,19 +21,19 @@ def unfold(basin: Basin) -> Basin:
     | axis 3 | (ω₁, ω₂) → −(ω₁, ω₂) | φ → φ + π | changes sign |
     | axis 1 | (ω₂, ω₃) → −(ω₂, ω₃) | (φ, ω₃) → (−φ, −ω₃) | is the same |
 
-    They hold whatever the other axes of the grid are; a torque from outside may lack them, so that
-    the basin of an equation with one is not extended. Columns of derivatives follow: all change
-    sign where ω∞ does, and those by φ and ω₃ change sign under (φ, ω₃) → (−φ, −ω₃).
+    They hold for any other axes of the grid. A torque from outside may break them, so the basin of
+    an equation with such a torque is not extended. Derivatives transform accordingly: all change
+    sign where ω∞ does, and ∂ω∞/∂φ and ∂ω∞/∂ω₃ change sign under (φ, ω₃) → (−φ, −ω₃).
 
     Args:
         basin: a basin over a grid. Its axis `phi` is extended if it divides [0, π) evenly, with
-            its values at the edges of the parts, as in `symmetry_cell`, or in their middles; its
+            its values at the edges of the parts, as in `symmetry_cell`, or at their midpoints; its
             axis `w3` if it increases from 0 or more and φ then covers [0, 2π).
 
     Returns:
         A basin in memory with the level and settings of `basin`; `basin` itself if there is
         nothing to extend. Starts at ω₃ = 0 occur once and all others twice, so take `fractions`
-        of the cell.
+        from the cell.
 
     Source: the symmetries of (4.2)–(4.4).
     """
@@ -52,7 +52,7 @@ def _axis(basin: Basin, name: str) -> Float[np.ndarray, "..."] | None:
 
 
 def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:
-    """Whether φ = 0, h, 2h, … or ½h, 1½h, … divides the period evenly, its end excluded."""
+    """Return whether φ = 0, h, 2h, … or ½h, 1½h, … divides the period evenly, its end excluded."""
     if phi is None or phi.ndim > 1 or len(phi) < 2:
         return False
     step = period / len(phi)
@@ -61,7 +61,7 @@ def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:
 
 
 def _is_in_middles(phi: Float[np.ndarray, "n"]) -> bool:
-    """Whether values that divide a period begin half a step behind 0, rather than there."""
+    """Return whether values that divide a period begin at half a step rather than at 0."""
     return bool(phi[0] > (phi[1] - phi[0]) / 4)
 
 
@@ -72,7 +72,7 @@ def _rises(w3: Float[np.ndarray, "..."] | None) -> bool:
 
 
 def _to_full_turn(basin: Basin) -> Basin:
-    """φ → φ + π with ω∞ → −ω∞."""
+    """Extend a basin by φ → φ + π with ω∞ → −ω∞."""
     phi, axis, columns = basin.coords["phi"], basin.dims.index("phi"), {}
     for name in basin.columns:
         cell = basin.column(name)
@@ -82,7 +82,7 @@ def _to_full_turn(basin: Basin) -> Basin:
 
 
 def _to_both_hemispheres(basin: Basin) -> Basin:
-    """(φ, ω₃) → (−φ, −ω₃) with the same ω∞; ω₃ = 0 is its own image."""
+    """Extend a basin by (φ, ω₃) → (−φ, −ω₃) with the same ω∞; ω₃ = 0 is its own image."""
     w3, phi, columns = basin.coords["w3"], basin.coords["phi"], {}
     phi_axis, w3_axis = basin.dims.index("phi"), basin.dims.index("w3")
     mirrored_phi = (-np.arange(len(phi)) - _is_in_middles(phi)) % len(phi)
@@ -97,14 +97,14 @@ def _to_both_hemispheres(basin: Basin) -> Basin:
 
 
 def _negative(values: np.ndarray) -> np.ndarray:
-    """−x, except that 0 (the ω∞ of a stop) stays 0 and does not become −0."""
+    """Return −x, except that 0 (the ω∞ of a stop) stays 0 and does not become −0."""
     return 0 - values
 
 
 def _extended(
     basin: Basin, axis: str, values: Float[np.ndarray, "n"], columns: dict[str, np.ndarray]
 ) -> Basin:
-    """The basin with other values on one axis, and the columns that belong to them."""
+    """Return the basin with other values on one axis, and the corresponding columns."""
     coords = basin.coords | {axis: values}
     shape = tuple(len(coords[name]) for name in basin.dims)
     flat = {name: column.reshape(-1) for name, column in columns.items()}

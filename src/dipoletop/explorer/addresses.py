@@ -12,11 +12,11 @@ from .scenes import Scene
 from .views import SIZES, Range, View, axes_in, checked_view, whole_ranges
 
 RANGE = ".."
-"""What parts the ends of a range."""
+"""The separator between the ends of a range."""
 
 
 def address_of(view: View) -> str:
-    """The query that opens a page at this view, "?" included."""
+    """Return the query that opens a page at this view, "?" included."""
     pairs = [("level", level.value) for level in view.levels]
     pairs += [("x", view.x), ("y", view.y)]
     pairs += [(name, f"{low!r}{RANGE}{high!r}") for name, (low, high) in view.ranges.items()]
@@ -25,10 +25,10 @@ def address_of(view: View) -> str:
 
 
 def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> View:
-    """The view, as the query of an address changes it.
+    """Return the view, changed as the query of an address asks.
 
     Raises:
-        ValueError: a name or a value of the query does not suit.
+        ValueError: a name or a value of the query is not allowed.
     """
     given = {name.replace("-", "_"): list(texts) for name, texts in query.items()}
     known = "x", "y", "level", "rtol", "size", *scene.quantities

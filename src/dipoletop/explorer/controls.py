@@ -21,12 +21,12 @@ WIDTH = 300
 
 
 class Controls:
-    """Widgets that show a view, and make another one when they are moved.
+    """Widgets that show a view, and make a new one when they are changed.
 
     Args:
-        scene: what is explored.
+        scene: the problem that is explored.
         on_view: called with every new view.
-        on_refusal: called with the sentence that refuses a value, or with "" where there is none.
+        on_refusal: called with the message that refuses a value, or with "" if all are accepted.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Controls:
         )
 
     def show(self, view: View) -> None:
-        """Show a view, without making another one."""
+        """Show a view in the widgets, without calling `on_view`."""
         with self._showing():
             self._view = view
             self._axes[0].value, self._axes[1].value = view.x, view.y
@@ -86,7 +86,7 @@ class Controls:
             for name, axis in (("x", view.x), ("y", view.y)):
                 self._ends[name].show(self._scene.quantities[axis].symbol, view.ranges[axis])
             for widget, level in zip(self._levels, (*view.levels, NONE), strict=False):
-                if level in widget.values:  # there is none where the equation is given
+                if level in widget.values:  # the list is empty if the equation is given
                     widget.value = level
             if view.rtol not in self._rtol.options:
                 self._rtol.options = sorted({*TOLERANCES, view.rtol}, reverse=True)
@@ -101,7 +101,7 @@ class Controls:
             self._is_showing = before
 
     def _change(self, make: Callable[[View], View]) -> None:
-        """Make another view; where it is refused, say so and show the old values again."""
+        """Make a new view; if it is refused, report why and show the old values again."""
         if self._is_showing or self._view is None:
             return
         try:
@@ -134,14 +134,14 @@ class Controls:
         self._change(changed)
 
     def _chosen(self, event: Any) -> None:
-        """The view of what is chosen in the lists."""
+        """Make the view that the lists and the other widgets now select."""
 
         def changed(view: View) -> View:
             x, y = (widget.value for widget in self._axes)
             if event.obj is self._system:
                 return _of_system(self._scene, view, self._system.value)
             if (x, y) == (view.y, view.y) or (x, y) == (view.x, view.x):
-                x, y = view.y, view.x  # one axis at the place of the other: they change places
+                x, y = view.y, view.x  # one axis was set to the other: swap them
             if (x, y) != (view.x, view.y):
                 return _with_either_axis(self._scene, view, x, y)
             levels = tuple(w.value for w in self._levels if w.value not in (NONE, None))
@@ -161,13 +161,13 @@ def _number(name: str, value: Any) -> float:
 
 
 def _of_system(scene: Scene, view: View, system: tuple[str, ...]) -> View:
-    """The view with starts given otherwise; its axes are kept if they can be."""
+    """Return the view with starts given by a system of quantities; axes in it are kept."""
     x, y = axes_in(scene, system, *(n if n in system else None for n in (view.x, view.y)))
     return in_system(scene, view, x, y, system)
 
 
 def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:
-    """The view over these axes; where they do not go together the one that is new decides."""
+    """Return the view with these axes; if no system has both, the axis just changed wins."""
     if not any({x, y} <= set(system) for system in scene.systems):
         new = x if x != view.x else y
         axes = (x, None) if new == x else (None, y)
@@ -184,10 +184,10 @@ def _described(scene: Scene, system: tuple[str, ...]) -> str:
 
 
 class _Slider(pn.widgets.FloatSlider):
-    """A slider whose moves are followed at once."""
+    """A slider that reports its moves without delay."""
 
     _debounce: ClassVar[int] = 0
-    """Milliseconds until Panel tells of a move; 50 if not set."""
+    """Milliseconds until Panel reports a move; its default is 50."""
 
 
 class _Value:
@@ -217,7 +217,7 @@ class _Value:
 
 
 class _Ends:
-    """The ends of an axis as text."""
+    """Text fields for the ends of an axis."""
 
     def __init__(self, axis: str, on_range: Callable[[str, str, str], None]) -> None:
         self._texts = [pn.widgets.TextInput(sizing_mode="stretch_width") for _ in range(2)]
@@ -233,6 +233,6 @@ class _Ends:
 
 
 def _exact(value: float) -> str:
-    """A number by all of its digits, a multiple of π as such."""
+    """Return a number with all its digits, or as a multiple of π."""
     text = as_text(value).replace("π", "pi")
     return text if number_in(text) == value else repr(value)

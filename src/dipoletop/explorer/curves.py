@@ -16,14 +16,14 @@ from .starts import FRAMES, OfBody, ShownMotion
 HEIGHT = 250
 NAMES = "ω₁", "ω₂", "ω₃"
 MERIDIANS, PARALLELS, POINTS = 8, 5, 24
-"""Lines on the surface of a body, and segments of each."""
+"""Numbers of lines on the surface of a body, and of segments of each."""
 DRAW = Path(__file__).with_name("motion.js").read_text(encoding="utf-8")
 MESH = "x0", "y0", "z0", "x1", "y1", "z1"
 AT_BEGINNING, AT_END = "beginning", "end"
 
 
 class CurvePlots:
-    """Figures of a motion, empty until there is one."""
+    """Figures of a motion, empty until one is shown."""
 
     def __init__(self) -> None:
         self._omega = _source("omega", "tau", "w1", "w2", "w3", "size")
@@ -51,7 +51,7 @@ class CurvePlots:
 
     @property
     def panes(self) -> list[Any]:
-        """The panes of figures."""
+        """The panes of the figures."""
         return [self.omega, self.energy, self._body.pane]
 
     def show(self, motion: ShownMotion) -> None:
@@ -74,7 +74,7 @@ class CurvePlots:
         self._show_body()
 
     def clear(self) -> None:
-        """Draw none."""
+        """Empty the figures."""
         self._motion = None
         for source in (self._omega, self._energy):
             source.data = {name: [] for name in source.data}
@@ -144,13 +144,15 @@ class _Body:
 
 
 def surface(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "n"], ...]:
-    """Segments of lines on the homogeneous ellipsoid with these moments, its longest half-axis 1.
+    """Return segments of lines on the homogeneous ellipsoid with these moments, scaled to size 1.
+
+    Its longest half-axis is 1.
 
     Returns:
         x, y and z, in body axes, where the segments begin, and where they end.
     """
     moments, axes = np.linalg.eigh(inertia)
-    squares = np.maximum(np.sum(moments) / 2 - moments, 0.0)  # m/5 times those of the half-axes
+    squares = np.maximum(np.sum(moments) / 2 - moments, 0.0)  # m/5 times the squared half-axes
     lengths = np.sqrt(squares / np.max(squares))
     angles = np.linspace(0.0, 2 * math.pi, POINTS + 1)
     lines = []
@@ -161,7 +163,7 @@ def surface(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "n"], 
         across = math.sqrt(1 - height**2)
         level = np.full_like(angles, height)
         lines.append([across * np.cos(angles), across * np.sin(angles), level])
-    # The poles of the lines are those of the symmetry axis, if there is one.
+    # The poles of the lines lie on the symmetry axis, if there is one.
     pole = 0 if moments[1] - moments[0] > moments[2] - moments[1] else 2
     order = [(pole + 1) % 3, (pole + 2) % 3, pole]
     points = np.einsum("ik,lkp->ilp", axes[:, order] * lengths[order], np.array(lines))

@@ -1,4 +1,4 @@
-"""The pictures of a view as they come: coarse at first, then as the view asks."""
+"""The successive pictures of a view: coarse at first, finally at its size and tolerance."""
 
 import math
 import threading
@@ -21,33 +21,33 @@ from .views import Cells, View, cells_of, finest_step
 QUICK = 0.06
 """Seconds that the starts of a first picture may take."""
 LONGEST = 1.0
-"""The same of a picture that comes between the first and the last one."""
+"""Seconds that a picture between the first and the last one may take."""
 FEW_STEPS = 2000
-"""Steps of a run of these pictures, at most."""
+"""Largest number of steps of a run in these preliminary pictures."""
 LOOSE = 1e-5
-"""Relative tolerance of these pictures."""
+"""Relative tolerance of the preliminary pictures."""
 OVERHEAD = 0.003
-"""Seconds that a sweep takes however few starts it has."""
+"""Seconds that a sweep takes even with very few starts."""
 PIECE = 0.1
-"""Seconds of a piece of work, after which others have their turn."""
+"""Seconds of a piece of work, after which other pages have their turn."""
 REST = 0.1
 """Seconds without a change after which a picture is refined."""
 FEWEST = 16
-"""Starts on a side of the coarsest picture, and of a first one whose cost is not known."""
+"""Starts on a side of the coarsest picture, and of a first one whose cost is unknown."""
 
 
 class Drawing:
-    """Sweeps of a scene, prepared once for all pages, and what they cost."""
+    """Sweeps of a scene, prepared once for all pages, with their measured costs."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._prepared: dict[Any, PreparedSweep] = {}
         self._preparing = threading.Lock()
         self._cost: dict[Any, float] = {}
-        """Seconds for each start, by level and by what is wanted of it."""
+        """Seconds for each start, by level and by requested value."""
 
     def sweep(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
-        """The basin over a grid at a level.
+        """Return the basin over a grid at a level.
 
         Raises:
             ValueError: as by `sweep`.
@@ -58,19 +58,23 @@ class Drawing:
                 budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
                 problem = self._scene.problem_at(level)
                 prepared = PreparedSweep.of(problem, grid, value=value, **budget)
-                prepared(_first_start(grid), rtol)  # compiles, so that later runs tell their cost
+                prepared(_first_start(grid), rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared
         return self._prepared[key](grid, rtol)
 
     def pictures(
         self, view: View, show: Callable[[Picture], None], fail: Callable[[Exception], None]
     ) -> Iterator[float]:
-        """Pieces of work that end with a call of `show` for each picture, or with one of `fail`."""
+        """Compute pictures piece by piece, and call `show` with each, or `fail` with an error.
+
+        Yields:
+            After each piece, the `time.monotonic()` before which the next one need not begin.
+        """
         began = time.monotonic()
         try:
             size, is_new = self._quick_size(view, QUICK), self._quick_cost(view, 2) == math.inf
             show(self._quick(view, size))
-            if is_new:  # what it compiled is no part of the cost
+            if is_new:  # the first sweep compiled, which does not belong to the cost
                 for level in _levels(view):
                     del self._cost[level, UNCHECKED]
                 self._quick(view, size)
@@ -93,10 +97,10 @@ class Drawing:
             fail(error)
 
     def _quick(self, view: View, size: int) -> Picture:
-        """A picture by a loose tolerance, without estimates of errors.
+        """Return a picture computed with a loose tolerance, without error estimates.
 
-        Labels are wrong within a small part of the tolerance from a boundary, which is not seen
-        unless the starts are as close as that.
+        Labels are wrong only within a small fraction of the tolerance from a boundary; this is
+        invisible unless the starts are equally close.
         """
         rtol = max(view.rtol, LOOSE) if finest_step(view) > LOOSE else view.rtol
         cells = cells_of(self._scene, view, size)
@@ -110,19 +114,19 @@ class Drawing:
         return basin
 
     def _quick_cost(self, view: View, size: int) -> float:
-        """Seconds that the starts of a quick picture take; infinite if that is not known."""
+        """Return the seconds that the starts of a quick picture take; infinite if unknown."""
         costs = [self._cost.get((level, UNCHECKED), math.inf) for level in _levels(view)]
         return sum(costs) * cells_of(self._scene, view, size).count
 
     def _quick_size(self, view: View, seconds: float) -> int:
-        """The largest size, that of the view over a power of two, that takes no longer."""
+        """Return the largest size, the view's size over a power of two, that takes no longer."""
         size = view.size
         while size > FEWEST and self._quick_cost(view, size) > seconds:
             size //= 2
         return size
 
     def _rows_of_piece(self, cells: Cells, level: Level | None) -> int:
-        """How many rows take no longer than `PIECE`, as far as is known."""
+        """Return how many rows are expected to take no longer than `PIECE`."""
         quick = self._cost.get((level, UNCHECKED), 0.0)
         row = self._cost.get((level, True), 2 * quick) * cells.count / cells.rows
         rows = max(int(PIECE / row), 1) if row > 0 else cells.rows
@@ -138,7 +142,7 @@ def _first_start(grid: Grid) -> Grid:
 
 
 def _joined(parts: list[Basin], grid: Grid) -> Basin:
-    """The basin over a grid from those over its rows."""
+    """Return the basin over a grid from those over its rows."""
     names = parts[0].columns
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in names}
     seconds = sum(part.seconds for part in parts)

@@ -1,4 +1,4 @@
-"""The function `explore`, and what it returns."""
+"""The function `explore`, and its result, an `Explorer`."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -21,13 +21,13 @@ IN_NOTEBOOK = "In a notebook the explorer is shown as output of a cell; `serve` 
 
 
 class Explorer:
-    """A page to look round in: it appears in a notebook, or at an address by `serve`.
+    """A page to explore: shown as output in a notebook, or at an address by `serve`.
 
     Every notebook output and every session of a server has its own state.
 
     Attributes:
-        view: property; what the page shows that was changed last.
-        basins: property; the basins of its last finished picture, one for each level, or none.
+        view: property; the view of the page that was opened last.
+        basins: property; the basins of the last finished picture, one for each level; () at first.
     """
 
     def __init__(self, scene: Scene, view: View) -> None:
@@ -38,20 +38,20 @@ class Explorer:
 
     @property
     def view(self) -> View:
-        """What the page shows that was opened last."""
+        """The view of the page that was opened last."""
         return self._first if self._page is None else self._page.view
 
     @property
     def basins(self) -> tuple[Basin, ...]:
-        """The basins of the last finished picture, before `plots.unfold`; none at first."""
+        """The basins of the last finished picture, before `plots.unfold`; () at first."""
         return () if self._picture is None else self._picture.basins
 
     def code(self) -> str:
-        """A script that computes and draws what `view` says."""
+        """Return a script that computes and draws `view`."""
         return recipes.code_of(self._scene, self.view)
 
     def address(self) -> str:
-        """The query of an address that opens a page at `view`."""
+        """Return the query of an address that opens a page at `view`."""
         return addresses.address_of(self.view)
 
     def serve(
@@ -66,11 +66,11 @@ class Explorer:
         """Serve the page until Ctrl-C, with a state of its own for everyone who opens it.
 
         Args:
-            address: where to listen; others than loopback let other machines in, and there is no
+            address: the address to listen at; any but loopback lets other machines in, without a
                 password.
-            port: where, too; 0 means any that is free.
-            origins: hosts such as "example.org:8080" whose pages may open a session, too, as where
-                the server stands behind a proxy. Pages of all others are refused.
+            port: the port to listen at; 0 means any free one.
+            origins: further hosts, such as "example.org:8080", whose pages may open a session, for
+                example if the server stands behind a proxy. Pages of all others are refused.
             show: whether to open a browser.
             say: called with the address of the page.
 
@@ -87,7 +87,7 @@ class Explorer:
         serve(self._session, **place, show=show, say=say)
 
     def _session(self, query: dict[str, list[str]]) -> Any:
-        """The page for the query of an address, or one that says why it is refused."""
+        """Return the page for the query of an address, or a page with the reason of refusal."""
         from .page import refusal_page
 
         try:
@@ -113,7 +113,7 @@ class Explorer:
         self._picture = picture
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
-        """A new page, as output of a notebook; text where there is no browser."""
+        """Return a new page as output of a notebook; text if there is no browser."""
         import panel as pn
 
         if not _in_event_loop():
@@ -146,27 +146,29 @@ def explore(
     size: int = 256,
     rtol: float = 1e-8,
 ) -> Explorer:
-    """A page with the basin map of dω/dτ = equation(ω) over two axes, and sliders for the others.
+    """Make a page with the basin map of dω/dτ = equation(ω), and sliders for its parameters.
+
+    The map is over two of the quantities; each of the others has a slider.
 
     In a notebook the result is shown as output; elsewhere its method `serve` opens a page in a
     browser, as `dipoletop explore` does. The picture follows a slider, coarse at first. A click on
     a start shows its verdict, its motion, and the derivatives of ω∞ there. The page also writes the
-    code of what it shows.
+    code of its picture.
 
-    | `problem` | what is explored | quantities |
+    | `problem` | the explored problem | quantities |
     |---|---|---|
     | None | the transverse top at any level | delta, phi, and w_perp, w3 or amplitude, theta |
-    | `TransverseReduced`, `TransverseSemi` | the same, at this level and δ | the same |
+    | `TransverseReduced`, `TransverseSemi` | this top, at this level and δ | as for None |
     | another equation | its starts | phi, and w_perp, w3 or amplitude, theta |
-    | a function as for `sweep` | the same problem | its arguments |
+    | a function as for `sweep` | the problem that it defines | its arguments |
 
     Args:
         problem: see the table. A function must be pure JAX, and its arguments numbers.
-        over: for each quantity a number, where it is at first, or a pair (low, high), its range.
-            A function needs one or the other for every argument; numbers are kept. ω is in units
-            of 1/τ₀, angles are in radians.
-        level: one level of the equation, or two that are compared, such as ("order-1", "semi");
-            none means that of `problem`, or semi-reduced.
+        over: for each quantity a number, its first value, or a pair (low, high), its range. If
+            `problem` is a function, every argument needs one of them, and an argument with a
+            number stays fixed. ω is in units of 1/τ₀, angles are in radians.
+        level: one level of the equation, or two to compare, such as ("order-1", "semi"); by default
+            the level of `problem`, or semi-reduced.
         x: the horizontal axis; None means φ if there is one.
         y: the vertical axis; None means ω₃ or ϑ if there is one.
         size: starts on each axis: 64, 128, 256, 512 or 1024.

@@ -1,4 +1,4 @@
-"""Work of several users, a piece of each in turn, so that none waits for all of another's."""
+"""Work of several users in turn, a piece of each, so that nobody waits for all of another's."""
 
 import threading
 import time
@@ -7,21 +7,21 @@ from collections.abc import Hashable, Iterator
 IDLE = 10.0
 """Seconds after which a thread without work ends."""
 Work = Iterator[float]
-"""Pieces of work: between two of them it yields the `time.monotonic()` before which it need not go
-on. It must not raise."""
+"""Pieces of work; after each it yields the `time.monotonic()` before which the next one need not
+begin. It must not raise."""
 
 
 class Turns:
-    """One thread that does pieces of work by turns, of each user only the newest."""
+    """One thread that does a piece of work of each user in turn, only of the user's newest work."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._work: dict[Hashable, tuple[Work, float]] = {}
-        """The work of every user and the time when it may go on, next user first."""
+        """Each user's work and the time when it may go on, in the order of turns."""
         self._thread: threading.Thread | None = None
 
     def put(self, user: Hashable, work: Work) -> None:
-        """Begin a user's work, in place of any other that he has here."""
+        """Begin a user's work, in place of any earlier work of this user."""
         with self._changed:
             self._work[user] = work, 0.0
             if self._thread is None:
@@ -45,7 +45,7 @@ class Turns:
                         self._work[user] = work, when  # behind all others
 
     def _next(self) -> tuple[Hashable, Work] | None:
-        """The next user and his work, when there is any; None after a while without."""
+        """Wait for work; return the next user with it, or None after `IDLE` seconds without any."""
         with self._changed:
             while True:
                 now = time.monotonic()

@@ -24,7 +24,7 @@ from .views import Range, View
 HEIGHT = 440
 TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
 TICKS = """
-// Where all ticks of an axis begin with the same digits, only the first one shows them.
+// If all ticks of an axis begin with the same digits, only the first one shows them.
 const step = Math.abs(ticks[1] - ticks[0]), most = Math.max(...ticks.map(Math.abs))
 if (of_angle && step > 0.3) {
   const eighths = Math.round(tick/(Math.PI/4))
@@ -40,7 +40,7 @@ if (index == 0) return tick.toPrecision(Math.min(17, Math.ceil(Math.log10(most/s
 return "+" + Number((tick - ticks[0]).toPrecision(2)).toExponential().replace("-", "−")
 """
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
-"""The browser says which picture it has, so that no more are sent than it can draw."""
+"""The browser reports which picture it has, so that it is sent no more than it can draw."""
 
 
 class Maps:
@@ -48,8 +48,8 @@ class Maps:
 
     Args:
         symbols: the symbol of each quantity.
-        on_ranges: called with the ranges "x" and "y" that the user has chosen, or None for
-            the whole ones.
+        on_ranges: called with the ranges "x" and "y" that the user has chosen, or with None for
+            the whole ranges.
         on_start: called with the number of a map and the x and y of a start in it.
         on_drawn: called with the serial number of the newest picture in the browser.
     """
@@ -99,7 +99,7 @@ class Maps:
         self._on_ranges({"x": (event.x0, event.x1), "y": (event.y0, event.y1)})
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
-        """Call this when the browser has laid out the map for the first time."""
+        """Call `begin` when the browser has laid out the map for the first time."""
         waiting = [begin]
 
         def laid_out(attr: str, old: Any, new: Any) -> None:
@@ -109,7 +109,7 @@ class Maps:
         self.figures[0].on_change("inner_width", laid_out)
 
     def look_at(self, view: View, whole: dict[str, Range]) -> None:
-        """Show the ranges of a view, and name its axes, whose `whole` ranges a reset shows."""
+        """Show the ranges of a view and name its axes; a reset shows their `whole` ranges."""
         first = self.figures[0]
         for name, span, axis in (
             (view.x, first.x_range, "xaxis"),
@@ -125,16 +125,16 @@ class Maps:
         self.panes[1].visible = len(view.levels) == 2
 
     def mark(self, place: tuple[float, float] | None) -> None:
-        """Mark a start, or none."""
+        """Mark a start; remove the mark if `place` is None."""
         xs, ys = ([], []) if place is None else ([place[0]], [place[1]])
         self._chosen.data = {"x": xs, "y": ys}
 
     def show(self, picture: Picture, serial: int) -> None:
-        """Draw a picture of the axes that are shown."""
+        """Draw a picture; its axes must be the ones shown."""
         (x0, x1), (y0, y1) = (picture.view.ranges[n] for n in (picture.view.x, picture.view.y))
         place = {"x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}
         sources = self._sources[: len(picture.images)]
-        # The first one last: once the browser has it, it has both.
+        # The first map is sent last: once the browser has it, it has both.
         for source, image in reversed(list(zip(sources, picture.images, strict=True))):
             pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
             source.data = {"image": [pixels], **place, **_about(picture, serial)}
@@ -162,7 +162,7 @@ def _source(number: int) -> Any:
 
 
 def _about(picture: Picture, serial: int) -> dict[str, list[Any]]:
-    """Which picture it is, for those who read it in the browser."""
+    """Return columns that identify the picture, to be read in the browser."""
     about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
     return {"serial": [serial], "about": [json.dumps(about)]}
 

@@ -26,16 +26,16 @@ from .views import Range, View, whole_ranges, zoomed
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 PATIENCE = 5.0
-"""Seconds after which a browser that has not told that it has a picture is sent another one."""
+"""Seconds after which a browser that has not confirmed a picture is sent another one."""
 AHEAD = 2
-"""Pictures that may be computed, or on their way, before the browser has them."""
+"""Number of pictures that may be in progress before the browser has confirmed one."""
 STARTS_AT_ONCE = 2
-"""Clicked starts, of all pages, that are computed at the same time."""
+"""Number of clicked starts, of all pages, that are computed at the same time."""
 
 
 @dataclass(frozen=True)
 class Workshop:
-    """What all pages of an explorer share."""
+    """The objects that all pages of an explorer share."""
 
     scene: Scene
     drawing: Drawing
@@ -49,8 +49,8 @@ class Page:
     """One user's page.
 
     Args:
-        workshop: what it shares with other pages.
-        view: what it shows at first.
+        workshop: the objects that it shares with other pages.
+        view: the first view.
         on_picture: called with every finished picture.
     """
 
@@ -60,12 +60,12 @@ class Page:
         scene = workshop.scene
         self._workshop, self._on_picture = workshop, on_picture
         self.view, self._ended = zoomed(scene, view, view.ranges)
-        """What is shown, and the axes on which rounding ends the zoom."""
+        """The view shown, and the axes on which rounding ends the zoom."""
         self._outlet = Outlet()
         self._asked, self._asked_at = 0, 0.0
-        """The number of the last picture that was asked for, and when that was."""
+        """The number of the last picture asked for, and the time when it was."""
         self._has, self._has_changed = 0, False
-        """The number of the last picture that the browser has, and whether it lacks the view."""
+        """The number of the last picture that the browser has, and whether the view is newer."""
         self._inspected = 0
         """The number of the last start that was clicked."""
         symbols = texts.symbols_of(scene)
@@ -79,7 +79,7 @@ class Page:
         self.layout = self._laid_out()
         self._controls.show(self.view)
         self._show_maps()
-        # What changes while the browser is still loading the page would not reach it.
+        # Changes made while the browser is still loading the page would not reach it.
         if self._outlet.is_served:
             pn.state.onload(self._ask)
         else:
@@ -136,7 +136,7 @@ class Page:
         self._inspected += 1
         self._workshop.turns.drop(self)
 
-    # What the user does.
+    # Actions of the user.
 
     def _change(self, view: View) -> None:
         """Show another view."""
@@ -156,14 +156,14 @@ class Page:
             self._refuse(str(error))
             return
         self._controls.show(self.view)
-        # The browser shows already what it has asked for, and may have gone on since.
+        # The browser already shows the ranges it asked for, and may have moved on since.
         if ranges is None or self.view.ranges != wanted:
             self._show_maps()
         if self.view != before or self._ended:
             self._ask()
 
     def _write(self) -> None:
-        """Show the code of the view, or hide it."""
+        """Show the code of the view."""
         scene, view = self._workshop.scene, self.view
         self._code.object = texts.code(code_of(scene, view), address_of(view))
 
@@ -184,7 +184,7 @@ class Page:
         self._has_changed = lags and time.monotonic() < self._asked_at + PATIENCE
         if self._has_changed:
             return
-        self._code.object = ""  # it would be that of another view
+        self._code.object = ""  # it belongs to an earlier view
         self._asked += 1
         self._asked_at = time.monotonic()
         number, outlet = self._asked, self._outlet
@@ -224,7 +224,7 @@ class Page:
         self._drawn(self._asked)
 
     def _drawn(self, number: int) -> None:
-        """The browser has a picture."""
+        """Note that the browser has a picture, and ask for the next one if the view has changed."""
         self._has = number
         if self._has_changed:
             self._ask()
@@ -247,7 +247,7 @@ class Page:
         self._workshop.starts.submit(self._compute, self._inspected, view, values, number)
 
     def _compute(self, number: int, view: View, values: dict[str, float], which: int) -> None:
-        """Compute what is shown of a start, in parts, unless another one was clicked meanwhile."""
+        """Compute verdict, motion and derivatives of a start until another is clicked."""
         workshop = self._workshop
         scene, levels = workshop.scene, view.levels or (None,)
         which = min(which, len(levels) - 1)
@@ -285,12 +285,12 @@ def _set(pane: Any, text: str) -> None:
 
 
 def _sentence(error: Exception) -> str:
-    """One line that says what failed."""
+    """Return one line that says what failed."""
     if isinstance(error, ValueError | RuntimeError):
         return one_line(error)
     return f"This failed: {type(error).__name__}: {one_line(error)}"
 
 
 def refusal_page(sentence: str) -> Any:
-    """What is shown in place of a page whose address is refused."""
+    """Return the page shown for an address that is refused."""
     return _html(f'{texts.refused(sentence)}<p><a href="?">Open the page without it</a></p>')

@@ -1,4 +1,4 @@
-"""From the basins of a view to its picture: colours, hatching, legend, and what is said of it."""
+"""From the basins of a view to its picture: colours, hatching, legend and shares."""
 
 import math
 from collections.abc import Sequence
@@ -18,25 +18,25 @@ from .views import View
 STRIPES = 64
 """Stripes of the hatching along a side of a picture."""
 NICE = 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0
-"""Ends of a scale, in a decade: so that it seldom changes while a slider moves."""
+"""Possible ends of a scale in a decade: few, so that it seldom changes while a slider moves."""
 GREEK = {r"$\omega_\infty > 0$": "ω∞ > 0", r"$\omega_\infty < 0$": "ω∞ < 0"}
 GREEK |= {r"$\omega_\infty$": "ω∞"}
 
 
 class Picture(NamedTuple):
-    """A picture for each level of a view, and what is said of them."""
+    """The images of a view, one for each level, with their legend and basins."""
 
     view: View
     size: int
     """Pixels on a side."""
     is_final: bool
-    """Whether all is as the view asks; a coarse picture is not."""
+    """Whether the picture has the size and tolerance of the view; False for a coarse one."""
     images: tuple[UInt8[np.ndarray, "Y X 4"], ...]
-    """Colours, RGBA, rows along y, both axes rising."""
+    """RGBA colours; rows along y, both axes increasing."""
     legend: dict[str, str]
-    """Name and colour of what is seen."""
+    """Colour of each class that occurs, by its name."""
     scale: float
-    """The |ω∞| at the ends of the colour scale; 0 where nothing is residual."""
+    """The |ω∞| at the ends of the colour scale; 0 if no start ends in residual rotation."""
     basins: tuple[Basin, ...]
     planes: tuple[Plane, ...]
     differs: float | None
@@ -46,7 +46,7 @@ class Picture(NamedTuple):
 def picture_of(
     view: View, basins: Sequence[Basin], folded: bool, size: int, is_final: bool
 ) -> Picture:
-    """The picture of the basins of a view's levels, all over the same cells."""
+    """Return the picture of the basins of a view's levels, all over the same cells."""
     axes = view.x, view.y
     planes = [plane_of(basin, "omega_inf", folded, axes) for basin in basins]
     shades = [_with_nice_scale(shade) for shade in shades_of(planes, "omega_inf")]
@@ -69,7 +69,7 @@ def picture_of(
 
 
 def _with_nice_scale(shade: Shade) -> Shade:
-    """The shade with a scale that ends at a round number."""
+    """Return the shade with a scale that ends at a round number."""
     most = float(shade.norm.vmax or 1.0)
     decade = 10.0 ** math.floor(math.log10(most))
     end = next(nice * decade for nice in NICE if nice * decade >= most * (1 - 1e-12))
@@ -77,7 +77,7 @@ def _with_nice_scale(shade: Shade) -> Shade:
 
 
 def _plain(name: str) -> str:
-    """A name of the legend without the notation of TeX."""
+    """Return a name of the legend without the notation of TeX."""
     for tex, text in GREEK.items():
         name = name.replace(tex, text)
     return name
@@ -100,7 +100,7 @@ def hatch(image: UInt8[np.ndarray, "Y X 4"], inside: Bool[np.ndarray, "Y X"]) ->
 
 
 def shares(basin: Basin) -> str:
-    """The shares of the outcomes in a picture, and how many are certified."""
+    """Return the shares of the outcomes in a picture, and the certified share, as text."""
     outcome = basin.outcome
     shown = [
         f"{kind.name.lower()} {percent(float(np.mean(outcome == kind)))}"
@@ -112,5 +112,5 @@ def shares(basin: Basin) -> str:
 
 
 def colour_scale() -> list[str]:
-    """Colours from the most negative to the most positive ω∞."""
+    """Return colours from the most negative to the most positive ω∞."""
     return [to_hex(SIGNED(place)) for place in np.linspace(0.0, 1.0, 9)]

@@ -8,7 +8,7 @@ from .views import View, cells_of
 
 
 def code_of(scene: Scene, view: View) -> str:
-    """A script that computes and draws the same map."""
+    """Return a script that computes and draws the same map."""
     cells = cells_of(scene, view, view.size)
     system = scene.system_of(*view.values)
     parts = [_imports(system), 'jax.config.update("jax_enable_x64", True)']

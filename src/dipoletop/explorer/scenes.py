@@ -1,4 +1,4 @@
-"""What is explored: its quantities, the levels to choose from, and the problem that is swept."""
+"""The scene of an explorer: quantities, levels to choose from, and the problem that is swept."""
 
 import inspect
 import math
@@ -23,21 +23,21 @@ from ..equations.levels import Level
 from . import source_code
 
 MAPPED = tuple(level for level in Level if level is not Level.FULL)
-"""The levels of maps: the full equation takes milliseconds a start."""
+"""The levels of maps; not the full equation, which takes milliseconds for each start."""
 CYLINDRICAL = "w_perp", "w3", "phi"
 SPHERICAL = "amplitude", "theta", "phi"
 WHOLE = {"phi": (0.0, 2 * math.pi), "w3": (-0.6, 0.6), "theta": (0.0, math.pi)}
 """Ranges that show all starts, rather than one symmetry cell."""
 
 Over = Mapping[str, Any]
-"""A number for each quantity where it stands at first, or its range."""
+"""For each quantity a number, its first value, or a pair, its range."""
 
 
 class Source(NamedTuple):
-    """What defines the problem in code that reproduces a view."""
+    """The definition of the problem in a script that reproduces a view."""
 
     before: tuple[str, ...]
-    """Lines that come before."""
+    """Lines that precede the definition."""
     problem: Callable[[Level | None, tuple[str, ...]], tuple[str, ...]]
     """Lines that define `problem` of these quantities at a level."""
 
@@ -47,11 +47,11 @@ class Scene:
     """A problem with its quantities.
 
     Attributes:
-        quantities: by name; their defaults are where the sliders begin.
+        quantities: quantities by name; the sliders begin at their defaults.
         systems: sets of quantities, each of which fixes equation and start.
-        levels: the levels to choose from, those of an equation that is given first; none if there
-            is no choice.
-        problem_at: the problem at a level, or at None.
+        levels: the levels to choose from, the level of a given equation first; () if there is no
+            choice.
+        problem_at: function from a level (None if there is no choice) to the problem.
         source: the code of the problem.
         symmetric: whether the dipole lies along axis 1 and the axes are principal, so that maps
             over φ and ω₃ have the symmetries of `plots.unfold`.
@@ -66,7 +66,7 @@ class Scene:
 
     @property
     def at_first(self) -> tuple[Level, ...]:
-        """The level of a page that is asked for none."""
+        """The level of a page by default."""
         return self.levels[:1]
 
     @property
@@ -75,10 +75,10 @@ class Scene:
         return tuple(name for name, x in self.quantities.items() if x.low < x.high)
 
     def system_of(self, *names: str) -> tuple[str, ...]:
-        """The first system that has all of these quantities.
+        """Return the first system that has all of these quantities.
 
         Raises:
-            ValueError: none has.
+            ValueError: no system has them all.
         """
         for system in self.systems:
             if set(names) <= set(system):
@@ -87,7 +87,7 @@ class Scene:
 
 
 def scene_of(problem: Any, over: Any) -> Scene:
-    """The scene of what `explore` was given.
+    """Return the scene of what `explore` was given.
 
     Raises:
         ValueError: it is neither an equation nor a problem, or `over` does not suit it.
@@ -108,7 +108,7 @@ def scene_of(problem: Any, over: Any) -> Scene:
 
 
 def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
-    """The transverse top of any δ, at any level; pages begin with the `first`."""
+    """Return the scene of the transverse top at any δ and level; pages begin with level `first`."""
     quantities = _quantities(tuple(QUANTITIES), over)
     systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
     levels = first, *(level for level in MAPPED if level is not first)
@@ -122,7 +122,7 @@ def _problem_of_top(level: Level | None) -> Problem:
 
 
 def scene_of_equation(equation: Any, over: Over) -> Scene:
-    """The starts of one equation."""
+    """Return the scene of the starts of one equation."""
     check_verdict(equation)
     check_single(equation)
     quantities = _quantities(tuple(dict.fromkeys(CYLINDRICAL + SPHERICAL)), over)
@@ -138,7 +138,7 @@ def scene_of_equation(equation: Any, over: Over) -> Scene:
 
 
 def scene_of_problem(problem: Any, over: Over) -> Scene:
-    """A problem as for `sweep`, over the ranges that are given for its arguments."""
+    """Return the scene of a problem as for `sweep`, over the given ranges of its arguments."""
     check_problem(problem)
     names = tuple(inspect.signature(problem).parameters)
     for name in over:
@@ -163,7 +163,7 @@ def scene_of_problem(problem: Any, over: Over) -> Scene:
 
 
 def _ordered(systems: tuple[tuple[str, ...], ...], over: Over) -> tuple[tuple[str, ...], ...]:
-    """The systems, first one that has all quantities that are given."""
+    """Return the systems; one that has all given quantities comes first."""
     first = [system for system in systems if set(over) <= set(system)]
     if not first:
         _refuse_mixed(systems, over)
@@ -176,7 +176,7 @@ def _refuse_mixed(systems: tuple[tuple[str, ...], ...], names: Iterable[str]) ->
 
 
 def _is_symmetric(equation: Any) -> bool:
-    """Whether the symmetries of `plots.unfold` are known to hold."""
+    """Return whether the symmetries of `plots.unfold` are known to hold."""
     if type(equation) in TRANSVERSE:
         return True
     if type(equation) not in RIGID:
@@ -186,7 +186,7 @@ def _is_symmetric(equation: Any) -> bool:
 
 
 def _quantities(names: tuple[str, ...], over: Over) -> dict[str, Quantity]:
-    """Quantities with customary ranges, changed by what is given."""
+    """Return the named quantities, with the ranges or values in `over` in place of the usual."""
     for name in over:
         if name not in names:
             refuse("over", f"name quantities ({', '.join(names)})", f"names {name!r}")
@@ -199,13 +199,13 @@ def _quantities(names: tuple[str, ...], over: Over) -> dict[str, Quantity]:
 
 
 def _plain(name: str) -> Quantity:
-    """A quantity that is known only by its name, or by custom."""
+    """Return the quantity of this name without a range (NaN), with symbol and bounds if known."""
     custom = QUANTITIES.get(name, Quantity(name, "", math.nan, math.nan, math.nan))
     return custom._replace(low=math.nan, high=math.nan)
 
 
 def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
-    """A quantity at the number, or with the range, that is given."""
+    """Return a quantity with the given number as its value, or with the given range."""
     if isinstance(given, tuple | list) and len(given) == 2:
         low, high = (checked(name, value, usual) for value in given)
         if not low < high:
@@ -214,7 +214,7 @@ def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
         default = usual.default if inside else (low + high) / 2
         return usual._replace(low=low, high=high, default=default)
     value = checked(name, given, usual)
-    if math.isnan(usual.low):  # a problem's argument that is kept
+    if math.isnan(usual.low):  # a problem's argument that stays fixed
         return usual._replace(low=value, high=value, default=value)
     low, high = min(usual.low, value), max(usual.high, value)
     return usual._replace(low=low, high=high, default=value)

@@ -1,4 +1,4 @@
-"""An explorer's server, on loopback unless told otherwise."""
+"""The server of an explorer, on loopback by default."""
 
 import contextlib
 import signal
@@ -31,10 +31,10 @@ def serve(
     """Serve a page for every session, until a signal ends it.
 
     Args:
-        session: gives the page of a new session, from the query of its address.
-        address: where to listen.
-        port: where, too; 0 means any that is free.
-        origins: hosts, with or without ":port", whose pages may open a session, besides this one.
+        session: function from the query of an address to the page of a new session.
+        address: the address to listen at.
+        port: the port to listen at; 0 means any free one.
+        origins: further hosts, with or without ":port", whose pages may open a session.
         show: whether to open a browser.
         say: called with the address of the page.
 
@@ -56,7 +56,7 @@ def serve(
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        with contextlib.suppress(AssertionError):  # it has stopped already
+        with contextlib.suppress(AssertionError):  # if it has already stopped
             server.stop()
 
 
@@ -71,7 +71,7 @@ def made_server(
     port: int,
     origins: Sequence[str],
 ) -> Any:
-    """The server, not started yet; see `serve`.
+    """Return the server, not started yet; see `serve`.
 
     Raises:
         ValueError: bad arguments.
@@ -96,7 +96,7 @@ def made_server(
 
 
 def _origin(origin: str) -> str:
-    """An origin as Bokeh takes it; patterns are refused, as they let in more than one knows."""
+    """Return an origin in Bokeh's form; refuse patterns, which may admit unforeseen hosts."""
     must = "be hosts such as example.org or example.org:8080"
     if "*" in origin or "/" in origin:
         refuse("origins", must, f"one is {origin!r}")
@@ -107,7 +107,7 @@ def _origin(origin: str) -> str:
 
 
 def _host(address: str) -> str:
-    """The name by which a browser on this machine reaches an address."""
+    """Return the name by which a browser on this machine reaches an address."""
     return "localhost" if address == "0.0.0.0" else address
 
 

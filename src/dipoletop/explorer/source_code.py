@@ -1,4 +1,4 @@
-"""Python code of equations and problems, as it stands in a script of the user's."""
+"""Python code of equations and problems, for a user's script."""
 
 import dataclasses
 import inspect
@@ -14,20 +14,20 @@ PUBLIC = "dipoletop."
 
 
 def start_of(names: tuple[str, ...]) -> str:
-    """The start ω₀ of these quantities."""
+    """Return the expression of the start ω₀ in these quantities."""
     if "amplitude" in names:
         return "dt.cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), phi)"
     return "dt.cylindrical(w_perp, w3, phi)"
 
 
 def of_top(level: Level | None, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The problem of the transverse top at a level."""
+    """Return the lines that define the problem of the transverse top at a level."""
     equation = f'dt.equation_at("{level}", delta)'
     return _function("problem", names, f"return {equation}, {start_of(names)}")
 
 
 def of_starts(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The problem of one equation, over its starts."""
+    """Return the lines that define the problem of one equation, over its starts."""
     return _function("problem", names, f"return equation, {start_of(names)}")
 
 
@@ -36,7 +36,7 @@ def _function(name: str, arguments: tuple[str, ...], line: str) -> tuple[str, ..
 
 
 def of_equation(equation: Any) -> tuple[str, ...]:
-    """The equation: written out if it is of this library, else as a name to be filled in."""
+    """Return the lines that define an equation; for a user's class, a comment to fill it in."""
     written = _literal(equation)
     if written is None:
         kind = type(equation).__qualname__
@@ -48,7 +48,7 @@ def of_equation(equation: Any) -> tuple[str, ...]:
 
 
 def of_function(problem: Any) -> tuple[str, ...]:
-    """A problem of the user's: its code where Python can find it."""
+    """Return the lines of a user's problem: its code if Python finds it, else a comment."""
     name = getattr(problem, "__name__", "problem")
     try:
         lines = textwrap.dedent(inspect.getsource(problem)).rstrip().splitlines()
@@ -60,7 +60,7 @@ def of_function(problem: Any) -> tuple[str, ...]:
 
 
 def _literal(value: Any) -> str | None:
-    """An expression for a value; None where there is none."""
+    """Return an expression for a value; None if it has no short one."""
     if isinstance(value, bool | int | float | str | NoneType):
         return repr(value)
     if hasattr(value, "__array__"):

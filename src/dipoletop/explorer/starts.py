@@ -21,15 +21,15 @@ from ..equations.levels import Level
 from .drawing import Drawing
 
 FRAMES = 240
-"""Pictures of the moving body, at the beginning and at the end."""
+"""Number of pictures of the moving body at the beginning, and again at the end."""
 BETWEEN = 800
-"""Times of the curves between them."""
+"""Number of times of the curves between these two groups of pictures."""
 TURN = 0.15
-"""Radians by which the body turns from a picture to the next, at most."""
+"""Largest rotation of the body from one picture to the next, in radians."""
 TOLD_APART = 0.35
-"""Radians of precession from a point of a curve to the next, at most."""
+"""Largest precession from one point of a curve to the next, in radians."""
 SETTLED = 3.0
-"""The motion is shown so many times as long as it takes until its outcome is certain."""
+"""Length of the motion shown, in units of the time until its outcome is certain."""
 
 
 class StartVerdict(NamedTuple):
@@ -47,7 +47,7 @@ class StartVerdict(NamedTuple):
 
 
 class OfBody(NamedTuple):
-    """What is known of a motion whose equation has a body."""
+    """Energy and attitude along a motion, and the body, if its equation has one."""
 
     energy: Float[np.ndarray, "T"] | Float[Array, "T"]
     attitude: Float[np.ndarray, "T 4"] | Float[Array, "T 4"]
@@ -63,14 +63,14 @@ class ShownMotion(NamedTuple):
     omega: Float[np.ndarray, "T 3"]
     of_body: OfBody | None
     is_cut: bool
-    """Whether it ends before the outcome is certain: later, points of a curve would be too far
-    apart to tell its turns."""
+    """Whether it ends before the outcome is certain, because the points of a longer curve would be
+    too far apart to resolve its turns."""
 
 
 def verdict_of(
     drawing: Drawing, level: Level | None, values: Mapping[str, float], rtol: float
 ) -> StartVerdict:
-    """How a start ends, as a map has it.
+    """Return the verdict of a start, computed as for a map.
 
     Raises:
         ValueError: values that the problem refuses.
@@ -92,7 +92,7 @@ def verdict_of(
 
 
 def slopes_of(problem: Problem, values: Mapping[str, float], rtol: float) -> dict[str, float]:
-    """∂ω∞ by every quantity at a start, as `residual_rotation` has them; see its table."""
+    """Return ∂ω∞/∂q for every quantity q at a start; see the table of `residual_rotation`."""
     slopes = _gradient(problem)(_point(values), jnp.asarray(rtol))
     return {name: float(slope) for name, slope in slopes.items()}
 
@@ -103,7 +103,7 @@ def _point(values: Mapping[str, float]) -> dict[str, Array]:
 
 @functools.lru_cache(maxsize=16)
 def _gradient(problem: Problem) -> Callable[..., dict[str, Array]]:
-    """The gradient of ω∞, compiled once for each problem."""
+    """Return a function for the gradient of ω∞, compiled once for each problem."""
 
     def omega_inf(point: dict[str, Array], rtol: Array) -> Array:
         equation, omega0 = problem(**point)
@@ -114,7 +114,7 @@ def _gradient(problem: Problem) -> Callable[..., dict[str, Array]]:
 
 @functools.lru_cache(maxsize=16)
 def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
-    """ω at some times, and what is known of the body; compiled once for each problem."""
+    """Return a function for ω, energy and attitude at given times, compiled once for a problem."""
 
     def motion(point: dict[str, Array], ts: Array, rtol: Array) -> tuple[Array, OfBody | None]:
         equation, omega0 = problem(**point)
@@ -132,7 +132,7 @@ def _motion(problem: Problem) -> Callable[..., tuple[Array, OfBody | None]]:
 def motion_of(
     problem: Problem, values: Mapping[str, float], verdict: StartVerdict, rtol: float
 ) -> ShownMotion:
-    """The motion from a start until well after its outcome is certain.
+    """Return the motion from a start until well after its outcome is certain.
 
     Args:
         problem: as for `sweep`.
@@ -158,7 +158,7 @@ def motion_of(
 
 
 def _precession(body: Any, speed: float) -> float:
-    """A bound on the rate at which ω changes its direction in the body, |ω| if nothing is known."""
+    """Return a bound on the rate at which ω turns in the body; |ω| without a known body."""
     if body is None:
         return speed
     moments = np.linalg.eigvalsh(np.asarray(body.inertia))
@@ -168,13 +168,13 @@ def _precession(body: Any, speed: float) -> float:
 def times_of(
     speed: float, late: float, precession: float, certain_at: float
 ) -> tuple[Float[np.ndarray, "T"], bool]:
-    """The times of a motion: dense at both ends, for pictures of the body; always as many.
+    """Return a fixed number of times of a motion, dense at both ends for pictures of the body.
 
     Args:
         speed: |ω₀|.
-        late: |ω∞|, or 0 for a stop, and where it is not known.
+        late: |ω∞|; 0 for a stop, or if unknown.
         precession: a bound on the rate at which ω changes its direction in the body.
-        certain_at: τ at which the outcome is certain; NaN where that is not known.
+        certain_at: τ at which the outcome is certain; NaN if unknown.
 
     Returns:
         The times, and whether they end before the outcome is certain.

@@ -1,4 +1,4 @@
-"""What the page says, in HTML."""
+"""The texts of the page, in HTML."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ LAWS = {
 
 
 def legend(picture: Picture) -> str:
-    """Colours and names of what is seen, and the scale of ω∞."""
+    """Return the legend: colours and names of the classes that occur, and the scale of ω∞."""
     names = dict(picture.legend)
     if picture.scale:  # the scale shows both signs
         names.pop("residual, ω∞ > 0", None)
@@ -50,7 +50,7 @@ def legend(picture: Picture) -> str:
 
 
 def caption(picture: Picture, number: int) -> str:
-    """The level of one of the maps of a picture, its caveat, and the shares of the outcomes."""
+    """Return the caption of a map: its level with the caveat, and the shares of the outcomes."""
     levels = picture.view.levels
     basin = picture.basins[number]
     level = levels[number] if levels else None
@@ -61,7 +61,7 @@ def caption(picture: Picture, number: int) -> str:
 
 
 def status(scene: Scene, picture: Picture, ended: Sequence[str]) -> str:
-    """What is shown, how finely, and what limits it."""
+    """Return the fixed values, the number of starts, and what limits the resolution."""
     view, symbols = picture.view, symbols_of(scene)
     fixed = ", ".join(f"{symbols[name]} = {as_text(x)}" for name, x in view.fixed.items())
     size = f"{picture.size} × {picture.size} starts"
@@ -79,13 +79,13 @@ def _end_of_zoom(view: View, name: str, symbol: str) -> str:
     low, high = view.ranges[name]
     return (
         f'<span class="dt-caveat">Rounding ends the zoom in {escape(symbol)} here: neighbouring '
-        f"starts differ by {(high - low) / view.size:.1e}, and closer ones could not be told "
-        "apart.</span>"
+        f"starts differ by {(high - low) / view.size:.1e}, and closer ones could not be "
+        "distinguished.</span>"
     )
 
 
 def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
-    """A warning where pixels are closer than the tolerance."""
+    """Return a warning where pixels are closer than the tolerance."""
     for name, (low, high) in view.ranges.items():
         step = (high - low) / view.size
         if step < view.rtol * max(abs(low), abs(high)):
@@ -97,7 +97,7 @@ def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
 
 
 def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[StartVerdict]) -> str:
-    """The start, and how it ends at each level."""
+    """Return the start, and how it ends at each level."""
     symbols = symbols_of(scene)
     start = ", ".join(f"{escape(symbols[name])} = {as_text(x)}" for name, x in values.items())
     return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
@@ -118,7 +118,7 @@ def _verdict(verdict: StartVerdict) -> str:
 
 
 def length_of(motion: ShownMotion) -> str:
-    """How far a motion is shown, if that is not far enough."""
+    """Return a note if a motion is shown only until before its outcome is decided; "" otherwise."""
     if not motion.is_cut:
         return ""
     return (
@@ -128,7 +128,7 @@ def length_of(motion: ShownMotion) -> str:
 
 
 def slopes(scene: Scene, level: str, found: Mapping[str, float]) -> str:
-    """The derivatives of ω∞ at a start."""
+    """Return the derivatives of ω∞ at a start."""
     symbols = symbols_of(scene)
     rows = {f"∂ω∞/∂{symbols[name]}": _slope(value) for name, value in found.items()}
     return f"<h4>Derivatives of ω∞, {escape(level)}</h4>{_table(rows)}"
@@ -146,21 +146,21 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def waiting(what: str) -> str:
-    """What is being computed."""
+    """Return a note that something is being computed."""
     return f'<p class="dt-waiting">{escape(what)}: computing …</p>'
 
 
 def refused(sentence: str) -> str:
-    """A refusal, in the place where the page reports it."""
+    """Return a message of refusal as HTML."""
     return f'<p class="dt-refused" role="alert">{escape(sentence)}</p>'
 
 
 def symbols_of(scene: Scene) -> dict[str, str]:
-    """The symbols of the quantities."""
+    """Return the symbol of each quantity by its name."""
     return {name: quantity.symbol for name, quantity in scene.quantities.items()}
 
 
 def code(text: str, address: str) -> str:
-    """The script that reproduces a view, and its address."""
+    """Return the script that reproduces a view, and its address."""
     link = f'<a href="{escape(address)}" target="_blank">address of this view</a>'
     return f'<pre class="dt-code">{escape(text)}</pre><p>{link}</p>'

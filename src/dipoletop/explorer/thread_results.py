@@ -8,11 +8,12 @@ import panel as pn
 
 
 class Outlet:
-    """Runs what changes a page in the thread that the page belongs to.
+    """A queue of changes of a page, which run in the thread that the page belongs to.
 
-    On a server that is its event loop, at the next opportunity, so that no session waits for
-    another one's work. In a notebook it is the loop of the kernel, between the cells; parts of
-    messages of two threads would be mixed. There, changes of Bokeh's models are sent by hand.
+    On a server this is its event loop: changes run at the next opportunity, and no session waits
+    for another one's work. In a notebook it is the loop of the kernel: changes run between the
+    cells, since the messages of two threads would mix. There, changes of Bokeh's models must be
+    sent explicitly.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What a page shows: two axes with their ranges, the other values, levels, tolerance, size."""
+"""The view of a page: two axes with their ranges, the other values, levels, tolerance, size."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ SIZES = 64, 128, 256, 512, 1024
 FINEST = 4
 """Least distance of neighbouring values on an axis, in units of the last place."""
 SMALLEST = 1e-290
-"""The same near 0, where numbers soon become subnormal."""
+"""Least distance of neighbouring values near 0, so that they do not become subnormal."""
 Range = tuple[float, float]
 
 
@@ -30,8 +30,8 @@ class View:
         x: the horizontal axis.
         y: the vertical axis.
         ranges: the range of each axis.
-        values: of all quantities of the problem; those of the axes are not used.
-        levels: one level, or two to be compared; none if the equation is given.
+        values: values of all quantities of the problem; values of the axes are not used.
+        levels: one level, or two to be compared; () if the equation is given.
         rtol: relative tolerance of every step.
         size: starts on each axis.
     """
@@ -46,13 +46,13 @@ class View:
 
     @property
     def fixed(self) -> dict[str, float]:
-        """The values of the quantities that are no axes."""
+        """The values of the quantities that are not axes."""
         axes = self.x, self.y
         return {name: value for name, value in self.values.items() if name not in axes}
 
 
 class Cells(NamedTuple):
-    """The starts of a picture: their grid, which the symmetries may extend to all of them."""
+    """The starts of a picture: a grid, from which symmetries give all of them if `folded`."""
 
     grid: Grid
     folded: bool
@@ -68,7 +68,7 @@ class Cells(NamedTuple):
         return self.grid.shape[-2]
 
     def piece(self, rows: slice) -> Grid:
-        """The grid of some rows."""
+        """Return the grid of some rows."""
         axes = dict(self.grid.axes)
         y = self.grid.dims[-2]
         return Grid(**axes | {y: axes[y][rows]})
@@ -83,10 +83,10 @@ def first_view(
     rtol: Any = 1e-8,
     size: Any = 256,
 ) -> View:
-    """The view that a page begins with.
+    """Return the view that a page begins with.
 
     Raises:
-        ValueError: axes, levels, a tolerance or a size that do not suit.
+        ValueError: bad axes, levels, tolerance or size.
     """
     named = [name for name in (x, y) if name is not None]
     for argument, name in (("x", x), ("y", y)):
@@ -101,17 +101,17 @@ def first_view(
 
 
 def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None) -> tuple[str, str]:
-    """These axes; for each that is None the usual one of a system."""
+    """Return the two axes; an axis that is None becomes a usual one of the system."""
     usual = [n for n in ("phi", "w3", "theta", *system) if n in system and n in scene.free]
     x = x or next(name for name in usual if name != y)
     return x, y or next(name for name in usual if name != x)
 
 
 def checked_view(scene: Scene, view: View) -> View:
-    """The view, if it suits the scene.
+    """Return the view after checking it against the scene.
 
     Raises:
-        ValueError: it does not.
+        ValueError: it does not fit the scene.
     """
     if view.x == view.y:
         refuse("y", "be another axis than `x`", f"is {view.y!r} too")
@@ -142,12 +142,12 @@ def checked_view(scene: Scene, view: View) -> View:
 
 
 def whole_ranges(scene: Scene, x: str, y: str) -> dict[str, Range]:
-    """The ranges of axes before any zoom."""
+    """Return the ranges of axes before any zoom."""
     return {name: scene.quantities[name][3:5] for name in (x, y)}
 
 
 def in_system(scene: Scene, view: View, x: str, y: str, system: tuple[str, ...]) -> View:
-    """The view over other axes, with starts given by a system of quantities.
+    """Return the view over other axes, with starts given by a system of quantities.
 
     New axes have their whole range, and new quantities their defaults.
     """
@@ -157,7 +157,7 @@ def in_system(scene: Scene, view: View, x: str, y: str, system: tuple[str, ...])
 
 
 def cells_of(scene: Scene, view: View, size: int) -> Cells:
-    """The starts at the middles of size × size cells; y comes before x, other axes first."""
+    """Return starts at the midpoints of size × size cells; axes in the order: others, y, x."""
     folded = scene.symmetric and _is_foldable(view)
     spans = {}
     for name in (view.y, view.x):
@@ -170,7 +170,7 @@ def cells_of(scene: Scene, view: View, size: int) -> Cells:
 
 
 def _is_foldable(view: View) -> bool:
-    """Whether the picture shows a whole turn of φ, with both hemispheres or at one ω₃."""
+    """Return whether the picture shows a whole turn of φ, with both hemispheres or at one ω₃."""
     low, high = view.ranges.get("phi", (0.0, 0.0))
     if low != 0 or not math.isclose(high, 2 * math.pi, rel_tol=1e-12):
         return False
@@ -179,28 +179,28 @@ def _is_foldable(view: View) -> bool:
 
 
 def middles(low: float, high: float, count: int) -> Float[np.ndarray, "n"]:
-    """The middles of so many equal cells."""
+    """Return the midpoints of `count` equal cells."""
     half = (high - low) / (2 * count)
     return np.linspace(low + half, high - half, count)
 
 
 def least_width(low: float, high: float, size: int) -> float:
-    """The least width of a range round these ends at which rounding tells neighbours apart."""
+    """Return the least width of a range with these ends whose neighbours differ after rounding."""
     return size * max(FINEST * float(np.spacing(max(abs(low), abs(high)))), SMALLEST)
 
 
 def finest_step(view: View) -> float:
-    """The least distance of neighbours on an axis, relative to the largest number there."""
+    """Return the least distance of neighbours on an axis, relative to the largest number there."""
     return min(
         (high - low) / (view.size * max(abs(low), abs(high))) for low, high in view.ranges.values()
     )
 
 
 def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View, tuple[str, ...]]:
-    """The view at other ranges of its axes, and the axes on which rounding ends the zoom.
+    """Return the view at other ranges of its axes, and the axes on which rounding ends the zoom.
 
-    A range that leaves the bounds of its quantity is moved back; one that is too narrow for its
-    neighbouring values to differ is as narrow as it can be.
+    A range that leaves the bounds of its quantity is moved back. A range too narrow for its
+    neighbouring values to differ is widened to the least width at which they do.
 
     Raises:
         ValueError: an end is not a finite number.
@@ -221,7 +221,7 @@ def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View,
 
 
 def _inside(low: float, high: float, least: float, most: float) -> Range:
-    """The range, moved within bounds, and cut if it is wider than they are."""
+    """Return the range, moved within bounds, and cut if it is wider than they are."""
     if low < least:
         low, high = least, high + (least - low)
     if high > most:

@@ -1,7 +1,7 @@
-"""Inverse problems: the parameters that fit a series, and those that make an objective largest.
+"""Inverse problems: parameters that fit a time series, and parameters that maximise an objective.
 
-Both `fit` and `design` take a problem as `sweep` does: from named parameters to an equation and a
-start.
+Both `fit` and `design` take a problem as `sweep` does: a function from named parameters to an
+equation and a start.
 """
 
 from .designs import Design, DesignEnd, Objective, design, speed

@@ -1,7 +1,7 @@
-"""The parameters in a box that make an objective of ω∞ largest.
+"""The parameters in a box that maximise an objective of ω∞.
 
-The best points of a sweep over the box are the first points of local searches, which use the
-gradients that a sweep with `derivatives` gives.
+Local searches begin at the best points of a sweep over the box, and use the gradients from a sweep
+with `derivatives`.
 """
 
 import enum
@@ -21,17 +21,17 @@ from .._maps.grids import Points
 from .._maps.problems import Problem
 from .._maps.sweep import sweep
 
-RTOL = 1e-10  # of the runs, unless the user gives another
-ALSO = ("progress",)  # a setting of `sweep` that may be given, besides those of the runs
+RTOL = 1e-10  # default relative tolerance of the runs
+ALSO = ("progress",)  # settings of `sweep` that are allowed besides the settings of runs
 
 Objective = Callable[[Float[Array, ""], dict[str, Float[Array, ""]]], Float[Array, ""]]
-"""From ω∞ and the parameters to the number that a design makes largest; in JAX."""
+"""A function in JAX from ω∞ and the parameters to the number that a design maximises."""
 Point = Float[np.ndarray, "m"]
 """A point of the unit cube, to which the box is scaled."""
 
 
 class DesignEnd(enum.StrEnum):
-    """Why a design ended, in one sentence."""
+    """The reason for the end of a design, one sentence."""
 
     MAXIMUM = "A maximum: a remaining slope is closed off by a bound or within `gtol`."
     SLOPE = "No maximum: the search ended on a slope, as it does at the edge of a basin."
@@ -39,18 +39,18 @@ class DesignEnd(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Design:
-    """The parameters in a box that make an objective largest.
+    """The parameters in a box that maximise an objective.
 
     Attributes:
         parameters: the best values, by name.
         value: the objective there.
         omega_inf: ω∞ there.
-        defect: largest change of the objective, to first order, along the whole length of one
-            side of the box, among the directions that no bound closes: 0 at an exact maximum.
-        runs: how many trajectories were computed.
+        defect: the largest first-order increase of the objective over the full length of a side of
+            the box, among the directions not blocked by a bound; 0 at an exact maximum.
+        runs: number of computed trajectories.
         success: whether the best local search ended at a maximum.
-        message: why it ended, one sentence.
-        end: why it ended, a member of `DesignEnd`.
+        message: the reason for its end, one sentence.
+        end: the reason for its end, a member of `DesignEnd`.
     """
 
     parameters: dict[str, float]
@@ -67,7 +67,7 @@ class Design:
 
 
 def speed(omega_inf: Float[Array, ""], parameters: dict[str, Float[Array, ""]]) -> Any:
-    """|ω∞|, the objective of a design by default."""
+    """Return |ω∞|, the default objective of a design."""
     return jnp.abs(omega_inf)
 
 
@@ -82,26 +82,27 @@ def design(
     gtol: float = 1e-6,
     **settings: Any,
 ) -> Design:
-    """f(ω∞(x), x) → max over a box low ≤ x ≤ high; f = |ω∞| unless another is given.
+    """Maximise f(ω∞(x), x) over a box low ≤ x ≤ high, by default f = |ω∞|.
 
-    A sweep over the box ranks the points where a local search may begin, since f is flat where a
-    top stops; from the best of them L-BFGS-B climbs with the gradient that a sweep gives.
+    Since f is flat where a top stops, a sweep over the box first ranks possible starting points.
+    L-BFGS-B climbs from the best of them, with gradients from sweeps.
 
     Args:
-        problem: a function of the parameters x, by name, that gives the equation and the start.
+        problem: a function from the parameters x, by name, to the equation and the start.
         bounds: name = (low, high).
         objective: f(ω∞, parameters), in JAX; ω∞ = 0 for a stop.
-        n: points of the first sweep, a Halton sequence.
-        seed: of the sequence.
+        n: number of points of the first sweep, a Halton sequence.
+        seed: seed of the sequence.
         searches: number of local searches, from the best points.
-        gtol: a search succeeds where its `defect` is at most this times the largest |f| seen.
+        gtol: a search succeeds if its `defect` is at most this times the largest |f| found.
         settings: rtol, here 1e-10, atol, max_steps, devices, engine and progress, as in `sweep`.
 
     Returns:
-        A `Design`, of the best search: the global maximum if the first sweep met its slope.
+        The `Design` of the best search: the global maximum if the first sweep has a point on its
+        slope.
 
     Raises:
-        ValueError: an empty box, or one in which no fate is known.
+        ValueError: an empty box, or a box without a known fate.
 
     Example:
         >>> import numpy as np, dipoletop as dt
@@ -109,7 +110,7 @@ def design(
         >>> def problem(phi):
         ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, phi)
         >>> result = design(problem, {"phi": (0.0, np.pi)}, n=64, searches=1)
-        >>> result.success, result.value > 0.09887  # that of figure 2a
+        >>> result.success, result.value > 0.09887  # ω∞ of figure 2a
         (True, True)
     """
     from scipy.stats import qmc
@@ -122,7 +123,7 @@ def design(
     units = halton.random(budget("n", n))
     _, values, _ = landscape.values(units)
     if np.all(np.isnan(values)):
-        refuse("bounds", "hold parameters whose fate is known", "of all that were tried none is")
+        refuse("bounds", "hold parameters whose fate is known", "no fate of those tried is known")
     order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")
     scale, worst = np.nanmax(np.abs(values)) or 1.0, np.nanmin(values)
     best = order[: budget("searches", searches)]
@@ -133,7 +134,7 @@ def design(
 
 
 class _Landscape(NamedTuple):
-    """An objective over a box, whose sides are the units of its points."""
+    """An objective over a box, in coordinates of the unit cube."""
 
     problem: Problem
     objective: Objective
@@ -143,11 +144,11 @@ class _Landscape(NamedTuple):
     settings: dict[str, Any]
 
     def parameters(self, units: Float[np.ndarray, "*k m"]) -> Float[np.ndarray, "*k m"]:
-        """The parameters at points of the unit cube."""
+        """Return the parameters at points of the unit cube."""
         return self.low * (1 - units) + self.high * units
 
     def values(self, units: Float[np.ndarray, "k m"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """ω∞, the objective and its gradient at k points; the latter NaN where ω∞ is not known."""
+        """Return ω∞, the objective and its gradient at k points; both NaN where ω∞ is unknown."""
         columns = dict(zip(self.names, self.parameters(units).T, strict=True))
         basin = sweep(self.problem, Points(**columns), derivatives=self.names, **self.settings)
         omega_inf = basin.omega_inf
@@ -163,12 +164,12 @@ class _Landscape(NamedTuple):
 
 
 def _climb(landscape: _Landscape, first: Point, worst: float, scale: float, gtol: float) -> Any:
-    """The result of a local search from a point of the unit cube."""
+    """Return the result of a local search from a point of the unit cube."""
     from scipy.optimize import minimize
 
     def loss(units: Point) -> tuple[float, np.ndarray]:
         _, value, gradient = landscape.values(units[None])
-        if np.isnan(value[0]):  # a flat floor, on which the search ends
+        if np.isnan(value[0]):  # a constant floor, where the search ends
             return -worst / scale, np.zeros_like(units)
         return -value[0] / scale, -gradient[0] / scale
 
@@ -183,7 +184,7 @@ def _climb(landscape: _Landscape, first: Point, worst: float, scale: float, gtol
 
 
 def _design(landscape: _Landscape, top: Point, largest_defect: float, runs: int) -> Design:
-    """The result at the highest point."""
+    """Return the `Design` at the highest point."""
     (omega_inf,), (value,), (gradient,) = landscape.values(top[None])
     closed = ((top <= 0) & (gradient < 0)) | ((top >= 1) & (gradient > 0))
     defect = float(np.max(np.where(closed, 0.0, np.abs(gradient))))

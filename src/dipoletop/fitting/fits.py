@@ -1,4 +1,4 @@
-"""The parameters that fit a series best: Gauss–Newton steps in a trust region.
+"""The parameters that best fit a time series, by Gauss–Newton steps in a trust region.
 
 The Jacobian comes from forward differentiation of the trajectory.
 """
@@ -24,20 +24,20 @@ from .._runs.simulate import simulate
 from .._runs.trajectory import Trajectory
 from ..equations._common import is_full, physical
 
-LEAST_GAIN = 1e-6  # share of chi2 that a Gauss–Newton step would remove: less is a minimum
-LEAST_STEP = 1e-8  # of a Gauss–Newton step, in units of the parameters: less is a minimum
-FTOL, XTOL = 1e-10, 1e-14  # where `least_squares` stops: relative changes of chi2 and of p
+LEAST_GAIN = 1e-6  # least gain of a Gauss–Newton step, relative to chi2; below it: a minimum
+LEAST_STEP = 1e-8  # least Gauss–Newton step, relative to the parameters; below it: a minimum
+FTOL, XTOL = 1e-10, 1e-14  # relative changes of chi2 and p at which `least_squares` stops
 
 Observe = Callable[[Trajectory], Float[Array, "..."]]
-"""From a trajectory to the measured quantity, in the shape of the series."""
+"""A function from a trajectory to the measured quantity, in the shape of the series."""
 Residuals = Callable[[tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
-"""From parameters to the residuals in one row, and their Jacobian."""
+"""A function from parameters to the flat residuals and their Jacobian."""
 Parameters = Float[Array, "m"]
 Times = Float[Array, "T"]
 
 
 class FitEnd(enum.StrEnum):
-    """Why a fit ended, in one sentence."""
+    """The reason for the end of a fit, one sentence."""
 
     MINIMUM = "A minimum: no step makes chi2 smaller."
     UNDETERMINED = "The series does not determine the parameters: others fit it as well."
@@ -49,19 +49,19 @@ class FitEnd(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Fit:
-    """The parameters that fit a series best.
+    """The parameters that best fit a time series.
 
     Attributes:
         parameters: the best values, by name.
-        covariance: of the parameters, in the order of `parameters`, shape (m, m); NaN where the
-            series does not determine them.
-        chi2: Σ((observed − series)/sigma)²; with sigma = 1 where none is known.
-        dof: number of values less number of parameters.
-        steps: how often the trajectory was computed.
+        covariance: covariance in the order of `parameters`, shape (m, m); NaN if the series does
+            not determine them.
+        chi2: Σ((observed − series)/sigma)²; with sigma = 1 if it is not given.
+        dof: number of values minus number of parameters.
+        steps: number of computed trajectories.
         success: whether the search ended at a minimum that determines every parameter. It may be
-            a local one: see whether `chi2` is about `dof`.
-        message: why it ended, one sentence.
-        end: why it ended, a member of `FitEnd`.
+            a local minimum: check that `chi2` is about `dof`.
+        message: the reason for the end, one sentence.
+        end: the reason for the end, a member of `FitEnd`.
 
     Property: `errors`, the standard errors of the parameters.
     """
@@ -86,7 +86,7 @@ class Fit:
 
 
 def velocity(trajectory: Trajectory) -> Float[Array, "T 3"]:
-    """ω(τ), the series by default."""
+    """Return ω(τ), the default of `observe`."""
     return trajectory.omega
 
 
@@ -101,28 +101,28 @@ def fit(
     rtol: float = 1e-10,
     max_trajectories: int = 100,
 ) -> Fit:
-    """χ²(p) = Σ((observe(trajectory of p) − series)/σ)² → min, with the covariance C = (JᵀJ)⁻¹.
+    """Minimise χ²(p) = Σ((observe(trajectory of p) − series)/σ)², with covariance C = (JᵀJ)⁻¹.
 
-    J is the Jacobian of the residuals (observe − series)/σ at the minimum. A trial p that the
-    problem refuses, such as δ ≥ 1, is rejected by the search, which then takes a shorter step.
+    J is the Jacobian of the residuals (observe − series)/σ at the minimum. If the problem refuses a
+    trial p, such as δ ≥ 1, the search takes a shorter step.
 
     Args:
-        problem: a function of the parameters p, by name, that gives the equation and the start.
-        ts: times, shape (T,), increasing; the first is that of the start.
+        problem: a function from the parameters p, by name, to the equation and the start.
+        ts: times, shape (T,), increasing; the first is the time of the start.
         series: the measured values, finite: ω(τ), shape (T, 3), or the shape of `observe`.
-        guess: name = first value; the minimum found is the one downhill from here.
-        sigma: standard error of the series, a number or an array that broadcasts to it. For None
-            one common value is estimated: C is scaled by χ²/dof.
-        observe: from a `Trajectory` to the series, such as `lambda run: run.omega[:, 0]`.
+        guess: name = first value; the search goes downhill from here.
+        sigma: standard error of the series, a number or an array that broadcasts to it. If it is
+            None, one common value is estimated, and C is scaled by χ²/dof.
+        observe: function from a `Trajectory` to the series, such as `lambda run: run.omega[:, 0]`.
         rtol: relative tolerance of the trajectory.
-        max_trajectories: budget of trajectories.
+        max_trajectories: largest number of trajectories.
 
     Returns:
         A `Fit`.
 
     Raises:
-        ValueError: a series of another shape than the observed one, or not finite, or without
-            more values than parameters; a guess that the problem or the solver refuses.
+        ValueError: a series that is not finite, has another shape than the observed one, or has
+            no more values than there are parameters; a guess that the problem or solver refuses.
 
     Source: Gauss–Newton steps in a trust region, `scipy.optimize.least_squares`.
 
@@ -150,7 +150,7 @@ def fit(
 
 
 class _Model(NamedTuple):
-    """The function that is fitted; compiled once for all series of one shape."""
+    """The fitted function, compiled once for all series of one shape."""
 
     problem: Problem
     names: tuple[str, ...]
@@ -158,17 +158,17 @@ class _Model(NamedTuple):
     rtol: float
 
     def equation_and_start(self, p: Parameters) -> tuple[Any, Any]:
-        """The run of these parameters."""
+        """Return the equation and the start at these parameters."""
         return self.problem(**dict(zip(self.names, p, strict=True)))
 
     def observed(self, p: Parameters, safe: Parameters, times: Times) -> Float[Array, "..."]:
-        """The series that the parameters predict; not finite if their run fails."""
+        """Return the series predicted by the parameters; not finite if their run fails."""
         arrays = jax.tree.leaves(eqx.filter(self.equation_and_start(p), eqx.is_inexact_array))
         valid = functools.reduce(jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in arrays])
         # A run from NaN would use up its whole budget of steps.
         equation, start = self.equation_and_start(jnp.where(valid, p, safe))
         options: dict[str, Any] = {"rtol": self.rtol, "throw": False}
-        if not is_full(physical(equation)):  # which diffrax does not integrate
+        if not is_full(physical(equation)):  # diffrax does not integrate full equations
             options["adjoint"] = diffrax.ForwardMode()
         run = simulate(equation, start, times, **options)
         return jnp.where(valid, self.observe(run), jnp.nan)
@@ -178,7 +178,7 @@ class _Model(NamedTuple):
 def _linearised(
     model: _Model, p: Parameters, safe: Parameters, times: Times
 ) -> tuple[Float[Array, "*s"], Float[Array, "*s m"]]:
-    """The predicted series, and its Jacobian, with the parameters on the last axis."""
+    """Return the predicted series, and its Jacobian, with the parameters on the last axis."""
 
     def with_copy(p: Parameters) -> tuple[Array, Array]:
         series = model.observed(p, safe, times)
@@ -191,10 +191,10 @@ def _linearised(
 def _residuals(
     model: _Model, first: dict[str, float], times: Times, data: np.ndarray, weight: np.ndarray
 ) -> Residuals:
-    """(observed − series)/σ with its Jacobian."""
+    """Return a function for (observed − series)/σ and its Jacobian."""
     safe = jnp.asarray(list(first.values()))
 
-    @functools.lru_cache(maxsize=1)  # the Jacobian is asked for where the residuals were last
+    @functools.lru_cache(maxsize=1)  # the Jacobian is needed at the last residuals' p
     def residuals_at(p: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         series, slope = map(np.asarray, _linearised(model, jnp.asarray(p), safe, times))
         rows = (slope * weight[..., None]).reshape(-1, len(p))
@@ -207,9 +207,9 @@ def _residuals(
 
 
 def _series(model: _Model, first: dict[str, float], times: Times, series: Any) -> np.ndarray:
-    """The series, if it has the observed shape and more values than parameters."""
+    """Return the series after checking that it has the observed shape and enough values."""
     try:
-        model.problem(**first)  # known values: a bad one is refused by its own name
+        model.problem(**first)  # with known values, so that a bad one is refused by name
     except TypeError as error:
         refuse("guess", "name the arguments of `problem`", f"has {', '.join(first)} ({error})")
     p = jnp.asarray(list(first.values()))
@@ -222,7 +222,7 @@ def _series(model: _Model, first: dict[str, float], times: Times, series: Any) -
 
 
 def _weight(sigma: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """1/σ in the shape of the series."""
+    """Return 1/σ in the shape of the series."""
     if sigma is None:
         return np.ones(shape)
     errors = np.asarray(finite("sigma", sigma, np.shape(sigma), batch=False))
@@ -235,7 +235,7 @@ def _weight(sigma: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _least_squares(residuals: Residuals, first: list[float], most: int) -> Any:
-    """The result of `least_squares`, downhill from the guess."""
+    """Return the result of SciPy's `least_squares`, downhill from the guess."""
     from scipy.optimize import least_squares
 
     with np.errstate(divide="ignore", invalid="ignore"):  # of a singular Jacobian
@@ -252,7 +252,7 @@ def _least_squares(residuals: Residuals, first: list[float], most: int) -> Any:
 
 
 def _fit(model: _Model, result: Any, estimate_sigma: bool) -> Fit:
-    """A `Fit` from the result of `least_squares`."""
+    """Return a `Fit` from the result of `least_squares`."""
     size, m = result.jac.shape
     chi2, dof = 2 * float(result.cost), size - m
     units = np.linalg.norm(result.jac, axis=0)

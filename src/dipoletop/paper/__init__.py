@@ -1,7 +1,7 @@
-"""The ledger of the source paper: which of its statements are confirmed, and which corrected.
+"""The ledger of the source paper: its confirmed and its corrected statements.
 
-Every equation, claim, figure and number is checked by a computation when the ledger runs; no
-result is stored.
+The ledger checks every equation, claim, figure and number by a computation when it runs; no result
+is stored.
 """
 
 from collections.abc import Iterator
@@ -40,14 +40,14 @@ PARTS = (
     ledger_longitudinal.changed_variables,
     ledger_longitudinal.asymptotics,
 )
-"""Every function yields the entries of a part of the paper, in the paper's order."""
+"""Functions that yield the entries of the parts of the paper, in its order."""
 
 
 def ledger() -> Iterator[Entry]:
-    """The lines of the ledger, in the paper's order; a part that raises is a failed line."""
+    """Yield the entries of the ledger, in the paper's order; an exception gives a failed entry."""
     for part in PARTS:
         try:
             yield from part()
-        except Exception as error:  # whatever it is, the line shows it
+        except Exception as error:  # of any type: the entry shows it
             reason = str(error).strip().splitlines()
             yield Entry(part.__name__, reason[0] if reason else type(error).__name__, np.inf, 0.0)

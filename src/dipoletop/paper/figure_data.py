@@ -26,9 +26,9 @@ DELTA = -0.2  # of figure 2 and of the map
 
 
 def even_starts(n: int) -> Float[np.ndarray, "n 3"]:
-    """Starts with |ω| = 0.2, evenly over the half sphere ω₃ > 0, along a Fibonacci spiral.
+    """Return starts with |ω| = 0.2, evenly over the half sphere ω₃ > 0, on a Fibonacci spiral.
 
-    The other half follows by symmetry. Shares have less scatter than those of a random sample.
+    The other half follows by symmetry. Shares scatter less than for a random sample.
     """
     i = np.arange(n)
     cos = (i + 0.5) / n
@@ -43,7 +43,7 @@ def outcomes_by_shape(
     starts: Float[np.ndarray | Array, "n 3"],
     **settings: Any,
 ) -> Basin:
-    """Outcomes of every start at every δ, over the axes (delta, omega)."""
+    """Return the outcomes of every start at every δ, over the axes (delta, omega)."""
 
     def problem(delta: Array, omega: Array) -> tuple[Equation, Array]:
         return equation_at(level, delta), omega
@@ -62,7 +62,7 @@ class ResidualShare(NamedTuple):
 
 
 def shares(basin: Basin) -> list[ResidualShare]:
-    """Every outcome that occurs, in the order of `CLASSES`; intervals as for random starts."""
+    """Return the shares of all outcomes that occur, ordered as `CLASSES`, as of random starts."""
     n, occurring = basin.shape[1], []
     for (outcome, stop), (label, colour) in CLASSES.items():
         counts = np.sum((basin.outcome == outcome) & (basin.stop == stop), axis=1)
@@ -72,7 +72,7 @@ def shares(basin: Basin) -> list[ResidualShare]:
 
 
 def motion(level: Level, phi: float, times: Float[np.ndarray, "T"]) -> Trajectory:
-    """Figure 2: δ = −1/5, ω⊥ = ω₃ = 1/5, from φ₀ at τ = 0."""
+    """Return a motion of figure 2: δ = −1/5, ω⊥ = ω₃ = 1/5, from φ₀ at τ = 0."""
     start = cylindrical(AMPLITUDE, AMPLITUDE, phi)
     return simulate(equation_at(level, DELTA), start, jnp.asarray(times))
 
@@ -80,7 +80,7 @@ def motion(level: Level, phi: float, times: Float[np.ndarray, "T"]) -> Trajector
 def eigenvalues(
     level: Level, deltas: Float[np.ndarray, "d"], w: float
 ) -> Complex[np.ndarray, "d 2"]:
-    """λ/w² of the motions transverse to the dipole at {w, 0, 0}."""
+    """Return λ/w² of perturbations transverse to the dipole at {w, 0, 0}."""
 
     def slow(delta: Array) -> Array:
         return spectrum(equation_at(level, delta), jnp.array([w, 0.0, 0.0])).slow[1:]
@@ -89,26 +89,26 @@ def eigenvalues(
 
 
 def small_w(deltas: Float[np.ndarray, "d"]) -> Complex[np.ndarray, "d 2"]:
-    """The limit of λ/w² for w → 0 at the consistent levels: [−(2+δ) ± √(δ²+8δ)] / (2(1−δ))."""
+    """Return lim λ/w² for w → 0 at the consistent levels: [−(2+δ) ± √(δ²+8δ)] / (2(1−δ))."""
     d = np.asarray(deltas)
     root = np.sqrt((d**2 + 8 * d).astype(complex))
     return np.stack([-(2 + d) + root, -(2 + d) - root], axis=1) / (2 * (1 - d[:, None]))
 
 
 class LevelMaps(NamedTuple):
-    """Outcomes over φ and ω₃ at ω⊥ = 0.2, and where those of other levels differ."""
+    """Outcomes over φ and ω₃ at ω⊥ = 0.2, and where other levels give different ones."""
 
     semi: Basin
     order_1_differs: Bool[np.ndarray, "w3 phi"]
     full_differs: Bool[np.ndarray, "coarse_w3 coarse_phi"]
-    """At one start in `stride` on both axes."""
+    """At every `stride`-th start on both axes."""
 
 
 def level_maps(size: int, stride: int, w3_max: float) -> LevelMaps:
-    """Outcomes of size × size starts in one symmetry cell, at three levels.
+    """Return outcomes of size × size starts in one symmetry cell, at three levels.
 
-    Of the full equation only every start in `stride` is computed, on both axes. An even size leaves
-    out φ = π/2, where ω₁ = 0 is a special case.
+    With the full equation only every `stride`-th start on both axes is computed. An even size
+    excludes φ = π/2, where ω₁ = 0 is a special case.
     """
     w3, phi = np.linspace(0, w3_max, size), np.linspace(0, np.pi, size)
 
@@ -125,7 +125,7 @@ def level_maps(size: int, stride: int, w3_max: float) -> LevelMaps:
 
 
 def small_boundary(corrected: bool, phi: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """ω₃ on the basin boundary in the limit of small |ω|, z_s(φ)ω⊥²; NaN at its jump."""
+    """Return ω₃ on the basin boundary in the limit of small |ω|, z_s(φ)ω⊥²; NaN at its jump."""
     system = planar.Planar(DELTA, corrected=corrected)
     z = np.array(planar.boundary(system, jnp.asarray(phi)))
     z[1:][np.abs(np.diff(z)) > 1] = np.nan

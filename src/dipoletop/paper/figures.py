@@ -1,7 +1,7 @@
-"""The figures of `dipoletop figures`: 1, 2 and 3 of the paper, and three that it does not have.
+"""The figures of `dipoletop figures`: 1, 2 and 3 of the paper, and three further ones.
 
 Every function computes its data and returns a matplotlib `Figure`. `save` writes it with embedded
-fonts; the file is the same to the byte each time.
+fonts, each time with the same bytes.
 """
 
 import functools
@@ -34,7 +34,7 @@ from ..stability import threshold
 from . import figure_data
 
 NARROW = 85 * MM
-"""Width in inches of one column of a journal."""
+"""Width of one column of a journal in inches."""
 SHORT = {
     Level.ORDER_1: "order 1",
     Level.ORDER_2: "order 2",
@@ -46,12 +46,12 @@ BODY_SHAPES = (-0.94, -0.5, 0.0, 0.5, 0.9)
 """δ of the bodies that are drawn above the shares."""
 NEEDLE = 0.99
 """The largest δ that is shown."""
-# These sizes give the sweeps of shares and of maps tiles of one size: so they compile once.
+# With these sizes the sweeps of shares and of maps have tiles of one size, and compile once.
 STARTS, MAP_SIZE, MAP_STRIDE = 1024, 280, 9
 
 
 def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
-    """A function that draws in the common style, without changing that of other figures."""
+    """Return a function that draws in the common style, which other figures do not get."""
 
     @functools.wraps(draw)
     def styled() -> Figure:
@@ -63,7 +63,7 @@ def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
 
 @_styled
 def ends_order_1() -> Figure:
-    """Shares of the outcomes against the shape δ, at order 1: stop, both, residual rotation."""
+    """Draw shares of the outcomes against the shape δ, at order 1."""
     critical = threshold(TransverseReduced, 0.05, -0.9, 0.5)
     basin = figure_data.outcomes_by_shape(Level.ORDER_1, _shapes(), figure_data.even_starts(STARTS))
     figure, ax, strip = _shape_axes()
@@ -77,7 +77,7 @@ def ends_order_1() -> Figure:
 
 @_styled
 def ends_full() -> Figure:
-    """Shares of the outcomes by the semi-reduced equation, with dots by the full one.
+    """Draw shares of the outcomes by the semi-reduced equation, and dots by the full equation.
 
     At |ω| = 0.2 the tested regions decide every run of the full equation up to δ = 0.3.
     """
@@ -96,19 +96,19 @@ def ends_full() -> Figure:
 
 
 def _heading(level: str, basin: Basin) -> str:
-    """Level, number of starts and certified share."""
+    """Return the title: level, number of starts and certified share."""
     words = f"{percent(float(np.mean(basin.certified)))} certified"
     n = basin.shape[1]
     return rf"{level}: {n} isotropic starts at each $\delta$, $|\omega|$ = 0.2, {words}"
 
 
 def _shapes() -> Float[np.ndarray, "d"]:
-    """The values of δ; one of them, 0.756, lies just above δ_c2."""
+    """Return the values of δ; one of them, 0.756, is just above δ_c2."""
     return np.sort([*np.linspace(-1, 0.975, 80), 0.756, NEEDLE])
 
 
 def _shape_axes() -> tuple[Figure, Axes, Axes]:
-    """Figure, axes over δ, and a strip above them with drawings of the bodies."""
+    """Make a figure with axes over δ and a strip above them with drawings of the bodies."""
     figure = Figure((WIDE, 95 * MM), layout="constrained")
     strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=[1, 3.2])
     ax.set(xlim=(-1, NEEDLE), ylim=(0, 1), ylabel="share of the starts")
@@ -124,7 +124,7 @@ def _shape_axes() -> tuple[Figure, Axes, Axes]:
 
 
 def _spheroid(delta: float) -> AnnotationBbox:
-    """A homogeneous spheroid, I₃/I₁ = 2a²/(a² + c²), its symmetry axis upright, and the dipole."""
+    """Draw a homogeneous upright spheroid, I₃/I₁ = 2a²/(a² + c²), and its dipole."""
     slender = np.sqrt(2 / (1 - delta) - 1)  # c/a
     a = 7.5 * min(1, slender ** (-2 / 3))  # points; a slender body is drawn thinner
     area = DrawingArea(40, 36)
@@ -135,7 +135,7 @@ def _spheroid(delta: float) -> AnnotationBbox:
 
 
 def _stack_shares(ax: Axes, basin: Basin) -> None:
-    """The shares of all outcomes, one above the other."""
+    """Draw the shares of all outcomes, stacked."""
     shares = figure_data.shares(basin)
     level = basin.level.split(" (")[0]
     ax.stackplot(
@@ -148,7 +148,7 @@ def _stack_shares(ax: Axes, basin: Basin) -> None:
 
 
 def _add_full_shares(ax: Axes, basin: Basin) -> None:
-    """Shares of residual rotation by the full equation, with 95 % intervals."""
+    """Draw shares of residual rotation by the full equation, with 95 % intervals."""
     shares = {outcome.label: outcome for outcome in figure_data.shares(basin)}
     residual = shares["residual rotation"]
     bars = np.abs(np.stack([residual.low, residual.high]) - residual.share)
@@ -159,7 +159,7 @@ def _add_full_shares(ax: Axes, basin: Basin) -> None:
 
 
 def _mark_shapes(ax: Axes, places: dict[float, str]) -> None:
-    """A labelled vertical line at every δ of `places`."""
+    """Draw a labelled vertical line at every δ of `places`."""
     for delta, label in places.items():
         ax.axvline(delta, color="white", lw=2.4)
         ax.axvline(delta, color="black", lw=0.8, ls="--")
@@ -168,7 +168,7 @@ def _mark_shapes(ax: Axes, places: dict[float, str]) -> None:
 
 
 def _name_regimes(strip: Axes, limits: list[float], names: list[str]) -> None:
-    """An arrow over every range of δ, and above it the outcomes that occur there."""
+    """Draw an arrow over every range of δ, labelled with the outcomes that occur there."""
     for low, high, name in zip(limits, limits[1:], names, strict=False):
         strip.annotate("", (low, 0), (high, 0), arrowprops={"arrowstyle": "<->", "lw": 0.7})
         strip.text((low + high) / 2, 0.05, name, ha="center", va="bottom")
@@ -176,7 +176,7 @@ def _name_regimes(strip: Axes, limits: list[float], names: list[str]) -> None:
 
 @_styled
 def two_starts() -> Figure:
-    """ω₁, ω₂, ω₃ against τ from φ₀ = π/30 (residual) and π/3 (stop), order 1 and full."""
+    """Plot ω₁, ω₂, ω₃ against τ from φ₀ = π/30 (residual) and π/3 (stop), order 1 and full."""
     times = np.concatenate([[0], np.geomspace(0.3, 3000, 500)])
     figure = Figure((WIDE, 78 * MM), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
@@ -200,7 +200,7 @@ def two_starts() -> Figure:
 
 
 def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
-    """The components of ω, and ω∞ of a residual rotation."""
+    """Plot the components of ω, and ω∞ of a residual rotation."""
     full = level is Level.FULL
     width, dash = (0.9, (0, (4, 1.5))) if full else (1.4, "-")
     for k, (_, colour) in enumerate(COMPONENTS):
@@ -218,7 +218,7 @@ def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
 
 @_styled
 def rotator_plane() -> Figure:
-    """Phase plane of the plane rotator's full equation: separatrices, domains, runaways."""
+    """Draw the phase plane of the full plane rotator: separatrices, domains, runaways."""
     figure = Figure((NARROW, 88 * MM), layout="constrained")
     ax = figure.subplots()
     w, top = np.linspace(-2, 2, 401), 2.5
@@ -237,7 +237,7 @@ def rotator_plane() -> Figure:
 
 
 def _name_points(ax: Axes, w: np.ndarray, curves: dict[str, np.ndarray], top: float) -> None:
-    """The letters of the paper: O at rest, and those of both ends of every curve in the picture."""
+    """Label points as in the paper: O at rest, and both ends of every curve."""
     places = {"O": (0.0, 0.0)}
     for letters, curve in curves.items():
         inside = np.flatnonzero(np.abs(curve) < top)
@@ -251,7 +251,7 @@ def _name_points(ax: Axes, w: np.ndarray, curves: dict[str, np.ndarray], top: fl
 def _draw_domains(
     ax: Axes, w: np.ndarray, edges: tuple[np.ndarray, np.ndarray], top: float
 ) -> None:
-    """Four domains of runaways, each with the limits of ω in the past and in the future."""
+    """Draw the four domains of runaways, with the limits of ω in the past and in the future."""
     low, high = edges
     right = w >= 0
     areas = {
@@ -270,7 +270,7 @@ def _draw_domains(
 
 
 def _draw_runaways(ax: Axes, right: float, top: float) -> None:
-    """Stream lines of the phase plane, with arrows."""
+    """Draw stream lines of the phase plane, with arrows."""
     xs, ys = np.linspace(-right, right, 161), np.linspace(-top, top, 161)
     plane = np.stack(np.meshgrid(xs, ys))
     u, v = np.asarray(RotatorFull()(0.0, jnp.asarray(plane.reshape(2, -1)))).reshape(plane.shape)
@@ -282,7 +282,7 @@ def _draw_runaways(ax: Axes, right: float, top: float) -> None:
 
 @_styled
 def spectra() -> Figure:
-    """λ/w² of the slow motions at {w, 0, 0} against δ, level by level, with the limit w → 0."""
+    """Plot λ/w² of slow perturbations of {w, 0, 0} against δ at each level, and the limit w → 0."""
     w, deltas = 0.05, np.linspace(-1, 0.99, 399)
     figure = Figure((WIDE, 85 * MM), layout="constrained")
     real, imaginary = figure.subplots(1, 2, sharex=True)
@@ -310,7 +310,7 @@ def spectra() -> Figure:
 
 
 def _mark_thresholds(ax: Axes, w: float) -> None:
-    """Where the line loses its stability: order 1, and order 2 beyond its range of validity."""
+    """Mark where the line loses its stability: order 1, and order 2 beyond its validity."""
     for level, bracket in ((Level.ORDER_1, (-0.9, 0.5)), (Level.ORDER_2, (0.5, 0.999))):
         delta = threshold(lambda d, level=level: equation_at(level, d), w, *bracket)
         ax.plot(delta, 0, "o", color="white", mec="black", ms=5, zorder=5)
@@ -321,7 +321,7 @@ def _mark_thresholds(ax: Axes, w: float) -> None:
 
 @_styled
 def levels() -> Figure:
-    """Where the outcome depends on the level: a map over φ and ω₃ at δ = −0.2, ω⊥ = 0.2."""
+    """Draw where the outcome depends on the level: a map over φ and ω₃, δ = −0.2, ω⊥ = 0.2."""
     maps = figure_data.level_maps(MAP_SIZE, MAP_STRIDE, 0.4)
     figure = Figure((WIDE, 105 * MM), layout="constrained")
     ax = figure.subplots()
@@ -359,4 +359,4 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "spectra": spectra,
     "levels": levels,
 }
-"""The functions by the names of the figures, in the order in which they are drawn."""
+"""The functions by the names of the figures, in the order of drawing."""

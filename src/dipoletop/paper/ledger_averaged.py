@@ -1,4 +1,4 @@
-"""(4.16)–(4.21): solutions for the averaged top, against integrations of (4.13)–(4.15)."""
+"""(4.16)–(4.21): solutions for the averaged top, compared with integrations of (4.13)–(4.15)."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -18,23 +18,23 @@ ORBITS[0.7] = ORBITS[0.4]
 BEGIN = 4.0
 """τᵢ, the initial time."""
 DECADES = {-1.0: (50, 300), -0.8: (20, 50), -0.5: (50, 300), -0.3: (20, 50), 0.3: (20, 50)}
-"""By δ: two values of log₁₀ τ where the asymptotics are read; late ones where they contain ln τ."""
+"""By δ: two values of log₁₀ τ where the asymptotics are evaluated; larger if they contain ln τ."""
 
 Exponent = Callable[[Any], Any]
 
 
 def p_right(d: Any) -> Any:
-    """The exponent p of (4.19), corrected."""
+    """Return the exponent p of (4.19), corrected."""
     return d * (1 - d) * (3 + 3 * d + d**2) / ((1 + 2 * d) * (1 + d**3))
 
 
 def p_printed(d: Any) -> Any:
-    """The exponent p as the paper prints it."""
+    """Return the exponent p of (4.19), as printed."""
     return d * (1 - d) * (3 + 3 * d + d**3) / ((1 + 2 * d) * (1 + d))
 
 
 def q_printed(d: Any) -> Any:
-    """The exponent q of (4.19), which is printed correctly."""
+    """Return the exponent q of (4.19), which is printed correctly."""
     return 2 / (1 + d**3)
 
 
@@ -55,12 +55,12 @@ class SampledOrbit(NamedTuple):
 
 @jax.jit
 def averaged_rate(delta: Any, y: Any) -> Any:
-    """(4.13)–(4.15): the rates of ω⊥, ω₃ and φ̄."""
+    """Return (4.13)–(4.15): the rates of ω⊥, ω₃ and φ̄."""
     return TransverseAveraged(delta)(0.0, y)
 
 
 def integrated() -> list[SampledOrbit]:
-    """The motions of `ORBITS`, integrated."""
+    """Return the motions of `ORBITS`, integrated."""
     orbits = []
     for delta, (*start, span) in ORBITS.items():
         run = solve_ivp(
@@ -77,7 +77,7 @@ def integrated() -> list[SampledOrbit]:
 
 
 def orbits() -> Iterator[Entry]:
-    """(4.16)–(4.19)."""
+    """Yield (4.16)–(4.19)."""
     runs = integrated()
     claim = "u = ξv = Cξ^{1−q}|(1+2δ)ξ + 1+δ³|^p, with the right p of (4.19)"
     yield Entry("(4.16)", claim, max(off_the_orbit(o, p_right) for o in runs), 1e-11)
@@ -89,7 +89,7 @@ def orbits() -> Iterator[Entry]:
 
 
 def off_the_orbit(orbit: SampledOrbit, p: Exponent) -> float:
-    """Relative variation of v ξ^q |aξ + b|^{−p} along an orbit, which should be 0."""
+    """Return the relative variation of v ξ^q |aξ + b|^{−p} along an orbit, which should be 0."""
     d = orbit.delta
     edge = np.abs((1 + 2 * d) * orbit.xi + 1 + d**3)
     constant = orbit.v * orbit.xi ** q_printed(d) * edge ** -p(d)
@@ -97,7 +97,7 @@ def off_the_orbit(orbit: SampledOrbit, p: Exponent) -> float:
 
 
 def quadrature(orbit: SampledOrbit, *, angle: bool = False) -> np.ndarray:
-    """The times since τᵢ by (4.17), or the angles by (4.18), with absolute values."""
+    """Return the times since τᵢ by (4.17), or the angles by (4.18), with absolute values."""
     d, p, q = orbit.delta, p_right(orbit.delta), q_printed(orbit.delta)
     a, b, first = 1 + 2 * d, 1 + d**3, orbit.xi[0]
     c = orbit.v[0] * first**q * abs(a * first + b) ** -p
@@ -112,10 +112,10 @@ def quadrature(orbit: SampledOrbit, *, angle: bool = False) -> np.ndarray:
 
 
 def times(runs: list[SampledOrbit]) -> Iterator[Entry]:
-    """(4.17)."""
+    """Yield (4.17)."""
     since = [quadrature(o) for o in runs]
     residual = max(gap(t, o.time[1:] - BEGIN) for o, t in zip(runs, since, strict=True))
-    # The braces are negative along the whole first orbit, so printed and corrected integrands
+    # The braces are negative along the whole first orbit, so that printed and corrected integrands
     # differ by a constant power of −1.
     power_of_minus_1 = complex(-1) ** (-p_right(runs[0].delta) - 1)
     printed = min(abs(power_of_minus_1 - 1), abs(power_of_minus_1 + 1))
@@ -129,14 +129,14 @@ def times(runs: list[SampledOrbit]) -> Iterator[Entry]:
 
 
 def exponents(runs: list[SampledOrbit]) -> Iterator[Entry]:
-    """(4.19), put into (4.13)–(4.14): d ln v/d ln ξ for many ξ and every δ, and along orbits."""
+    """Yield (4.19), inserted in (4.13)–(4.14): d ln v/d ln ξ at many ξ and δ, and along orbits."""
     deltas = np.asarray(shapes())
     deltas = deltas[(np.abs(deltas + 0.5) > 1e-3) & (deltas > -1)]  # p itself is singular there
     xi = np.array([1e-14, 0.3, 2.0, 40.0, 1e3])[:, None]
     ones = np.ones_like(xi * deltas)
     y = jnp.stack([np.sqrt(xi) * ones, ones, 0 * ones])
     rate = np.asarray(jax.vmap(lambda y: TransverseAveraged(deltas)(0.0, y), 1, 1)(y))
-    fall = 2 * rate[1]  # of ln v, at v = 1
+    fall = 2 * rate[1]  # d ln v/dτ at v = 1
     slope = fall / (2 * rate[0] / np.sqrt(xi) - fall)
     edge = (1 + 2 * deltas) * xi
     near = slope[:1], -q_printed(deltas)[None]
@@ -154,7 +154,7 @@ def exponents(runs: list[SampledOrbit]) -> Iterator[Entry]:
 
 
 def limits() -> Iterator[Entry]:
-    """`exact.averaged`, which includes the limits δ = −1, −1/2 and 0."""
+    """Yield `exact.averaged`, which includes the limits δ = −1, −1/2 and 0."""
     solution = jax.jit(exact.averaged)
     start, times = cylindrical(0.8, -0.6, 0.3), np.array([0.0, 0.3, 5.0, 400.0])
 
@@ -187,7 +187,7 @@ class Late(NamedTuple):
 
 
 def followed(delta: float, start: tuple[float, float]) -> Late:
-    """A motion from τ = 1, integrated over s = ln τ in the variables ln τω⊥², ln τω₃² and φ̄."""
+    """Integrate a motion from τ = 1 over s = ln τ in the variables ln τω⊥², ln τω₃² and φ̄."""
 
     def rate(s: float, y: np.ndarray) -> np.ndarray:
         w, w3 = np.exp(y[:2] / 2)
@@ -202,7 +202,7 @@ def followed(delta: float, start: tuple[float, float]) -> Late:
 
 
 def late() -> Iterator[Entry]:
-    """(4.20), (4.21)."""
+    """Yield (4.20), (4.21)."""
     start = (0.8, 0.6)
     runs = {delta: followed(delta, start) for delta in DECADES}
     yield from powers(runs, start)
@@ -210,7 +210,7 @@ def late() -> Iterator[Entry]:
 
 
 def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entry]:
-    """The laws of ω⊥² and ω₃²."""
+    """Yield the laws of ω⊥² and ω₃²."""
 
     def off(delta: float) -> float:
         run, tau = runs[delta], np.exp(runs[delta].log_tau[1])
@@ -229,10 +229,10 @@ def powers(runs: dict[float, Late], start: tuple[float, float]) -> Iterator[Entr
 
 
 def angles(runs: dict[float, Late]) -> Iterator[Entry]:
-    """The growth of φ̄."""
+    """Yield the growth of φ̄."""
 
     def grows(delta: float, power: float) -> float:
-        """Relative difference of d ln|φ̄ − φ̄ᵢ|/d ln τ from a power."""
+        """Return the relative difference of d ln|φ̄ − φ̄ᵢ|/d ln τ from a power."""
         return abs(float(runs[delta].phi_rate[1] / runs[delta].phi[1]) / power - 1)
 
     residual = max(grows(-1.0, 0.5), grows(-0.8, 0.5))

@@ -29,9 +29,9 @@ SPECIAL = (
     (-0.7, (0.1, 0.1, 0.0)),  # ω₃ = 0
     (-0.5, (0.1, -0.1, 0.0)),
 )
-"""Shapes and starts that are exceptions to the paper's claims, or that it names."""
+"""Shapes and starts that are exceptions to the paper's claims, or are named in it."""
 STOPS = np.array([True, True, True, False, False, False])
-"""Whether they stop."""
+"""Whether the starts of `SPECIAL` stop."""
 FULL_A = (0.13148744208692057915, 0.068501995595988332757, 0.029559231623915714665)
 """ω of figure 2a at τ = 60 by the full equation, from a shooting method."""
 FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.059353536931937492011)
@@ -39,7 +39,7 @@ FULL_B = (-0.027570924803771399734, 0.067039540720074546728, 0.05935353693193749
 
 
 def figures() -> Iterator[Entry]:
-    """Figure 2 at order 1, and the same starts by the full equation."""
+    """Yield figure 2 at order 1, and the same starts by the full equation."""
     checks = figure_2()
     for part in ("figure 2a", "figure 2b"):
         error = max(check.error for check in checks if check.name.startswith(part))
@@ -62,7 +62,7 @@ def figures() -> Iterator[Entry]:
 
 
 def first_order() -> Classification:
-    """Runs at order 1: `STARTS` isotropic starts of every shape, then those of `SPECIAL`."""
+    """Compute runs at order 1: `STARTS` isotropic starts of every shape, then `SPECIAL`."""
     omegas = Sample(len(SHAPES) * STARTS, amplitude=0.2, seed=6)
     starts = np.asarray(omegas.points(np.arange(len(SHAPES) * STARTS)))
     deltas = np.append(np.repeat(SHAPES, STARTS), [delta for delta, _ in SPECIAL])
@@ -73,7 +73,7 @@ def first_order() -> Classification:
 
 
 def outcomes() -> Iterator[Entry]:
-    """Figure 1 and section 4.2 at order 1."""
+    """Yield figure 1 and section 4.2 at order 1."""
     runs = first_order()
     outcome, value = np.asarray(runs.outcome), np.asarray(runs.omega_inf)
     kept = (outcome[: -len(SPECIAL)] == Outcome.RESIDUAL).reshape(-1, STARTS)
@@ -101,7 +101,7 @@ def outcomes() -> Iterator[Entry]:
 
 
 def capture() -> Entry:
-    """Residual rotation may be reached only after many revolutions."""
+    """Check that residual rotation may be reached only after many revolutions."""
     delta = 0.05
     times = np.array([0.0, 100.0, 1e3, 1e4, 1e5])
     run = simulate(TransverseReduced(delta), cylindrical(0.03, 0.298, 1.0), times)
@@ -116,7 +116,7 @@ def capture() -> Entry:
 
 
 def exceptions() -> Iterator[Entry]:
-    """Wobbling stops of needles, which the full equation has and order 1 does not."""
+    """Yield wobbling stops of needles, which occur in the full equation but not at order 1."""
     residual = abs(planar.critical_delta() / 0.7532357993909 - 1)
     claim = "at small amplitude also a wobbling stop, for δ > δ_c = 0.7532357993909"
     needle, start = 0.9, jnp.array([0.02, 0.1, 0.0])
@@ -140,7 +140,7 @@ TILTED = Body(np.diag((0.6, 1.0, 1.2)), (0.5, 0.6, 0.62))
 
 
 def asymmetric() -> Iterator[Entry]:
-    """The closing statement, about tops without symmetry."""
+    """Yield the closing statement about tops without symmetry."""
     cases = (((0.6, 1.0, 1.2), 2), ((0.6, 1.0, 1.2), 1), ((1.0, 1.3, 2.2), 0))
     bodies = [Body(np.diag(moments), np.eye(3)[axis]) for moments, axis in cases]
     kept, stop, stable = [], [], []

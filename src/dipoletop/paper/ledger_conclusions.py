@@ -1,4 +1,4 @@
-"""The conclusions: how long a stop takes, and the numbers of real particles."""
+"""The conclusions: the time of a stop, and the numbers of real particles."""
 
 import math
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ PRINTED = ("silica sphere", "DAST about the long axis")
 
 
 def conclusions() -> Iterator[Entry]:
-    """All lines about the conclusions."""
+    """Yield all lines about the conclusions."""
     yield ceases()
     rows = particles.particle_table(particles.paper_particles(), SPEED)
     for row, (mass, square, dipole) in zip(rows, GAUSSIAN, strict=True):
@@ -40,7 +40,7 @@ def conclusions() -> Iterator[Entry]:
 
 
 def ceases() -> Entry:
-    """When Ω ~ 1/√(τ₀t) holds for the rotator, in units of T = 1/(τ₀Ω₀²)."""
+    """Check when Ω ~ 1/√(τ₀t) holds for the rotator, in units of T = 1/(τ₀Ω₀²)."""
     times = jnp.array([1e-12, 1e12])
     ratio = exact.rotator(1.0, times) * jnp.sqrt(2 * times)
     residual, wrong = (abs(float(x) - 1) for x in (ratio[1], ratio[0]))
@@ -49,7 +49,7 @@ def ceases() -> Entry:
 
 
 def printed(silica: particles.Row, dast: particles.Row) -> Iterator[Entry]:
-    """The numbers that the paper prints, compared to its digits."""
+    """Yield the numbers printed in the paper, compared to its digits."""
     radius = 50e-9
     spin = silica.moment * SPEED / hbar
     rim = radius * SPEED / c

@@ -16,32 +16,32 @@ LANES = 32
 class Entry(NamedTuple):
     """An equation, claim, figure or number of the paper, with the result of its check.
 
-    A residual is relative to the measured quantity. For a claim about cases it is the share of the
-    checked cases in which the claim fails.
+    A residual is relative to the measured quantity. For a claim about cases it is the share of
+    checked cases for which the claim fails.
     """
 
     place: str
     """Its place in the paper."""
     claim: str
-    """The form that holds: the paper's, or the correct one if the paper has an error."""
+    """The correct form: the paper's, or another one if the paper has an error."""
     residual: float
     """The residual of the claim, computed in this run."""
     limit: float
-    """The largest residual that rounding, tolerances or neglected terms explain."""
+    """The largest residual that rounding, tolerances or neglected terms can explain."""
     printed: str = ""
-    """The form that the paper prints, if it is wrong; else empty."""
+    """The form printed in the paper, if it is wrong; else ""."""
     printed_residual: float = 0.0
     """The residual of the printed form, measured in the same way."""
 
     @property
     def holds(self) -> bool:
-        """Whether the claim holds, and the printed form, if it is another one, does not."""
+        """Whether the claim holds, and the printed form, if different, does not."""
         wrong = not self.printed or self.printed_residual > self.limit
         return bool(self.residual <= self.limit and wrong)
 
     @property
     def verdict(self) -> str:
-        """Confirmed, corrected or FAILED."""
+        """The verdict on the paper's form: confirmed, corrected or FAILED."""
         if not self.holds:
             return "FAILED"
         return "corrected" if self.printed else "confirmed"
@@ -54,30 +54,30 @@ class Entry(NamedTuple):
 
 
 def gap(values: Values, expected: Values) -> float:
-    """The largest difference over the largest expected number; NaN counts as infinite."""
+    """Return the largest difference over the largest expected number; NaN counts as infinite."""
     known = np.asarray(expected)
     worst = np.max(np.abs(np.asarray(values) - known)) / np.max(np.abs(known))
     return float(worst) if np.isfinite(worst) else np.inf
 
 
 def share(failures: Iterable[ArrayLike]) -> float:
-    """The share of cases in which a claim fails."""
+    """Return the share of cases in which a claim fails."""
     return float(np.mean(np.concatenate([np.ravel(np.asarray(x, bool)) for x in failures])))
 
 
 def unsolved(equation: Callable, solution: Callable, times: np.ndarray) -> float:
-    """Largest residual of an equation for a solution (T, n), over the largest rate."""
+    """Return the largest residual of an equation for a solution (T, n), over the largest rate."""
     t = jnp.asarray(times)
     value, rate = jax.jvp(solution, (t,), (jnp.ones_like(t),))
     return gap(rate.T, equation(0.0, value.T))
 
 
 def states(components: int, seed: int = 0) -> jnp.ndarray:
-    """`LANES` random states, components on axis 0."""
+    """Return `LANES` random states, components on axis 0."""
     return jnp.asarray(np.random.default_rng(seed).normal(size=(components, LANES)))
 
 
 def shapes() -> jnp.ndarray:
-    """`LANES` shapes δ, among them the disc, δ = −1/2 and the sphere."""
+    """Return `LANES` shapes δ, including the disc, δ = −1/2 and the sphere."""
     others = np.random.default_rng(1).uniform(-1, 0.95, LANES - 3)
     return jnp.asarray(np.concatenate([[-1.0, -0.5, 0.0], others]))

@@ -18,7 +18,7 @@ BODY = Body([[1.0, 0.1, 0.0], [0.1, 1.4, -0.2], [0.0, -0.2, 1.7]], [0.5, 0.3, 0.
 
 
 def rotator() -> Iterator[Entry]:
-    """Section 2."""
+    """Yield section 2."""
     sphere, w = axisymmetric(0.0), states(2)
     plane = jnp.zeros((3, LANES)).at[2].set(w[0])
     whole = jnp.concatenate([plane, jnp.zeros((2, LANES)), w[1:]])
@@ -35,7 +35,7 @@ def rotator() -> Iterator[Entry]:
 
 
 def motion() -> Iterator[Entry]:
-    """(3.2)–(3.4) and the balance laws."""
+    """Yield (3.2)–(3.4) and the balance laws."""
     omega, rate, second = states(3), states(3, 2), states(3, 3)
     yield third_derivative(omega, rate, second)
     masses, positions = np.array([1.0, 2.0, 3.0, 2.5]), np.random.default_rng(4).normal(size=(4, 3))
@@ -55,11 +55,11 @@ def motion() -> Iterator[Entry]:
 
 
 def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray) -> Entry:
-    """(3.2): d⃛ as a sum of products, against three time derivatives in a rotating frame."""
+    """Check (3.2): d⃛ as a sum of products, against three time derivatives in a rotating frame."""
     d = jnp.broadcast_to(BODY.dipole[:, None], omega.shape)
 
     def in_space(x: Callable) -> Callable:
-        """The time derivative in the laboratory of a vector given in body axes."""
+        """Return the time derivative in the laboratory of a vector given in body axes."""
 
         def derivative(t: jnp.ndarray) -> jnp.ndarray:
             value, slope = jax.jvp(x, (t,), (jnp.ones_like(t),))
@@ -79,7 +79,7 @@ def third_derivative(omega: jnp.ndarray, rate: jnp.ndarray, second: jnp.ndarray)
 
 
 def balance() -> Iterator[Entry]:
-    """(3.3) against the balance laws of energy and angular momentum."""
+    """Yield (3.3), compared with the balance laws of energy and angular momentum."""
     body = axisymmetric(-0.3, [0.6, 0.0, 0.8])
     equation = Full(body)
     y = states(6, 5)

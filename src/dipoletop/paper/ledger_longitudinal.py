@@ -20,7 +20,7 @@ START = np.array([0.5, 0.0, W3, 0.6, 0.1])  # initial state of a runaway; ω⊥ 
 
 
 def equations() -> Iterator[Entry]:
-    """(3.6)–(3.13)."""
+    """Yield (3.6)–(3.13)."""
     deltas, omega, rates = shapes(), states(3), states(2, 2)
     bodies = jax.vmap(lambda d: axisymmetric(d, "longitudinal"), out_axes=-1)(deltas)
     special = LongitudinalFull(deltas)(0.0, jnp.concatenate([omega, rates]))
@@ -49,7 +49,7 @@ def equations() -> Iterator[Entry]:
 
 
 def changed_variables() -> Iterator[Entry]:
-    """(B.4), (B.6)–(B.8): the full equations without ω₃, and in θ = e^τ and ν = φ′ + ω₃."""
+    """Yield (B.4), (B.6)–(B.8): full equations for ω₃ = 0, and in θ = e^τ and ν = φ′ + ω₃."""
     deltas, omega, rates = shapes(), states(3, 7), states(2, 8)
     flat = omega.at[2].set(0.0)
     for axial, place in ((flat, "(B.4)"), (omega, "(B.6)–(B.8)")):
@@ -71,7 +71,7 @@ def changed_variables() -> Iterator[Entry]:
 
 
 def asymptotics() -> Iterator[Entry]:
-    """(B.5), (B.9)–(B.12), (B.14)."""
+    """Yield (B.5), (B.9)–(B.12), (B.14)."""
     field = LongitudinalFull(DELTA)
     measured = logarithm(jax.vmap(lambda w: slow_manifold(field, jnp.array([1.0, 0, 0]) * w)[0]))
     claim = f"ω₃ = 0: ω⊥ = (2τ)^(−1/2) [1 + c ln τ/τ + O(1/τ)], c = {LOGARITHM}"
@@ -98,7 +98,7 @@ def asymptotics() -> Iterator[Entry]:
 
 
 def spectrum(w3: float) -> np.ndarray:
-    """The two λ of ω₁ + iω₂ ~ e^{λτ} near (0, 0, ω₃), by the full equations; the larger last."""
+    """Return the two λ of ω₁ + iω₂ ~ e^{λτ} near (0, 0, ω₃) in the full equations; larger last."""
     equilibrium = jnp.array([0.0, 0.0, w3, 0.0, 0.0])
     jacobian = jax.jacfwd(lambda y: LongitudinalFull(DELTA)(0.0, y))(equilibrium)
     rates, vectors = np.linalg.eig(np.asarray(jacobian))
@@ -107,7 +107,7 @@ def spectrum(w3: float) -> np.ndarray:
 
 
 def next_order(rate: complex) -> Iterator[Entry]:
-    """(B.9): the next order after the exponential decay, on the physical branch."""
+    """Yield (B.9): the next order after the exponential decay, on the physical branch."""
 
     def excess(w: float) -> complex:
         slope = slow_manifold(LongitudinalFull(DELTA), jnp.array([w, 0.0, W3]))
@@ -121,7 +121,7 @@ def next_order(rate: complex) -> Iterator[Entry]:
 
 
 def blow_up() -> Iterator[Entry]:
-    """(B.13): a runaway, integrated with SciPy up to a large ω⊥."""
+    """Yield (B.13): a runaway, integrated with SciPy up to a large ω⊥."""
     field = jax.jit(lambda y: LongitudinalFull(DELTA)(0.0, y))
     fast = 1e5
 
@@ -155,7 +155,7 @@ def blow_up() -> Iterator[Entry]:
 
 
 def braking_time() -> Iterator[Entry]:
-    """The relaxation time to a residual rotation, in the conclusions."""
+    """Yield the relaxation time to a residual rotation, in the conclusions."""
     folding = 1 / ((1 - DELTA) * W3) ** 2
     late = exact.longitudinal(DELTA, np.array([0.3, 0.4, W3]), folding * np.array([20.0, 21.0]))
     fall = float(jnp.hypot(late[0, 0], late[0, 1]) / jnp.hypot(late[1, 0], late[1, 1]))

@@ -16,12 +16,12 @@ from ..equations.rotator_curves import closed_manifold, critical_manifold, separ
 from .ledger_entry import LANES, Entry, gap, states
 
 LOGARITHM = 3 / 4
-"""ω√(2τ) = 1 + (3/4) ln τ/τ + O(1/τ) for τ → ∞."""
+"""Coefficient c in ω√(2τ) = 1 + c ln τ/τ + O(1/τ) for τ → ∞."""
 ROOT = np.sqrt(2)
 
 
 def phase_plane() -> Iterator[Entry]:
-    """(A.2), (A.7)–(A.15) and figure 3."""
+    """Yield (A.2), (A.7)–(A.15) and figure 3."""
     full, y = RotatorFull(), states(2, 6)
     zero = jnp.zeros_like(y[0])
     whole = jnp.stack([zero, zero, y[0], zero, zero, y[1]])
@@ -45,7 +45,7 @@ def phase_plane() -> Iterator[Entry]:
 
 
 def ends_of_time() -> Entry:
-    """(A.11): τ̄ω at a large ω > 0, near the end of a runaway and the beginning of a stop."""
+    """Check (A.11): τ̄ω at a large ω > 0, near the end of a runaway and the beginning of a stop."""
     fast = 1e4
     before, after = _since(separatrix, fast), _since(critical_manifold, fast)
     products = np.array([before, after]) * fast
@@ -56,7 +56,7 @@ def ends_of_time() -> Entry:
 
 
 def _since(curve: Callable, w: float) -> float:
-    """τ̄ = ∫dω/ϖ from ∞ to w, in x = 1/ω: the time since the blow-up; negative before it."""
+    """Return τ̄ = ∫dω/ϖ from ∞ to w, by x = 1/ω: the time since the blow-up, negative before it."""
     nodes, weights = np.polynomial.legendre.leggauss(20)
     x = (nodes + 1) / (2 * w)
     rate = np.asarray(curve(jnp.asarray(1 / x)))
@@ -64,7 +64,7 @@ def _since(curve: Callable, w: float) -> float:
 
 
 def manifold() -> Iterator[Entry]:
-    """(A.15)–(A.17): the curves AOC and BOD, and their approximations."""
+    """Yield (A.15)–(A.17): the curves AOC and BOD, and their approximations."""
     w = jnp.logspace(-5, 5, LANES)
     ones = jnp.ones(LANES)
     f, slope = jax.jvp(critical_manifold, (w,), (ones,))
@@ -85,7 +85,7 @@ def manifold() -> Iterator[Entry]:
 
 
 def approximations(w: jnp.ndarray) -> Iterator[Entry]:
-    """The two closed forms with which the paper approximates f."""
+    """Yield the two closed forms with which the paper approximates f."""
     ends = jnp.array([1e-4, 1e8])
     residual = gap(closed_manifold(ends) / critical_manifold(ends), jnp.ones(2))
     claim = "f ≈ −ω³/√(1+2ω²): right for ω → 0 and for ω → ∞"
@@ -106,7 +106,7 @@ def approximations(w: jnp.ndarray) -> Iterator[Entry]:
 
 
 def asymptotics() -> Iterator[Entry]:
-    """(A.3)–(A.6)."""
+    """Yield (A.3)–(A.6)."""
     measured = logarithm(critical_manifold)
     claim = "ω = (2τ)^(−1/2) [1 + c ln τ/τ + O(1/τ)], c = 3/4"
     residual = abs(measured / LOGARITHM - 1)
@@ -122,7 +122,7 @@ def asymptotics() -> Iterator[Entry]:
 
 
 def logarithm(branch: Callable, start: float = 0.1) -> float:
-    """The coefficient c in ω√(2τ) = 1 + c ln τ/τ + O(1/τ), for ω′ = branch(ω) with ω₀ = `start`."""
+    """Return c in ω√(2τ) = 1 + c ln τ/τ + O(1/τ), for ω′ = branch(ω) with ω₀ = `start`."""
     late = []
     for w in (1e-4, 1e-6):
         nodes, weights = np.polynomial.legendre.leggauss(100)

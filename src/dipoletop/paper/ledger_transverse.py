@@ -26,7 +26,7 @@ TIMES = np.array([0.0, 0.3, 5.0, 400.0])
 
 
 def equations() -> Iterator[Entry]:
-    """(4.2)–(4.15)."""
+    """Yield (4.2)–(4.15)."""
     deltas, omega, rates = shapes(), states(3), states(2, 2)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
     special = TransverseFull(deltas)(0.0, jnp.concatenate([omega, rates]))
@@ -52,7 +52,7 @@ def equations() -> Iterator[Entry]:
 
 
 def exact_motions() -> Iterator[Entry]:
-    """(4.5), (4.6) and their exact solutions."""
+    """Yield (4.5), (4.6) and their exact solutions."""
     delta, axial, plane = 0.6, np.array([0.0, 0.0, 0.7]), np.array([0.03, 0.4, 0.0])
     solution = jax.jit(lambda t, start: exact.transverse(delta, start, t))
     equation, general = TransverseReduced(delta), Reduced(axisymmetric(delta))
@@ -76,7 +76,7 @@ def exact_motions() -> Iterator[Entry]:
 
 
 def monotony() -> Iterator[Entry]:
-    """The claims about monotonicity after (4.12)."""
+    """Yield the claims about monotonicity after (4.12)."""
     deltas, omega = shapes(), states(3, 11)
     bodies = jax.vmap(axisymmetric, out_axes=-1)(deltas)
     rate = Reduced(bodies)(0.0, omega)
@@ -85,7 +85,7 @@ def monotony() -> Iterator[Entry]:
     phi = jnp.linspace(0, jnp.pi, 181)
 
     def growth(delta: float) -> float:
-        """The largest ω₃′/(ω₃ω²) at small ω₃."""
+        """Return the largest ω₃′/(ω₃ω²) at small ω₃."""
         y = jnp.stack([jnp.ones_like(phi), jnp.full_like(phi, 1e-6), phi])
         return float(jnp.max(TransverseCylindrical(delta)(0.0, y)[1]) / 1e-6)
 
@@ -95,18 +95,18 @@ def monotony() -> Iterator[Entry]:
 
 
 def linearised() -> Entry:
-    """(4.22)–(4.24)."""
+    """Check (4.22)–(4.24)."""
     small, w = jnp.array([0.02, -0.03, 0.05]), 0.3
     jacobian = jax.jacfwd(lambda y: TransverseCylindrical(-0.6)(0.0, y))(jnp.array([w, 0.0, 0.0]))
     linear = TransverseLinearised(-0.6, w)(0.0, small)
     claim, printed = "linearisation of (4.9)–(4.11) at (w, 0, 0)", "linearisation of (4.5)–(4.9)"
-    only = jacobian.at[1:].set(0.0) @ small  # of (4.5)–(4.9) only (4.9) gives a rate, that of ω⊥
+    only = jacobian.at[1:].set(0.0) @ small  # among (4.5)–(4.9) only (4.9) is a rate, ω⊥′
     residual = gap(linear, jacobian @ small)
     return Entry("before (4.22)", claim, residual, 1e-13, printed, gap(only, linear))
 
 
 def fixed_points() -> Iterator[Entry]:
-    """The fixed points at order 1, and the rates near them, (4.22)–(4.24)."""
+    """Yield the fixed points at order 1, and the rates near them, (4.22)–(4.24)."""
     yield linearised()
     claim = "(4.2)–(4.4) have no other fixed points than ω₂ = ω₃ = 0"
     yield Entry("section 4.1", claim, elsewhere(), 0.0)
@@ -133,12 +133,12 @@ def fixed_points() -> Iterator[Entry]:
 
 
 def elsewhere() -> float:
-    """The share of the fixed points, found from random guesses, off the line ω₂ = ω₃ = 0."""
+    """Return the share of fixed points found from random guesses that are off ω₂ = ω₃ = 0."""
     field = jax.jit(lambda delta, omega: TransverseReduced(delta)(0.0, omega))
     draw, distances = np.random.default_rng(12), []
 
     def polar(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """|ω| between 0.1 and 3, and the direction of ω."""
+        """Return |ω| between 0.1 and 3, and the direction of ω."""
         return 3 * 30 ** ((np.sin(x[0]) - 1) / 2), x[1:] / np.linalg.norm(x[1:])
 
     def scaled_field(x: np.ndarray, delta: float) -> np.ndarray:
@@ -155,7 +155,7 @@ def elsewhere() -> float:
 
 
 def slowest(state: jnp.ndarray) -> Entry:
-    """The rate at which the residual rotation (w, 0, 0) is approached."""
+    """Check the rate at which the residual rotation (w, 0, 0) is approached."""
     deltas, square = (-0.3, 0.4), float(state[0]) ** 2
     rates = np.array([1 / float(spectrum(TransverseReduced(d), state).return_time) for d in deltas])
     axial = np.array([3 / (1 - d) - 2 for d in deltas])
@@ -166,7 +166,7 @@ def slowest(state: jnp.ndarray) -> Entry:
 
 
 def no_threshold(state: jnp.ndarray) -> Entry:
-    """The shapes for which residual rotation is stable, at order 1 and at consistent levels."""
+    """Check for which shapes residual rotation is stable, at order 1 and at consistent levels."""
     delta = threshold(TransverseReduced, float(state[0]), -0.9, 0.5)
     consistent = np.linspace(-0.99, 0.95, 9)
     stable = np.array(
@@ -182,7 +182,7 @@ def no_threshold(state: jnp.ndarray) -> Entry:
 
 
 def lost_term(delta: float) -> Entry:
-    """Order 1 lacks the term −2ω₁ω₂ω²/(1−δ) of ω₃′, which is of leading order where ω₃ ~ ω⊥²."""
+    """Check that order 1 misses −2ω₁ω₂ω²/(1−δ) in ω₃′, of leading order where ω₃ ~ ω⊥²."""
     u = 1e-2
     omega = jnp.array([u, 0.3 * u, 0.5 * u**2])
     rate = slow_manifold(TransverseFull(delta), omega)[2]

@@ -1,8 +1,8 @@
 """Pictures of basins, trajectories and continuations.
 
-`map_layout` and `column_shading` compute what a map shows before it is drawn; `axes` and `style`
-hold what several pictures share; the other modules draw. The colours can be told apart by
-colour-blind people. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
+`map_layout` and `column_shading` compute the content of a map before it is drawn; `axes` and
+`style` serve several pictures; the other modules draw. The colours are distinct for colour-blind
+people, too. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
 """
 
 from .._maps.unfolded_basins import unfold

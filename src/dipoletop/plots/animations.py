@@ -17,16 +17,16 @@ MERIDIANS, PARALLELS = 16, 9
 
 
 def animate(trajectory: Trajectory, *, frames: int = 120, interval: int = 50) -> FuncAnimation:
-    """The motion of the body in the laboratory, v_lab = q∘v∘q*, seen from outside.
+    """Animate the motion of the body in the laboratory, v_lab = q∘v∘q*.
 
     The body is drawn as the homogeneous ellipsoid with its moments of inertia, its dipole as an
     orange arrow, and ω, scaled to its largest value, as a blue one. The tips of both leave traces.
 
     Args:
-        trajectory: what `simulate(…, attitude=…)` returned for a single top. Its times are those
-            of the frames, so even ones show an even motion.
-        frames: largest number of frames; of more times, evenly chosen ones are shown.
-        interval: milliseconds from a frame to the next.
+        trajectory: the result of `simulate(…, attitude=…)` for a single top. Each frame shows one
+            of its times; evenly spaced times show the motion at constant speed.
+        frames: largest number of frames; if there are more times, an even selection is shown.
+        interval: milliseconds from one frame to the next.
 
     Returns:
         matplotlib's `FuncAnimation`. `.save("spin.gif", writer="pillow")` writes a file (mp4 with
@@ -37,7 +37,7 @@ def animate(trajectory: Trajectory, *, frames: int = 120, interval: int = 50) ->
     """
     run = instance("trajectory", trajectory, Trajectory)
     if np.ndim(run.ts) != 1:
-        refuse("trajectory", "be that of one top", f"has times of shape {run.ts.shape}")
+        refuse("trajectory", "describe one top", f"has times of shape {run.ts.shape}")
     check_body(run.equation)
     times, spin = np.asarray(run.ts), np.asarray(run.to_laboratory(run.omega))
     dipole = np.asarray(run.dipole)
@@ -75,9 +75,9 @@ def animate(trajectory: Trajectory, *, frames: int = 120, interval: int = 50) ->
 
 
 def _ellipsoid(body: Body) -> Float[np.ndarray, "3 a b"]:
-    """The surface of the homogeneous ellipsoid with the moments of a body, in body axes.
+    """Return the surface of the homogeneous ellipsoid with the moments of a body, in body axes.
 
-    Its semi-axes squared are as Jⱼ + Jₖ − Jᵢ; the longest one has length 1.
+    Its squared semi-axes are proportional to Jⱼ + Jₖ − Jᵢ; the longest one has length 1.
     """
     moments, axes = np.linalg.eigh(np.asarray(body.inertia, float))
     squares = np.maximum(moments.sum() - 2 * moments, 0.0)

@@ -1,4 +1,4 @@
-"""Atlases: how bodies end, over the triangle of bodies or over that of dipoles."""
+"""Atlases: how bodies end, over the triangle of bodies or the triangle of dipoles."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +20,7 @@ from .axes import check_axes
 from .style import BLACK, MM, STYLE, WIDE, percent
 
 DIPOLE_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
-"""Where the triangle of dipoles has n₁² = 1, n₃² = 1 and n₂² = 1, in this order."""
+"""The corners n₁² = 1, n₃² = 1 and n₂² = 1 of the triangle of dipoles, in this order."""
 STOPS = {
     Ending.SPIN_3: ("stop, spinning about $J_3$", "#202020"),
     Ending.TUMBLING_LOW: ("stop, tumbling about $J_3$", "#9f6040"),
@@ -29,11 +29,11 @@ STOPS = {
 }
 """Name and colour of every kind of stop."""
 PLACES = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
-"""Where `prediction.ENDS` has them."""
+"""The kinds of stop by their index in `prediction.ENDS`."""
 RATIOS = mpl.colormaps["YlGnBu"]
 """Colours of the mean L∞/L₀."""
 MOST = 0.75
-"""L∞/L₀ at the dark end of the colours; no body has a larger mean, but the thinnest needles."""
+"""L∞/L₀ at the dark end of the colours; only the thinnest needles have a larger mean."""
 HEIGHT = 74 * MM
 ALONE = 110 * MM, 100 * MM
 """Size of the figure of a single atlas."""
@@ -46,22 +46,23 @@ def atlas(
     particles: bool = True,
     axes: Axes | Sequence[Axes] | np.ndarray | None = None,
 ) -> Figure:
-    """How bodies end, each atlas in a panel: residual rotation by its mean L∞/L₀, stops by kind.
+    """Draw how bodies end: residual rotation coloured by its mean L∞/L₀, stops by their kind.
 
-    Hatched: the start decides. Lines, over bodies: where a pure spin about J₃ and tumbling meet,
-    J₂J₁² = (J₃ − J₂)(J₃ − J₁)² (dipole on J₂), and where tumbling becomes possible (dipole on J₁).
-    They are computed apart from the map, so that each checks the other.
+    Each atlas has a panel. In hatched cells the outcome depends on the start. Over bodies, lines
+    show where a pure spin about J₃ and tumbling meet, J₂J₁² = (J₃ − J₂)(J₃ − J₁)² (dipole on J₂),
+    and where tumbling becomes possible (dipole on J₁). They are computed independently of the map,
+    so that each checks the other.
 
     Args:
         atlases: one atlas or several.
         particles: whether to mark the particles of the paper, over bodies.
-        axes: where to draw, one for each atlas; None makes a figure.
+        axes: matplotlib axes to draw on, one for each atlas; None makes a figure.
 
     Returns:
         The figure; `plots.save` writes it.
 
     Raises:
-        ValueError: what is no atlas, or another number of axes.
+        ValueError: an argument that is not an atlas, or another number of axes.
     """
     must = "be an Atlas or a sequence of them"
     maps = (
@@ -94,7 +95,7 @@ def atlas(
 
 
 def _given(axes: Any, count: int) -> list[Axes]:
-    """As many axes as there are atlases."""
+    """Return the given axes as a list, after checking that there is one for each atlas."""
     given: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
     if len(given) != count:
         refuse("axes", f"be {count}, one for each atlas", f"has {len(given)}")
@@ -105,11 +106,11 @@ def _given(axes: Any, count: int) -> list[Axes]:
 
 
 def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
-    """One atlas."""
+    """Draw one atlas."""
     over_bodies = atlas.dipole_axis is not None
     corners = BODY_CORNERS if over_bodies else DIPOLE_CORNERS[[0, 2, 1]]
     polygons = atlas.corners @ corners
-    # Edges of the same colour, so that no background shows between cells.
+    # Edges have the colour of the cell, so that no background shows between cells.
     colours = _colours(atlas)
     cells = PolyCollection(list(polygons), facecolors=colours, edgecolors=colours, lw=0.6)
     cells.set_rasterized(True)
@@ -125,7 +126,7 @@ def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
 
 
 def _colours(atlas: Atlas) -> Float[np.ndarray, "N 4"]:
-    """The colour of every cell: by its mean L∞/L₀, or by the most frequent kind of stop."""
+    """Return the colour of every cell, from its mean L∞/L₀ or its most frequent kind of stop."""
     places = list(PLACES)
     most = np.argmax(atlas.probability[:, places], axis=1)
     flat = np.array([(*to_rgb(STOPS[PLACES[place]][1]), 1.0) for place in places])
@@ -135,7 +136,7 @@ def _colours(atlas: Atlas) -> Float[np.ndarray, "N 4"]:
 
 
 def _hatch(ax: Axes, polygons: Float[np.ndarray, "M 3 2"], colour: str) -> None:
-    """Hatch cells; the pattern goes on from one to the next."""
+    """Hatch cells with a pattern that is continuous across them."""
     if len(polygons):
         with mpl.rc_context({"hatch.linewidth": 0.6}):
             marks = PolyCollection(
@@ -146,7 +147,7 @@ def _hatch(ax: Axes, polygons: Float[np.ndarray, "M 3 2"], colour: str) -> None:
 
 
 def _finish_bodies(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
-    """Borders, particles, labels and axes of a map over bodies."""
+    """Draw borders, particles, labels and axes of a map over bodies."""
     ratios = np.linspace(0.385, 2 / 3 - 1e-4, 120)
     if atlas.dipole_axis == 1:
         ax.plot(ratios, saddle_node_border(ratios), color=BLACK, lw=0.8)
@@ -175,7 +176,7 @@ def _finish_bodies(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> N
 
 
 def _shares(atlas: Atlas) -> str:
-    """How many bodies keep a residual rotation."""
+    """Return the share of bodies that keep a residual rotation, in words."""
     always = float(np.mean(atlas.ending == Ending.RESIDUAL))
     some = float(np.mean(atlas.ending == Ending.BOTH))
     if always + some == 0:
@@ -185,7 +186,7 @@ def _shares(atlas: Atlas) -> str:
 
 
 def _mark_particles(ax: Axes) -> None:
-    """The particles of the paper, at their moments of inertia; equal ones share a mark."""
+    """Mark the particles of the paper at their moments of inertia; equal ones share a mark."""
     places: dict[tuple[float, float], list[str]] = {}
     for rotator in paper_particles():
         moments = np.linalg.eigvalsh(np.asarray(rotator.particle.inertia) * 1e30)
@@ -196,7 +197,7 @@ def _mark_particles(ax: Axes) -> None:
             names.append(name)
     for (x, y), names in places.items():
         ax.plot(x, y, "o", ms=3.5, mfc="white", mec=BLACK, mew=0.8, clip_on=False, zorder=5)
-        # In the empty corners below the triangle.
+        # The labels are in the empty corners below the triangle.
         left = x < 0.5
         at = (0.02 if left else 1.0, 0.62 if left else 0.69 if x > 0.9 else 0.53)
         ax.annotate(
@@ -211,7 +212,7 @@ def _mark_particles(ax: Axes) -> None:
 
 
 def _finish_dipoles(ax: Axes, atlas: Atlas) -> None:
-    """Labels and axes of a map over dipoles."""
+    """Draw labels and axes of a map over dipoles."""
     for (x, y), name, offset, align in zip(
         DIPOLE_CORNERS,
         ("$J_1$", "$J_3$", "$J_2$"),
@@ -229,7 +230,7 @@ def _finish_dipoles(ax: Axes, atlas: Atlas) -> None:
 
 
 def _legend(maps: list[Atlas]) -> list[Patch]:
-    """The classes that occur."""
+    """Return legend entries of the classes that occur."""
     endings = np.concatenate([each.ending for each in maps])
     stops = np.sum([np.sum(each.probability, axis=0) for each in maps], axis=0)
     handles = []

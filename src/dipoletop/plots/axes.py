@@ -1,4 +1,4 @@
-"""Axes of pictures: how the values of a grid are spaced, cells round them, ticks."""
+"""Axes of pictures: spacing of the values of a grid, cells around them, ticks."""
 
 from typing import Any, Literal
 
@@ -26,13 +26,13 @@ QUARTER_LABELS = {
 
 
 def check_axes(ax: Any, argument: str = "ax") -> None:
-    """Refuse what is neither axes of matplotlib nor None."""
+    """Refuse anything but axes of matplotlib or None."""
     if ax is not None:
         instance(argument, ax, Axes, "be axes of matplotlib, or None")
 
 
 def spacing(values: Float[np.ndarray, "n"]) -> Spacing:
-    """Whether rising values are evenly spaced, or their logarithms are, to 0.1 %."""
+    """Return whether increasing values or their logarithms are evenly spaced, to 0.1 %."""
 
     def even(points: Float[np.ndarray, "n"]) -> bool:
         steps = np.diff(points)
@@ -44,7 +44,7 @@ def spacing(values: Float[np.ndarray, "n"]) -> Spacing:
 
 
 def cell_edges(values: Float[np.ndarray, "n"], spaced: Spacing) -> Float[np.ndarray, "n+1"]:
-    """Edges of the cells round the values, halfway between neighbours."""
+    """Return edges of the cells around the values, halfway between neighbours."""
     if spaced == "log":
         return np.exp(cell_edges(np.log(values), "even"))
     middle = (values[1:] + values[:-1]) / 2
@@ -57,7 +57,10 @@ def show_cells(
     ys: Float[np.ndarray, "Y"],
     colours: UInt8[np.ndarray, "Y X 4"],
 ) -> None:
-    """Coloured cells: an image if both axes are even, else a mesh, with logarithmic axes."""
+    """Draw coloured cells: an image if both axes are evenly spaced, else a mesh.
+
+    An axis whose logarithms are evenly spaced becomes logarithmic.
+    """
     x_spacing, y_spacing = spacing(xs), spacing(ys)
     x_edges, y_edges = cell_edges(xs, x_spacing), cell_edges(ys, y_spacing)
     if x_spacing == y_spacing == "even":
@@ -72,14 +75,14 @@ def show_cells(
 
 
 def name_axis(axis: Axis, name: str) -> None:
-    """The symbol of a quantity as the label; ticks of φ at multiples of π/2."""
+    """Label an axis with the symbol of a quantity; put ticks of φ at multiples of π/2."""
     axis.set_label_text(symbol(name))
     if name == "phi":
         mark_quarter_turns(axis)
 
 
 def mark_quarter_turns(axis: Axis) -> None:
-    """Ticks of an angle at multiples of π/2."""
+    """Put the ticks of an angle at multiples of π/2."""
 
     def label(value: float, _: Any) -> str:
         return QUARTER_LABELS.get(round(value / QUARTER), rf"${value / np.pi:g}\pi$")

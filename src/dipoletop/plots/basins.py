@@ -1,4 +1,4 @@
-"""Maps of outcomes, alone, in panels and compared, in colours that colour-blind people can tell."""
+"""Maps of outcomes: alone, in panels and compared, in colours safe for colour-blind people."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ from .map_layout import (
 from .style import hatch, percent
 
 COLUMNS, MOST = 3, 12
-"""Panels in a row, and in a picture."""
+"""Largest numbers of panels in a row, and in a picture."""
 
 
 @overload
@@ -73,21 +73,21 @@ def basin(
     at: Mapping[str, Any] | None = None,
     panels: str | None = None,
 ) -> Axes | np.ndarray:
-    """A map of the outcomes over two axes of a grid.
+    """Draw a map of the outcomes over two axes of a grid.
 
-    | `shade` | what is shaded |
+    | `shade` | starts that are shaded, and by which value |
     |---|---|
     | "omega_inf" | residual rotation by its signed ω∞ |
     | "omega_inf_error" | residual rotation by the estimated error of ω∞ |
     | "d_omega_inf_d_delta", … | residual rotation by that derivative of ω∞ |
-    | "time", "steps" | residual rotation and stop by the τ, or the steps, until they were certain |
+    | "time", "steps" | residual rotation and stop by τ, or the steps, until they were certain |
     | "probability" | starts that chance decides, by the probability of residual rotation |
-    | "certified" | nothing; outcomes that are not certified are hatched |
-    | None | nothing |
+    | "certified" | no starts; outcomes that are not certified are hatched |
+    | None | no starts |
 
     Args:
         basin: a basin over a grid; axes of length 1 go into the title.
-        ax: where to draw; None makes a figure.
+        ax: matplotlib axes to draw on; None makes a figure.
         shade: see the table.
         unfold: whether to extend a symmetry cell in φ and ω₃ to the whole plane, by the rules of
             `plots.unfold`; not for a dipole off the principal axes.
@@ -97,12 +97,12 @@ def basin(
         panels: an axis with a panel for each value, at most twelve, in the same colours.
 
     Returns:
-        The axes; the title says the level of the equation and what share is certified. With
-        `panels` an array of them, one for each value.
+        The axes; the title shows the level of the equation and the certified share. With
+        `panels` an array of axes, one for each value.
 
     Raises:
-        ValueError: no basin over a grid, not two axes longer than 1 besides those of `at` and
-            `panels`, a name that is not an axis, or another `shade`.
+        ValueError: not a basin over a grid; not exactly two axes longer than 1 besides the axes in
+            `at` and `panels`; a name that is not an axis; an unknown `shade`.
     """
     instance("basin", basin, Basin)
     unfold = flag("unfold", unfold)
@@ -127,7 +127,7 @@ def _panels(
     axes: tuple[str | None, str | None],
     ax: Axes | None,
 ) -> np.ndarray:
-    """A panel for each value on an axis; the axes that were drawn on."""
+    """Draw a panel for each value on an axis, and return the matplotlib axes."""
     check_axis(basin, "panels", over)
     if ax is not None:
         refuse("ax", "be None for `panels`, which make a figure", "is given")
@@ -158,22 +158,23 @@ def compare(
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
-    """Two maps side by side in the same colours; hatched where the outcome differs.
+    """Draw two maps side by side in the same colours, hatched where the outcome differs.
 
     Args:
         first: a basin over a grid with two axes longer than 1.
         second: a basin over the same grid.
         axes: a pair of axes to draw on; None makes a figure.
-        shade: what shades the outcomes; see `plots.basin`.
+        shade: the column that shades the outcomes; see `plots.basin`.
         unfold: whether to extend a symmetry cell, as in `plots.basin`.
         x: the horizontal axis; None means φ if there is one, else the last.
         y: the vertical axis; None means the other one.
 
     Returns:
-        The figure; the titles say what share of the starts has another outcome.
+        The figure; its title shows the share of the starts with different outcomes.
 
     Raises:
-        ValueError: the two are not over the same grid, that is not a plane, or another `shade`.
+        ValueError: the basins have different grids, a grid without exactly two axes longer than 1,
+            or an unknown `shade`.
     """
     instance("first", first, Basin)
     instance("second", second, Basin)
@@ -211,7 +212,7 @@ def _draw_all(
     shade: str | None,
     hatched: Mapping[str, Bool[np.ndarray, "Y X"]] | None = None,
 ) -> None:
-    """Maps in the same colours, with the colour bars that they share."""
+    """Draw maps in the same colours, with common colour bars."""
     shades = shades_of(planes, shade)
     for ax, plane in zip(axes, planes, strict=True):
         marks = dict(hatched or {})
@@ -227,7 +228,7 @@ def _draw(
     shades: list[Shade],
     hatched: dict[str, Bool[np.ndarray, "Y X"]],
 ) -> None:
-    """The coloured cells, the hatched ones by their names, the axes, title and legend."""
+    """Draw the coloured cells, the hatched regions with their names, axes, title and legend."""
     classes = classes_of(plane)
     colours = legend_colours(plane, classes, shades)
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
@@ -247,7 +248,7 @@ def _draw(
 
 
 def put_legend_below(ax: Axes, handles: list[Any]) -> None:
-    """A legend half an inch below the axes, under their label, however large they are."""
+    """Put a legend half an inch below the axes, whatever their size: below their label."""
     ax.legend(
         handles=handles,
         loc="upper center",
@@ -262,7 +263,7 @@ def put_legend_below(ax: Axes, handles: list[Any]) -> None:
 def _close_circle(
     plane: Plane, image: Shaped[np.ndarray, "Y X ..."]
 ) -> tuple[Float[np.ndarray, "n"], Shaped[np.ndarray, "Y n ..."]]:
-    """The image with a column for φ = 2π, the same as φ = 0, if φ along x covers a circle."""
+    """Return the x values and the image, with φ = 2π added if φ along x covers a circle."""
     xs = plane.xs
     step = xs[1] - xs[0]
     if plane.x != "phi" or abs(xs[-1] + step - xs[0] - 2 * np.pi) > 1e-3 * step:
@@ -271,7 +272,7 @@ def _close_circle(
 
 
 def draw_colourbars(shades: list[Shade], axes: list[Axes]) -> None:
-    """A colour bar for each shade, with its numbers."""
+    """Draw a colour bar for each shade."""
     for shade in shades:
         colours = ScalarMappable(shade.norm, shade.colours)
         extend = "neither" if shade.column in ("omega_inf", "probability") else "both"

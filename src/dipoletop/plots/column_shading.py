@@ -1,4 +1,4 @@
-"""How the starts of an outcome are shaded by a column: colour scales, labels, legend entries."""
+"""Shading of the starts of an outcome by a column: colour scales, labels, legend entries."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal, NamedTuple
@@ -20,17 +20,17 @@ OLIVES = LinearSegmentedColormap.from_list("stop", ["#f6f0c0", "#bda92b", "#332e
 GREENS = LinearSegmentedColormap.from_list("chance", ["#e9f7df", "#66c232", "#123d00"])
 
 UNKNOWN = "#5500aa"
-"""Colour of starts without a value in the column that shades their outcome. To normal and to
-colour-blind eyes it differs from all others."""
+"""Colour of starts without a value in the column that shades their outcome. It is distinct from all
+others for normal and colour-blind eyes."""
 CERTIFIED = "certified"
-"""The column that is not shown by shades: starts that are not certified are hatched."""
+"""The column that is shown by hatching the starts that are not certified, not by shades."""
 
 Values = Mapping[Outcome, Float[np.ndarray, "n"]]
-"""The finite values of a column, of the starts with each outcome."""
+"""The finite values of a column for the starts with each outcome."""
 
 
 class Shade(NamedTuple):
-    """How the starts of one outcome are shaded by a column of the basin."""
+    """The shading of the starts of one outcome by a column of the basin."""
 
     outcome: Outcome
     column: str
@@ -38,13 +38,13 @@ class Shade(NamedTuple):
     norm: Normalize
     label: str
     legend: dict[str, float]
-    """Entries of the legend, and the place in `colours`, from 0 to 1, of the colour of each."""
+    """Entries of the legend, each with the position of its colour in `colours`, from 0 to 1."""
     unknown: str | None = None
-    """The entry of starts without a value; None leaves them the colour of their outcome."""
+    """The legend entry of starts without a value; None gives them the colour of their outcome."""
 
 
 def check_shade(shade: str | None, columns: Iterable[str], argument: str = "shade") -> None:
-    """Refuse what is no column of a basin that shades its starts."""
+    """Refuse anything but None or a column of the basin that can shade its starts."""
     can_shade = [x for x in columns if x in SHADES or x.startswith(DERIVATIVE_PREFIX)]
     shown = [*can_shade, CERTIFIED]
     if shade is not None and shade not in shown:
@@ -53,14 +53,14 @@ def check_shade(shade: str | None, columns: Iterable[str], argument: str = "shad
 
 
 def shades_by(column: str, values: Values) -> list[Shade]:
-    """The shading by a column of every outcome that has values."""
+    """Return the shading by a column of every outcome that has values."""
     if column.startswith(DERIVATIVE_PREFIX):
         return _derivative(column, values)
     return SHADES[column](values) if column in SHADES else []
 
 
 def _omega_inf(values: Values) -> list[Shade]:
-    """Residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
+    """Shade residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
     residual = values[Outcome.RESIDUAL]
     if not residual.size:
         return []
@@ -72,11 +72,11 @@ def _omega_inf(values: Values) -> list[Shade]:
 
 
 def _derivative(column: str, values: Values) -> list[Shade]:
-    """Residual rotation by a derivative of ω∞, linear near 0 and logarithmic beyond."""
+    """Shade residual rotation by a derivative of ω∞, linear near 0 and logarithmic beyond."""
     residual = values[Outcome.RESIDUAL]
     if not residual.size:
         return []
-    # Next to the boundary it has no bound.
+    # The derivative is unbounded next to the boundary.
     most = float(np.percentile(np.abs(residual), 99.5)) or 1.0
     norm = SymLogNorm(most / 100, vmin=-most, vmax=most, clip=True)
     label = symbol(column)
@@ -86,7 +86,7 @@ def _derivative(column: str, values: Values) -> list[Shade]:
 
 
 def _error(values: Values) -> list[Shade]:
-    """Residual rotation by the estimated error of ω∞."""
+    """Shade residual rotation by the estimated error of ω∞."""
     residual = values[Outcome.RESIDUAL]
     if not residual.size:
         return []
@@ -97,7 +97,7 @@ def _error(values: Values) -> list[Shade]:
 
 
 def _probability(values: Values) -> list[Shade]:
-    """Starts that chance decides, by the probability of residual rotation."""
+    """Shade starts that chance decides, by the probability of residual rotation."""
     if not values[Outcome.UNDECIDED].size:
         return []
     label, legend = "probability of residual rotation", {"undecided, a matter of chance": 0.6}
@@ -106,7 +106,7 @@ def _probability(values: Values) -> list[Shade]:
 
 
 def _both(column: str, label: str) -> Callable[[Values], list[Shade]]:
-    """Residual rotation and stop by a positive column, on one logarithmic scale."""
+    """Return a function that shades residual rotation and stop on one logarithmic scale."""
 
     def shades(values: Values) -> list[Shade]:
         norm = _logarithmic(np.concatenate([values[Outcome.RESIDUAL], values[Outcome.STOP]]))
@@ -123,10 +123,9 @@ def _both(column: str, label: str) -> Callable[[Values], list[Shade]]:
 
 
 def _logarithmic(values: Float[np.ndarray, "n"]) -> LogNorm:
-    """A logarithmic scale for almost all positive values.
+    """Return a logarithmic scale for almost all positive values, open at both ends.
 
-    Some runs have 0, which no such scale shows, and a few, next to the boundary, take very long: so
-    the scale is open at both ends.
+    Some runs have the value 0, and a few next to the boundary have very large ones.
     """
     positive = values[values > 0] if np.any(values > 0) else np.ones(1)
     least, most = np.percentile(positive, [0.5, 99.5])
@@ -134,7 +133,7 @@ def _logarithmic(values: Float[np.ndarray, "n"]) -> LogNorm:
 
 
 def scale_of(column: str) -> Literal["linear", "log"]:
-    """The scale on which a column is shown."""
+    """Return the scale on which a column is shown."""
     return "log" if column in ("omega_inf_error", "time", "steps") else "linear"
 
 
@@ -145,4 +144,4 @@ SHADES: dict[str, Callable[[Values], list[Shade]]] = {
     "steps": _both("steps", "steps of runs that end with {}"),
     "probability": _probability,
 }
-"""The shading by each column, derivatives apart."""
+"""The shading by each column except derivatives."""

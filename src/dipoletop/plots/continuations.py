@@ -15,20 +15,20 @@ from .style import HATCH, MM, STYLE, SYMBOLS, WIDE, capitalised, level_line
 
 
 def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
-    """Shares of residual rotation against the parameter, with 95 % bands and thresholds.
+    """Plot shares of residual rotation against the parameter, with 95 % bands and thresholds.
 
-    Hatching reaches from the share of residual rotation to the share that does not stop: those
-    starts are undecided or failed. A curve has a gap where they are more than its band is wide.
+    The hatched range, from the share of residual rotation to the share that does not stop, shows
+    undecided and failed starts. A curve has a gap where this range is wider than its band.
 
     Args:
         continuation: a continuation in delta or in amplitude.
-        ax: where to draw; None makes a figure.
+        ax: matplotlib axes to draw on; None makes a figure.
 
     Returns:
-        The axes; the title says the number of starts and the parameter that is fixed.
+        The axes; the title shows the number of starts and the fixed parameter.
 
     Raises:
-        ValueError: no continuation, or no axes.
+        ValueError: an argument that is not a continuation, or not axes.
     """
     instance("continuation", continuation, Continuation)
     check_axes(ax)
@@ -38,11 +38,11 @@ def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
 
 
 def diagram(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> Figure:
-    """Shares of residual rotation above, growth rates near it below, over a common axis δ.
+    """Plot shares of residual rotation above growth rates beside it, over a common axis δ.
 
     Args:
         continuation: a continuation in delta.
-        w: the angular velocity along the dipole of the lower panel.
+        w: the angular velocity along the dipole for the lower panel.
 
     Returns:
         The figure; `plots.save` writes it.
@@ -68,7 +68,7 @@ def diagram(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> Figure:
 
 
 def _draw_shares(continuation: Continuation, ax: Axes) -> Axes:
-    """The curves, bands, hatching, thresholds, title and legend of `continuation`."""
+    """Draw the curves, bands, hatching, thresholds, title and legend of `continuation`."""
     x, residual = continuation.values, continuation.fractions(Outcome.RESIDUAL)
     most = 1 - continuation.fractions(Outcome.STOP).share
     for k, (level, basin) in enumerate(zip(continuation.levels, continuation.basins, strict=True)):
@@ -93,7 +93,7 @@ def _draw_shares(continuation: Continuation, ax: Axes) -> Axes:
 
 
 def _mark(ax: Axes, marks: list[Threshold]) -> list[float]:
-    """A vertical line at every δ that is a threshold at any level; their values."""
+    """Draw a vertical line at every δ that is a threshold at any level, and return these δ."""
     places = sorted({round(mark.delta, 9) for mark in marks})
     for delta in places:
         ax.axvline(delta, color="0.4", lw=0.8, ls=(0, (4, 2)), zorder=0)

@@ -1,4 +1,4 @@
-"""Histograms of what a sweep found: of every start that was kept, or of a tally's bins."""
+"""Histograms of the values of a sweep: from the starts of a basin, or from the bins of a tally."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,22 +24,22 @@ COLOURS = {outcome: CLASSES[outcome, Stop.NONE][1] for outcome in SHOWN}
 def histogram(
     found: Basin | Tally, column: str = "omega_inf", *, bins: int = 60, ax: Axes | None = None
 ) -> Axes:
-    """How many starts have which values: of ω∞, its error, its derivatives, of times and steps.
+    """Draw a histogram of ω∞, its error or its derivatives, or of the times or steps of runs.
 
-    Of ω∞, its error and its derivatives only residual starts have values of their own; of times and
-    steps both outcomes have, one above the other.
+    ω∞, its error and its derivatives are counted for residual starts only; times and steps for both
+    outcomes, stacked.
 
     Args:
-        found: a basin, or a tally with a histogram of this column, whose bins are taken.
+        found: a basin, or a tally with a histogram of this column, whose bins are used.
         column: "omega_inf", "time", "steps", "omega_inf_error", "d_omega_inf_d_delta", ….
-        bins: how many of equal width, on a logarithmic scale for errors, times and steps.
-        ax: where to draw; None makes a figure.
+        bins: number of bins; of equal width, or equal ratio for errors, times and steps.
+        ax: matplotlib axes to draw on; None makes a figure.
 
     Returns:
-        The axes; the title says the level and the share of each outcome.
+        The axes; the title shows the level and the share of each outcome.
 
     Raises:
-        ValueError: a column without such values, or no start that has one.
+        ValueError: a column without numbers, or without a value for any start.
     """
     instance("found", found, Basin | Tally, "be a Basin or a Tally")
     check_axes(ax)
@@ -67,7 +67,7 @@ def histogram(
 def _counted(
     basin: Basin, column: str, bins: int
 ) -> tuple[Float[np.ndarray, "edges"], dict[str, np.ndarray]]:
-    """The edges of the bins, and the counts in them by the name of the outcome."""
+    """Return the edges of the bins, and for each outcome, by its name, the counts in them."""
     if column in (None, CERTIFIED):
         refuse("column", "name a column of numbers", f"is {column!r}")
     outcomes = SHOWN if column in MOTION else {Outcome.RESIDUAL: SHOWN[Outcome.RESIDUAL]}
@@ -88,7 +88,7 @@ def _counted(
 
 
 def _title(found: Basin | Tally) -> str:
-    """The level; the number of starts, the share of every outcome, and what is fixed."""
+    """Return the title: level, number of starts, share of every outcome, fixed quantities."""
     if isinstance(found, Tally):
         size, fractions, fixed = found.starts, found.merged.fractions(), []
     else:

@@ -18,12 +18,12 @@ from .history_curves import Curves, curves_of
 from .style import BLACK, BLUE, GREEN, MM, ORANGE, STYLE, percent
 
 YEAR = 365.25 * 24 * 3600
-"""Seconds."""
+"""Length of a year in seconds."""
 WIDTH, HEIGHT = 120 * MM, 125 * MM
 FLOOR = 1e-9
-"""Relative E and L below this are not shown."""
+"""Least relative E and L shown."""
 KNOWN = 0.95
-"""The share of starts that must be known where their quantiles are drawn."""
+"""Least share of starts with a known value at the times where quantiles are drawn."""
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The quantiles over many starts: two bands and the median."""
 
@@ -34,16 +34,16 @@ def history(
     times: ArrayLike | None = None,
     axes: Sequence[Axes] | np.ndarray | None = None,
 ) -> Figure:
-    """E/E₀, |L|/L₀ and hJ₃ = 2EJ₃/L² against time, on logarithmic scales, as predicted.
+    """Plot predicted E/E₀, |L|/L₀ and hJ₃ = 2EJ₃/L² against time, on logarithmic scales.
 
-    One rotation is drawn as a curve; of a batch, such as one over directions of L, the median and
-    the bands from 5 to 95 % and from 25 to 75 % at each time. The dotted line marks the (median)
-    half time. A curve ends where an exactly axisymmetric needle is captured by chance, and those
-    of a batch where this has happened to 5 % of it.
+    One rotation is drawn as a curve. A batch, for example over directions of L, is drawn as the
+    median and the bands from 5 to 95 % and from 25 to 75 % at each time. The dotted line marks the
+    (median) half time. A curve ends where an exactly axisymmetric needle is captured by chance; the
+    curves of a batch end where this has happened to 5 % of it.
 
     Args:
-        prediction: what `predict` returned; or a batch of them, of one body, such as
-            `jax.vmap(predict, (None, 0))` returns.
+        prediction: the result of `predict`, or a batch of results for one body, such as from
+            `jax.vmap(predict, (None, 0))`.
         times: positive times, shape (T,), in seconds for a `Particle`; None chooses them.
         axes: three axes to draw on, for E, L and h; None makes a figure.
 
@@ -51,7 +51,8 @@ def history(
         The figure; `plots.save` writes it.
 
     Raises:
-        ValueError: what is not a prediction, or failed; bad times; not three axes.
+        ValueError: an argument that is not a prediction, or one that failed; bad times; not three
+            axes.
 
     Example:
         >>> import dipoletop as dt
@@ -86,7 +87,7 @@ def history(
 
 
 def _panels(axes: Any) -> list[Axes] | None:
-    """Three axes that are given."""
+    """Return the given axes as a list, after checking that they are three."""
     if axes is None:
         return None
     panels: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
@@ -99,7 +100,7 @@ def _panels(axes: Any) -> list[Axes] | None:
 
 
 def _draw(panels: list[Axes], curves: Curves, in_seconds: bool) -> None:
-    """The curves, axes and marks of the three panels."""
+    """Draw the curves, axes and marks of the three panels."""
     rows = zip(
         panels,
         (curves.energy, curves.momentum, curves.shape),
@@ -130,7 +131,7 @@ def _draw(panels: list[Axes], curves: Curves, in_seconds: bool) -> None:
 def _curve(
     ax: Axes, times: Float[np.ndarray, "T"], values: Float[np.ndarray, "N T"], colour: str
 ) -> float:
-    """One curve, or the bands and the median of many; the least value that is drawn."""
+    """Draw one curve, or the bands and the median of many; return the least value drawn."""
     known = np.mean(np.isfinite(values), axis=0) > KNOWN
     times, values = times[known], values[:, known]
     if not times.size:
@@ -148,7 +149,7 @@ def _curve(
 
 
 def _relative_scale(ax: Axes, least: float) -> None:
-    """A logarithmic scale from the least value to 1, with plain numbers where it is short."""
+    """Set a logarithmic scale from the least value to 1, with plain numbers if it is short."""
     least = min(max(least, FLOOR), 0.9)
     ax.set(yscale="log", ylim=(least**1.12, least**-0.07))
     if least > 0.05:
@@ -159,7 +160,7 @@ def _relative_scale(ax: Axes, least: float) -> None:
 
 
 def _mark_axes(ax: Axes, curves: Curves) -> None:
-    """The values of h in rotation about the principal axes, with their names at the right."""
+    """Mark the values of h in rotation about the principal axes, with names at the right."""
     low, middle, high = curves.ratios.tolist()
     if high - low < 1e-12:
         ax.set(ylim=(0.5, 1.5), yticks=[1.0])
@@ -180,7 +181,7 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     twin = ax.secondary_yaxis("right")
     twin.set_yticks(list(names), list(names.values()))
     twin.minorticks_off()
-    # Names of neighbouring lines give way to each other.
+    # Names of neighbouring lines are moved apart.
     upper = gaps[1] < gaps[0] if len(names) == 3 else False
     sides = {
         "about $J_3$": "top",
@@ -192,7 +193,7 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
 
 
 def _title(predictions: Prediction) -> str:
-    """The outcome, or the shares of outcomes."""
+    """Return the title: the outcome, or the shares of the outcomes of a batch."""
     outcomes = np.asarray(predictions.outcome)
     residual = float(np.mean(np.sum(np.asarray(predictions.probability)[:, :2], axis=1)))
     shares = [(percent(residual), "residual rotation"), (percent(1 - residual), "stop")]
@@ -205,7 +206,7 @@ def _title(predictions: Prediction) -> str:
 
 
 def _number(value: float) -> str:
-    """Three digits, with a power of ten where it is small."""
+    """Return a number with three digits, and a power of ten if it is small."""
     if value >= 1e-3:
         return f"{value:.3g}"
     mantissa, exponent = f"{value:.2e}".split("e")

@@ -1,4 +1,4 @@
-"""What a picture of a history shows, before it is drawn: times, curves, and their quantiles."""
+"""The content of a picture of a history, before it is drawn: times and curves."""
 
 from typing import NamedTuple
 
@@ -10,11 +10,11 @@ from jaxtyping import Float
 from ..prediction import Prediction
 
 POINTS = 241
-"""Times at which a history is computed."""
+"""Number of times at which a history is computed."""
 BEFORE, AFTER = 1e-3, 1e2
 """The first time over the half time, and the last one over the half time or the lifetime."""
 WIDEST = 1e15
-"""The last time over the first one, at most."""
+"""Largest ratio of the last time to the first one."""
 
 
 class Curves(NamedTuple):
@@ -30,11 +30,11 @@ class Curves(NamedTuple):
     ratios: Float[np.ndarray, "3"]
     """J₃/J₃, J₃/J₂ and J₃/J₁: the values of hJ₃ about the principal axes."""
     half_time: float
-    """The median of those known."""
+    """The median of the known half times."""
 
 
 def curves_of(predictions: Prediction, times: Float[np.ndarray, "T"] | None) -> Curves:
-    """The histories of a batch of predictions of one body, at times that show all of them."""
+    """Return the histories of a batch of predictions for one body; None chooses the times."""
     given = np.asarray(predictions.variables)
     inertia = given[0, :9].reshape(3, 3)
     moments = np.linalg.eigvalsh(inertia / np.trace(inertia)) * np.trace(inertia)
@@ -65,11 +65,11 @@ def _one(predictions: Prediction, k: int) -> Prediction:
 
 
 def times_for(predictions: Prediction) -> Float[np.ndarray, "T"]:
-    """Times from long before the first change to long after the last one."""
+    """Return times from long before the first change to long after the last one."""
     half_times, lifetimes = np.asarray(predictions.half_time), np.asarray(predictions.lifetime)
     known = half_times[np.isfinite(half_times) & (half_times > 0)]
     if not known.size:
-        # A rotation that never changes, or one whose capture comes first: by its own law.
+        # For a rotation that never changes, or is captured first, use the time scale of braking.
         scale = _scale(predictions)
         known = np.array([scale])
     first, last = BEFORE * np.min(known), AFTER * np.max(known)
@@ -80,7 +80,7 @@ def times_for(predictions: Prediction) -> Float[np.ndarray, "T"]:
 
 
 def _scale(predictions: Prediction) -> float:
-    """I/(κΩ²), the time scale of braking, with the trace of the inertia tensor for I."""
+    """Return I/(κΩ²), the time scale of braking, with the trace of the inertia tensor for I."""
     given = np.asarray(predictions.variables)[0]
     dipole, omega = given[9:12], given[12:]
     kappa = predictions.strength * (dipole @ dipole)

@@ -1,4 +1,4 @@
-"""What a map of outcomes shows, before it is drawn: two axes, classes, colours, title."""
+"""The content of a map of outcomes, before it is drawn: two axes, classes, colours, title."""
 
 import dataclasses
 from typing import NamedTuple
@@ -28,16 +28,16 @@ CLASSES: dict[tuple[Outcome, Stop], tuple[str, str]] = {
     (Outcome.UNDECIDED, Stop.NONE): ("undecided", "#66ff33"),
     (Outcome.FAILED, Stop.NONE): ("failed", "#df20ff"),
 }
-"""Name and flat colour of every class of starts. To normal and to colour-blind eyes any two colours
-differ plainly, from each other and from the shades of ω∞."""
+"""Name and flat colour of every class of starts. The colours are distinct from each other and from
+the shades of ω∞, for normal and colour-blind eyes."""
 NOT_COMPUTED, BLANK = "not computed yet", "#ffffff"
-"""Name and colour of what a sweep has not computed yet; it is hatched, too."""
+"""Name and colour of starts that a sweep has not computed yet; they are also hatched."""
 CHANCE = "undecided, a matter of chance"
-"""Name of undecided starts, if the probabilities of all are known."""
+"""Name of undecided starts if all their probabilities are known."""
 
 
 class Plane(NamedTuple):
-    """A basin over two axes, both rising; arrays have shape (Y, X), with rows along y."""
+    """A basin over two increasing axes; arrays have shape (Y, X), with rows along y."""
 
     x: str
     y: str
@@ -51,7 +51,7 @@ class Plane(NamedTuple):
 def plane_of(
     basin: Basin, shading: str | None, extend: bool, axes: tuple[str | None, str | None]
 ) -> Plane:
-    """Two axes of a basin and the columns over them; axes of length 1 become part of the title.
+    """Return two axes of a basin with the columns over them; axes of length 1 go into the title.
 
     Args:
         basin: a basin over a grid with two axes longer than 1.
@@ -87,18 +87,18 @@ def plane_of(
 
 
 def check_axis(basin: Basin, argument: str, name: str) -> None:
-    """Refuse what is no axis of a basin."""
+    """Refuse a name that is not an axis of the basin."""
     if name not in basin.dims or name not in basin.coords:
         refuse(argument, f"be an axis of this basin ({axis_lengths(basin)})", f"is {name!r}")
 
 
 def axis_lengths(basin: Basin) -> str:
-    """The axes of a basin and their lengths, in words."""
+    """Return the axes of a basin and their lengths, in words."""
     return ", ".join(f"{name} ({n})" for name, n in zip(basin.dims, basin.shape, strict=True))
 
 
 def _choose(long: list[str], x: str | None, y: str | None) -> tuple[str, str]:
-    """The names of the horizontal and the vertical axis."""
+    """Return the names of the horizontal and the vertical axis."""
     for argument, name in (("x", x), ("y", y)):
         if name is not None and name not in long:
             refuse(argument, f"be {long[0]!r} or {long[1]!r}", f"is {name!r}")
@@ -111,7 +111,7 @@ def _choose(long: list[str], x: str | None, y: str | None) -> tuple[str, str]:
 
 
 def title_of(basin: Basin) -> str:
-    """The level; the values that are fixed; which share of the outcomes is certified."""
+    """Return the title: the level, the fixed values, the certified share of the outcomes."""
     computed = basin.outcome != MISSING["int8"]
     share = float(np.mean(basin.certified[computed])) if computed.any() else 0.0
     words = {0.0: "no outcome", 1.0: "all outcomes"}
@@ -121,7 +121,7 @@ def title_of(basin: Basin) -> str:
 
 
 def fixed_values(basin: Basin) -> list[str]:
-    """The quantities that are the same for all starts, with their values."""
+    """Return the quantities with the same value for all starts, as text with these values."""
     of_points = any(name not in basin.coords for name in basin.dims)
     fixed = {
         name: values
@@ -135,7 +135,7 @@ def fixed_values(basin: Basin) -> list[str]:
 
 
 def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
-    """The shading of every outcome that occurs, with colour scales that all planes share."""
+    """Return the shading of every outcome that occurs, with colour scales common to all planes."""
     if shading is None:
         return []
     outcomes = (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED)
@@ -143,16 +143,16 @@ def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
 
 
 def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
-    """The values of a column, of all starts with an outcome."""
+    """Return the values of a column for the starts with an outcome, on all planes."""
     columns = [plane.columns for plane in planes]
     values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
     return values[np.isfinite(values)].astype(float)
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
-    """The number of every start's class in `CLASSES`; its `Stop` counts only if it stops.
+    """Return the index of every start's class in `CLASSES`; its `Stop` counts only if it stops.
 
-    What is not computed yet has the number behind the last one.
+    Starts that are not computed yet have the index after the last class.
     """
     outcome, stop = plane.columns["outcome"], plane.columns["stop"]
     classes = np.full(outcome.shape, len(CLASSES), np.int8)
@@ -167,7 +167,7 @@ def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:
 def coloured(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> UInt8[np.ndarray, "Y X 4"]:
-    """The colour of every start, RGBA."""
+    """Return the colour of every start, RGBA."""
     colours = [*(colour for _, colour in CLASSES.values()), BLANK]
     flat = np.array([(*to_rgb(colour), 1.0) for colour in colours])
     image = np.round(255 * flat).astype(np.uint8)[classes]
@@ -182,14 +182,14 @@ def coloured(
 
 
 def _unknown(plane: Plane, shade: Shade) -> Bool[np.ndarray, "Y X"]:
-    """Which starts of an outcome have no value in the column that shades it."""
+    """Return the mask of starts of an outcome without a value in the column that shades it."""
     return (plane.columns["outcome"] == shade.outcome) & ~np.isfinite(plane.columns[shade.column])
 
 
 def legend_colours(
     plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
 ) -> dict[str, Colour]:
-    """Name and colour of every class that occurs, in the order of `CLASSES`."""
+    """Return the colour of every class that occurs, by its name, in the order of `CLASSES`."""
     counts = np.bincount(classes.ravel(), minlength=len(CLASSES))[: len(CLASSES)].tolist()
     shaded = {shade.outcome: shade for shade in shades}
     colours: dict[str, Colour] = {}
@@ -211,7 +211,7 @@ def legend_colours(
 
 
 def _is_chance(plane: Plane) -> bool:
-    """Whether the probabilities of all undecided starts are known."""
+    """Return whether the probabilities of all undecided starts are known."""
     undecided = plane.columns["outcome"] == Outcome.UNDECIDED
     return "probability" in plane.columns and bool(
         np.all(np.isfinite(plane.columns["probability"][undecided]))

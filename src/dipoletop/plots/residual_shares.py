@@ -14,16 +14,16 @@ from .style import capitalised, percent, symbol
 
 
 def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
-    """The share of residual rotations among the starts over all axes except two.
+    """Draw the share of residual rotations over two axes, averaged over all other axes.
 
     Args:
         basin: a basin over a grid.
         x: the horizontal axis.
         y: the vertical axis.
-        ax: where to draw; None makes a figure.
+        ax: matplotlib axes to draw on; None makes a figure.
 
     Returns:
-        The axes; the share is of starts whose outcome is known.
+        The axes; the share is among the starts whose outcome is known.
 
     Raises:
         ValueError: there is no such axis.

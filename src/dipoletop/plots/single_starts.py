@@ -26,20 +26,20 @@ def line(
     ax: Axes | None = None,
     at: Mapping[str, Any] | None = None,
 ) -> Axes:
-    """A column of a sweep against its only axis, in the colours of the outcomes.
+    """Plot a column of a sweep against its only axis, in the colours of the outcomes.
 
     Args:
         basin: a basin over a grid with one axis longer than 1; the others go into the title.
         column: ω∞, or another column of numbers: "time", "steps", "d_omega_inf_d_delta", ….
-        ax: where to draw; None makes a figure.
+        ax: matplotlib axes to draw on; None makes a figure.
         at: name = value for axes that are fixed, at the nearest value of the grid.
 
     Returns:
-        The axes; starts whose value is not known are short marks on the horizontal axis.
+        The axes; starts without a known value are short marks on the horizontal axis.
 
     Raises:
-        ValueError: no basin over a grid, not one axis longer than 1 besides those of `at`, or a
-            column that has no numbers to draw.
+        ValueError: not a basin over a grid; not exactly one axis longer than 1 besides the axes in
+            `at`; a column without numbers to draw.
     """
     instance("basin", basin, Basin)
     check_axes(ax)
@@ -85,23 +85,23 @@ def starts(
     ax: Axes | None = None,
     shade: str | None = "omega_inf",
 ) -> Axes:
-    """Single starts as dots over two quantities, in the colours of a map.
+    """Draw single starts as dots over two quantities, in the colours of a map.
 
-    By default a map of directions that keeps areas: φ and cos ϑ = ω₃/|ω₀|.
+    The default quantities, φ and cos ϑ = ω₃/|ω₀|, give an equal-area map of directions.
 
     Args:
         basin: a basin over a `Sample` or `Points`.
         x: the horizontal quantity: "phi", "cos_theta", "amplitude", "w_perp", "w1", "w2", "w3" of
-            the start, or any number that the sample drew, or that the points list.
+            the start, or any other number of the sample or the points.
         y: the vertical quantity.
-        ax: where to draw; None makes a figure.
-        shade: what shades the outcomes; see `plots.basin`.
+        ax: matplotlib axes to draw on; None makes a figure.
+        shade: the column that shades the outcomes; see `plots.basin`.
 
     Returns:
-        The axes; the title says the level of the equation and what share is certified.
+        The axes; the title shows the level of the equation and the certified share.
 
     Raises:
-        ValueError: a basin over a grid, a quantity that it does not have, or another `shade`.
+        ValueError: a basin over a grid, a quantity that it does not have, or an unknown `shade`.
     """
     instance("basin", basin, Basin)
     check_axes(ax)
@@ -137,14 +137,14 @@ def starts(
 
 
 def _flat(basin: Basin, shade: str | None = None) -> Plane:
-    """The columns of a basin as those of a plane with one row."""
+    """Return the columns of a basin as a plane with one row."""
     names = [x for x in ("outcome", "stop", "probability", shade) if x and x in basin.columns]
     columns = {name: basin.column(name).reshape(1, -1) for name in names}
     return Plane("", "", np.zeros(0), np.zeros(0), columns, "")
 
 
 def _classes(shown: Plane, classes: Int[np.ndarray, "1 N"]) -> Any:
-    """Name, colour and members of every class that occurs."""
+    """Yield name, colour and members of every class that occurs."""
     for k, (label, colour) in enumerate(CLASSES.values()):
         members = classes[0] == k
         if members.any():
@@ -152,7 +152,7 @@ def _classes(shown: Plane, classes: Int[np.ndarray, "1 N"]) -> Any:
 
 
 def _quantities(basin: Basin) -> dict[str, Float[np.ndarray, "N"]]:
-    """Everything that single starts can be drawn over, by its name."""
+    """Return all quantities over which single starts can be drawn, by name."""
     listed = {name: values for name, values in basin.coords.items() if values.ndim == 1}
     drawn = [name for name in basin.columns if not is_result(name) and name != START]
     listed |= {name: x for name in drawn if (x := basin.column(name)).ndim == 1}

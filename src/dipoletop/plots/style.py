@@ -1,4 +1,4 @@
-"""What several pictures share: colours, line styles, sizes, hatching, labels, and file formats."""
+"""The common style of pictures: colours, line styles, sizes, hatching, labels, file formats."""
 
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,9 @@ COMPONENTS = ((r"$\omega_1$", BLUE), (r"$\omega_2$", ORANGE), (r"$\omega_3$", GR
 HATCH = "///"
 
 MM = 1 / 25.4
-"""Inches in a millimetre."""
+"""A millimetre in inches."""
 WIDE = 180 * MM
-"""Width in inches of two columns of a journal."""
+"""Width of two columns of a journal in inches."""
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -38,9 +38,9 @@ STYLE: Any = {
     "pdf.fonttype": 42,
     "svg.hashsalt": "dipoletop",
 }
-"""Settings of matplotlib for figures at the size in which a journal prints them."""
+"""Settings of matplotlib for figures at their printed size in a journal."""
 UNDATED: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-"""Metadata by format that leave the date out, so that a figure is the same file each time."""
+"""Metadata by format without the date, so that equal figures give equal files."""
 
 LEVEL_LINES: dict[Level, tuple[str, float]] = {
     Level.ORDER_1: (ORANGE, 1.6),
@@ -67,7 +67,7 @@ SYMBOLS = {
     "omega_inf_error": r"estimated error of $\omega_\infty$",
     "time": r"$\tau$ when the outcome is decided",
 }
-"""Labels of quantities and columns; one of another name is labelled by that name."""
+"""Labels of quantities and columns; any other one is labelled by its name."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -83,7 +83,7 @@ def save(figure: Figure, path: str | Path) -> None:
 
 
 def level_line(level: Level) -> dict[str, Any]:
-    """Colour, width and dashes of the curve of a level, as arguments of `Axes.plot`."""
+    """Return colour, width and dashes of the curve of a level, as arguments of `Axes.plot`."""
     colour, width = LEVEL_LINES[level]
     return {"color": colour, "lw": width, "ls": (0, (4, 3)) if level is Level.FULL else "-"}
 
@@ -95,7 +95,7 @@ def hatch(
     inside: Bool[np.ndarray, "Y X"],
     label: str,
 ) -> Patch:
-    """Hatch and outline a region of a grid; its entry for the legend.
+    """Hatch and outline a region of a grid, and return its entry for the legend.
 
     The outline makes a thin band as easy to see as a broad one. Black on white shows on every
     colour, so every line is drawn twice.
@@ -103,7 +103,7 @@ def hatch(
     if inside.any():
         height = inside.astype(np.float32)
         areas = ax.contourf(xs, ys, height, levels=[0.5, 1.5], colors="none")
-        areas.remove()  # it would keep a copy of the grid; its paths are all that is needed
+        areas.remove()  # only its paths are needed; it would keep a copy of the grid
         for colour, width in (("white", 1.8), ("black", 0.7)):
             with plt.rc_context({"hatch.linewidth": width, "hatch.color": colour}):
                 marks = PathCollection(areas.get_paths(), hatch=HATCH, transform=ax.transData)
@@ -113,7 +113,7 @@ def hatch(
 
 
 def symbol(name: str) -> str:
-    """The label of an axis or a column."""
+    """Return the label of an axis or a column."""
     if name.startswith(DERIVATIVE_PREFIX):
         by = symbol(name.removeprefix(DERIVATIVE_PREFIX)).strip("$")
         return rf"$\partial\omega_\infty/\partial {by}$"
@@ -121,17 +121,17 @@ def symbol(name: str) -> str:
 
 
 def capitalised(text: str) -> str:
-    """The text with a capital first letter; the rest stays as it is."""
+    """Return the text with a capital first letter; the rest stays as it is."""
     return text[:1].upper() + text[1:]
 
 
 def number(value: float) -> str:
-    """Six digits at most, or a multiple of π, with a typographic minus sign."""
+    """Return a number with at most six digits, or as a multiple of π, with a minus sign "−"."""
     return as_text(value).replace("-", "−")
 
 
 def percent(share: float) -> str:
-    """A share to 0.1 %; it reads "0 %" only if it is 0, and "100 %" only if it is 1."""
+    """Return a share to 0.1 % as text: "0 %" only if it is 0, "100 %" only if it is 1."""
     rounded = round(share * 1000) / 10
     if 0 < share < 1 and rounded in (0, 100):
         return "> 99.9 %" if rounded else "< 0.1 %"

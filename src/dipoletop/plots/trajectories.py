@@ -24,7 +24,7 @@ DASHES: dict[str, Any] = {"size": "-", "w1": "-", "w2": (0, (5, 1)), "w3": (0, (
 RUNS: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 """The dashes of several runs, one for each."""
 SMOOTH = 800  # points of a curve that looks smooth
-ROUGH = 0.05  # relative error, at one time, of the interpolation between its two neighbours
+ROUGH = 0.05  # relative error at a time of the interpolation between its two neighbours
 
 
 def trajectory(
@@ -33,26 +33,26 @@ def trajectory(
     ax: Axes | None = None,
     curves: Sequence[str] = tuple(CURVES),
 ) -> Axes:
-    """ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale (linear up to the first step from 0).
+    """Plot ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale, linear up to the first time > 0.
 
     A dotted line marks ω∞ if the last state is certain to keep a residual rotation, a dashed one
     the law |ω| ∝ τ^{-1/2} if it is certain to stop.
 
-    Between its times a run is drawn by the interpolation of the solver if there is one
-    (`dense=True`), else by cubic polynomials with the rates of the equation. Where the times are
-    too far apart for these, straight lines join dots.
+    Between its times a run is drawn with the solver's interpolation (`dense=True`) or else with
+    cubic polynomials that have the rates of the equation. If the times are too far apart for them,
+    straight lines join dots.
 
     Args:
-        trajectory: what `simulate` returned for a single top; or several with their labels, a dict,
-            told apart by dashes.
-        ax: where to draw; None makes a figure.
-        curves: which of "size", "w1", "w2", "w3" are drawn.
+        trajectory: the result of `simulate` for a single top; or a dict of several by label, drawn
+            with different dashes.
+        ax: matplotlib axes to draw on; None makes a figure.
+        curves: the curves to draw, among "size", "w1", "w2", "w3".
 
     Returns:
-        The axes; the title says the level of the equation.
+        The axes; the title shows the level of the equation.
 
     Raises:
-        ValueError: a batch of trajectories, more than four of them, or another curve.
+        ValueError: a batch of trajectories, more than four of them, or an unknown curve.
     """
     instance("trajectory", trajectory, Trajectory | Mapping, "be a Trajectory, or a dict of them")
     check_axes(ax)
@@ -63,7 +63,7 @@ def trajectory(
     for run in runs.values():
         instance("trajectory", run, Trajectory)
         if np.ndim(run.ts) != 1:
-            refuse("trajectory", "be that of one top", f"has times of shape {run.ts.shape}")
+            refuse("trajectory", "describe one top", f"has times of shape {run.ts.shape}")
     wanted = _wanted(curves)
     if ax is None:
         _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
@@ -92,7 +92,7 @@ def _wanted(curves: Sequence[str]) -> list[str]:
 
 
 def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
-    """The curves of one run; `dashes` are None if it is the only one."""
+    """Draw the curves of one run; `dashes` is None if it is the only one."""
     times, omega = _smooth(run)
     values = dict(zip(CURVES, [np.sqrt(np.sum(omega**2, axis=1)), *omega.T], strict=True))
     for name in wanted:
@@ -106,7 +106,7 @@ def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
 
 
 def _smooth(run: Trajectory) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t 3"]]:
-    """Times close enough for a smooth curve, the run's own among them, and ω there."""
+    """Return times close enough for a smooth curve, the run's own among them, and ω there."""
     times, omega = np.asarray(run.ts), np.asarray(run.omega)
     known = np.isfinite(times) & np.isfinite(omega).all(axis=1)
     times, omega = times[known], omega[known]
@@ -134,14 +134,14 @@ def _cubic(
     rates: Float[np.ndarray, "T 3"],
     wanted: Float[np.ndarray, "t"],
 ) -> Float[np.ndarray, "t 3"]:
-    """Hermite's cubic polynomials through values with rates."""
+    """Return the cubic Hermite interpolant of values and rates at the wanted times."""
     from scipy.interpolate import CubicHermiteSpline
 
     return CubicHermiteSpline(times, values, rates)(wanted)
 
 
 def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:
-    """The limits of ω, or the laws of decay, where the verdict of the last state is certain."""
+    """Draw the limit of ω, or the law of decay, of runs whose last state has a certain outcome."""
     for name, run in runs.items():
         equation, times = run.equation, np.asarray(run.ts)
         if not isinstance(equation, DecidingEquation):
@@ -158,7 +158,7 @@ def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:
 
 
 def _time_axis(ax: Axes, runs: list[Trajectory]) -> None:
-    """A logarithmic axis of τ, linear up to the first time if the runs begin at 0."""
+    """Make the axis of τ logarithmic, linear up to the first time if the runs begin at 0."""
     firsts = [float(run.ts[0]) for run in runs]
     if min(firsts) > 0:
         ax.set_xscale("log")

@@ -93,7 +93,7 @@ def test_seed_and_draw_of_a_sample_are_seen(tmp_path):
 def test_another_jax_may_be_why_a_program_differs(copy):
     """The store says that an older JAX made it."""
     rewrite(copy, attrs=json.loads(old_attrs(copy)))
-    message = r"\(JAX 0.0.1 traced it there and JAX .* here, which may differ by that alone\)"
+    message = r"\(JAX 0.0.1 traced it there and JAX .* here, which alone may make a difference\)"
     with pytest.raises(dt.StoreMismatch, match=message):
         dt.sweep(lambda w3, phi: reduced(w3, phi, -0.3), GRID, store=copy)
     dt.sweep(reduced, GRID, store=copy)  # which differs by nothing else

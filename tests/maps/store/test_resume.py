@@ -23,7 +23,7 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
         (place / RECORDS / "c" / str(tile) / "0").unlink()
     (place / "omega_inf" / "c" / "3" / "0").unlink()
     (place / "outcome" / "c" / "7" / "0").write_bytes(b"torn")
-    with pytest.raises(dt.StoreMismatch, match="lacks 3 of 10 tiles; run the sweep again with"):
+    with pytest.raises(dt.StoreMismatch, match="is missing 3 of 10 tiles; run the sweep again"):
         dt.Basin.load(place)
 
     made = []

@@ -75,7 +75,7 @@ def test_none_of_364_damages_gives_a_wrong_number(good, copy):
         assert str(copy) in sentence
         assert "\n" not in sentence
         if not isinstance(error, dt.StoreDamaged):  # as one without a record: not computed yet
-            assert "lacks 1 of 2 tiles" in sentence
+            assert "is missing 1 of 2 tiles" in sentence
         else:
             assert error.path == copy
             assert f"tile {error.tiles[0]}:" if error.tiles else "metadata:" in sentence

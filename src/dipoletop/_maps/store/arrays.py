@@ -1,7 +1,7 @@
 """Arrays on disk in the format Zarr 3, for any program that reads it.
 
-They are written and read here, not by the library zarr: for each chunk that takes longer than a
-thousand runs do, and its import as long as a small map. The bytes are the same.
+They are written and read here, not by the library zarr, which takes longer for a chunk than a
+thousand runs do, and whose import takes as long as a small map. The bytes are the same.
 """
 
 import json
@@ -31,8 +31,8 @@ ATTEMPTS = 5  # to write a file
 class StoredArray:
     """An array in a folder of its own, whose chunks are numbered in C order.
 
-    Chunks have one index on the first axes, a piece of one axis, and all of those behind it: so
-    the numbers of one that is shortened come first.
+    A chunk has one index on the first axes, a range of the next axis, and the full range of all
+    later axes. So the numbers of a shortened chunk come first in its file.
 
     Attributes:
         folder: its folder.
@@ -40,10 +40,10 @@ class StoredArray:
         chunk: the shape of a chunk.
         dtype: the type of its numbers.
         packed: whether chunks are compressed and have a checksum.
-        fill: what stands for the numbers of chunks that are not written.
+        fill: the value of numbers in chunks that are not written.
         dims: names of the axes, if they have any.
-        attributes: what is said of the numbers.
-        staging: a folder for chunks that are not complete yet; None: beside their place.
+        attributes: metadata such as unit and meaning.
+        staging: a folder for incomplete chunks; None: the folder of the chunk.
     """
 
     folder: Path
@@ -58,11 +58,10 @@ class StoredArray:
 
     @classmethod
     def open(cls, folder: Path, staging: Path | None = None) -> "StoredArray":
-        """The array in a folder.
+        """Return the array in a folder.
 
         Raises:
-            ValueError: it is not of the kind that is written here. Other errors where there is
-                none.
+            ValueError: its format is not the one written here. Other errors if there is no array.
         """
         metadata = json.loads((folder / METADATA).read_bytes())
         shape, packed = tuple(metadata["shape"]), len(metadata["codecs"]) > 1
@@ -81,7 +80,7 @@ class StoredArray:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What is written of an array beside its chunks."""
+        """The metadata that are written beside the chunks."""
         plain = {"name": "bytes"}
         first = LITTLE if self.dtype.itemsize > 1 else plain
         fill = self.dtype.type(self.fill).item()
@@ -101,15 +100,15 @@ class StoredArray:
 
     @property
     def tiling(self) -> Tiling:
-        """How the numbers are cut into chunks."""
+        """The division of the numbers into chunks."""
         return Tiling(self.shape, self.chunk)
 
     def file(self, chunk: int) -> Path:
-        """Where a chunk is."""
+        """Return the path of a chunk."""
         return self.folder.joinpath("c", *(str(i) for i in self.tiling.place(chunk)))
 
     def write(self, chunk: int, values: np.ndarray) -> None:
-        """Write the numbers of a chunk at once; one that is shortened is filled up."""
+        """Write the numbers of a chunk atomically; a shortened chunk is padded."""
         full = np.full(math.prod(self.chunk), self.fill, self.dtype.newbyteorder("<"))
         full[: values.size] = values.ravel()
         content = full.tobytes()
@@ -125,10 +124,10 @@ class StoredArray:
             self.write(chunk, flat[self.tiling.span(chunk)])
 
     def read(self, chunk: int) -> np.ndarray:
-        """The numbers of a chunk, flat.
+        """Return the numbers of a chunk, flat.
 
         Raises:
-            ValueError: it is damaged. Other errors where it is missing, or cannot be decompressed.
+            ValueError: it is damaged. Other errors if it is missing, or cannot be decompressed.
         """
         content = self.file(chunk).read_bytes()
         if self.packed:
@@ -148,7 +147,7 @@ def write_json(file: Path, content: dict[str, Any]) -> None:
 
 
 def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> None:
-    """Write a file of which nothing is seen until it is complete; until then it is in `staging`."""
+    """Write a file in `staging`, and move it to its place when it is complete."""
     folder = staging or file.parent
     part = folder / f".{file.name}.{secrets.token_hex(8)}.partial"
     try:
@@ -158,8 +157,8 @@ def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> No
                 os.replace(part, file)
                 return
             except FileNotFoundError:
-                # A folder is missing. Or, where a lock is seen on its own machine only, another
-                # one took the part for what a killed process has left, and removed it.
+                # A folder is missing. Or, if locks are visible on one machine only, another machine
+                # took the partial file for one left by a killed process, and removed it.
                 if not attempts_left:
                     raise
                 folder.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,8 @@
-"""Claims of tiles: which process computes which, so that several work on one store.
+"""Claims of tiles by processes, so that several can work on one store.
 
-A claim is a lock on one byte of a file, which the operating system gives back when the process
-ends, however it ends. Where there are no such locks (Windows, some network file systems), every
-claim is granted: then two processes compute the same tiles, to the same bytes.
+A claim is a lock on one byte of a file, which the operating system releases when the process ends
+for any reason. Without such locks (Windows, some network file systems) every claim is granted, and
+two processes compute the same tiles, with the same bytes.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ try:
 except ImportError:  # Windows
     fcntl = None
 
-_in_use: set[tuple[int, int]] = set()  # files, since such locks do not part threads of one process
+_in_use: set[tuple[int, int]] = set()  # files; such locks do not exclude one's own threads
 _guard = threading.Lock()
 
 
@@ -28,7 +28,7 @@ class Claims:
 
     Args:
         store: the folder of the store.
-        file: the file that is locked; it is made if there is none.
+        file: the file that is locked; it is made if it does not exist.
 
     Raises:
         StoreMismatch: another sweep of this process has the store.
@@ -46,7 +46,7 @@ class Claims:
                     must = "be used by one sweep of a process at a time"
                     raise StoreMismatch("store", store, must, f"another one here uses {store}")
                 self._file = open(file, "r+b")  # noqa: SIM115 (closed by `close`)
-            except OSError:  # a store that may only be read: nothing can be computed twice
+            except OSError:  # a read-only store: nothing can be computed twice
                 return
             _in_use.add(key)
             self._key = key
@@ -57,12 +57,12 @@ class Claims:
 
     @property
     def works(self) -> bool:
-        """Whether there are locks of files here."""
+        """Whether file locks are available."""
         return fcntl is not None and self._file is not None
 
     @contextlib.contextmanager
     def everything(self) -> Iterator[bool]:
-        """Claim the whole store for a moment; False if others have, or may have, any of it."""
+        """Claim the whole store for a moment; False if others have, or may have, a claim."""
         free = self._lock(0, 0) is True
         try:
             yield free
@@ -71,11 +71,11 @@ class Claims:
                 self._unlock(0, 0)
 
     def give_back(self, tile: int) -> None:
-        """End a claim."""
+        """Release a claim."""
         self._unlock(1, tile)
 
     def close(self) -> None:
-        """End all claims."""
+        """Release all claims."""
         if self._file is not None:
             self._file.close()
         with _guard:
@@ -83,7 +83,7 @@ class Claims:
         self._file = self._key = None
 
     def _lock(self, length: int, first: int) -> bool | None:
-        """Lock so many bytes, all that follow if `length` is 0; None where there are no locks."""
+        """Lock `length` bytes, or all following ones if it is 0; None if there are no locks."""
         locks: Any = fcntl
         if locks is None or self._file is None:
             return None

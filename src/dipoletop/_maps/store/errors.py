@@ -1,4 +1,4 @@
-"""Errors of stores: damaged ones, those that cannot be written, and paths that lead to no such."""
+"""Errors of stores: damaged, not writable, or not the one asked for."""
 
 from pathlib import Path
 from typing import Any
@@ -7,12 +7,12 @@ from ..._base.checks import one_line, refusal
 
 
 class StoreDamaged(ValueError):
-    """A store on disk is not as it was written.
+    """A store on disk differs from what was written.
 
     Attributes:
         path: the store.
-        tiles: the numbers of its damaged tiles; none if its metadata are damaged.
-        reason: what is wrong.
+        tiles: the numbers of its damaged tiles; () if its metadata are damaged.
+        reason: description of the damage.
     """
 
     def __init__(self, path: Path, tiles: tuple[int, ...], reason: str) -> None:
@@ -29,13 +29,13 @@ class StoreDamaged(ValueError):
 class StoreMismatch(ValueError):
     """A path does not lead to the store that was asked for.
 
-    It holds another sweep, or something that is no store, or no folder can be made there.
+    It leads to another sweep or to something else, or no folder can be made there.
 
     Attributes:
-        argument: the name of the argument that gave the path.
-        path: where it leads.
-        must: what is expected there.
-        reason: what is there instead.
+        argument: the name of the argument with the path.
+        path: the path.
+        must: the requirement on the path.
+        reason: why it is not met.
     """
 
     def __init__(self, argument: str, path: Path, must: str, reason: str) -> None:
@@ -48,13 +48,13 @@ class StoreMismatch(ValueError):
 
 
 class StoreNotWritable(OSError):
-    """A store on disk cannot be written any more; what is there is kept.
+    """A store on disk cannot be written any more; its finished tiles are kept.
 
     Attributes:
         path: the store.
         finished: the number of its finished tiles.
         tiles: the number of all its tiles.
-        reason: what the operating system says.
+        reason: the message of the operating system.
     """
 
     def __init__(self, path: Path, finished: int, tiles: int, reason: str) -> None:
@@ -62,7 +62,7 @@ class StoreNotWritable(OSError):
         self.path, self.finished, self.tiles, self.reason = path, finished, tiles, reason
 
     def __reduce__(self) -> Any:
-        # OSError would keep two arguments only, when a worker sends it to another process.
+        # By default a pickled OSError keeps only two arguments.
         return type(self), (self.path, self.finished, self.tiles, self.reason)
 
     def __str__(self) -> str:

@@ -16,7 +16,7 @@ PREFIX = ".dipoletop-"
 
 
 def absolute_path(argument: str, path: Any) -> Path:
-    """A path of any type as an absolute one, which stays valid when the process changes folder."""
+    """Return a path of any type as an absolute one, valid after a change of working directory."""
     try:
         return Path(os.path.abspath(os.fsdecode(path)))
     except TypeError:
@@ -24,7 +24,7 @@ def absolute_path(argument: str, path: Any) -> Path:
 
 
 def exists(argument: str, path: Path) -> bool:
-    """Whether there is something at a path; a link to nothing is refused."""
+    """Return whether something exists at a path; refuse a broken link."""
     if os.path.exists(path):
         return True
     if os.path.lexists(path):
@@ -35,7 +35,7 @@ def exists(argument: str, path: Path) -> bool:
 
 @contextlib.contextmanager
 def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
-    """A hidden folder to be filled, which is moved to `path` at the end.
+    """Make a hidden folder to be filled, and move it to `path` at the end.
 
     Raises:
         FileExistsError: another process has made the folder in the meantime.
@@ -62,14 +62,14 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
 
 
 def hidden_folder(parent: Path) -> "tempfile.TemporaryDirectory[str]":
-    """A temporary folder, whose name tells which process made it."""
-    # It is short: that of a store may be as long as the file system allows.
+    """Return a temporary folder whose name contains the process that made it."""
+    # The name is short, and independent of the store's, which may have the largest allowed length.
     prefix = f"{PREFIX}{platform.node()[:60]}-{os.getpid()}-"
     return tempfile.TemporaryDirectory(prefix=prefix, dir=parent)
 
 
 def remove_left_folders(parent: Path) -> None:
-    """Remove temporary folders of processes of this machine that have been killed."""
+    """Remove temporary folders of killed processes of this machine."""
     for folder in parent.glob(f"{PREFIX}{platform.node()[:60]}-*"):
         process = folder.name.rsplit("-", 2)[1]
         if process.isdigit() and not _is_alive(int(process)):
@@ -77,7 +77,7 @@ def remove_left_folders(parent: Path) -> None:
 
 
 def _is_alive(process: int) -> bool:
-    if os.name == "nt":  # where signal 0 is no question
+    if os.name == "nt":  # where signal 0 is not a mere test
         return True
     try:
         os.kill(process, 0)

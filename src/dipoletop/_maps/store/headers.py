@@ -1,9 +1,9 @@
-"""Headers of stores: their digests, which sweep they belong to, and how two of them differ.
+"""Headers of stores: their digests, the sweeps they identify, and differences between them.
 
-A header is a dict that JSON can hold: dims, shape, chunk (lengths of a tile), columns (their
-names), drawn (those that tell what the starts were, with their shapes), axes (their names), attrs,
-digests of the swept values, and digests of the traced programs. A tally has one row of counts for
-each tile; its header tells the shape of a row (components) and what is counted (tally).
+A header is a dict that JSON can hold: dims, shape, chunk (lengths of a tile), columns (names),
+drawn (columns with starts and parameters, with their shapes), axes (names), attrs, digests of the
+swept values, and digests of the traced programs. A tally has one row of counts for each tile; its
+header has the shape of a row (components) and the meaning of the counts (tally).
 """
 
 import json
@@ -19,31 +19,31 @@ Header = dict[str, Any]
 
 
 def with_value_digests(header: Header, values: Mapping[str, np.ndarray]) -> Header:
-    """The header as JSON reads it back, with digests of the swept values."""
+    """Return the header after a round trip through JSON, with digests of the swept values."""
     digests = {name: array_digest(x).hex() for name, x in values.items()}
     return json.loads(json.dumps({**header, "values": digests}))
 
 
 def header_digest(header: Header) -> str:
-    """Digest of a header without its own `digest`."""
+    """Return the digest of a header without its own `digest`."""
     return digest(json.dumps(header, sort_keys=True).encode()).hex()
 
 
 def sweep_digest(header: Header) -> bytes:
-    """Digest of all that tells one sweep from another; tile records carry it."""
+    """Return the digest that identifies a sweep; tile records contain it."""
     own = {key: x for key, x in _comparable(header).items() if key not in ("format", "layout")}
     return bytes.fromhex(header_digest(own))
 
 
 def _comparable(header: Header) -> Header:
-    """The header without versions: a sweep may be resumed by another version."""
+    """Return the header without versions: a sweep may be resumed by another version."""
     return {**header, "attrs": without_versions(header["attrs"])}
 
 
 def differences(old: Header, new: Header, of_values: Callable[[str], str]) -> str:
-    """Each setting that differs, with its value in both headers; empty if none does.
+    """Return the settings that differ, with their values in both headers; "" if they are equal.
 
-    `of_values` tells how the swept values of that name differ.
+    `of_values` is a function from the name of swept values to a description of their difference.
     """
     listed = ", ".join(_differences(old, new, of_values))
     return listed + _jax_versions(old, new) if listed else ""
@@ -65,7 +65,7 @@ def _differences(old: Header, new: Header, of_values: Callable[[str], str]) -> I
 
 
 def _flat(header: Header, group: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """(keys from the outermost dict inwards, value) of a nested dict."""
+    """Yield (keys from the outermost dict inwards, value) for each value of a nested dict."""
     for key, value in header.items():
         if isinstance(value, dict):
             yield from _flat(value, (*group, key))
@@ -74,15 +74,15 @@ def _flat(header: Header, group: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
 
 
 def _jax_versions(old: Header, new: Header) -> str:
-    """A remark if programs differ: another JAX may have traced the same function."""
+    """Return a remark if JAX versions differ, which may explain different programs."""
     was, now = (header["attrs"].get("version_jax") for header in (old, new))
     if was == now or old.get("programs") == new.get("programs"):
         return ""
-    return f" (JAX {was} traced it there and JAX {now} here, which may differ by that alone)"
+    return f" (JAX {was} traced it there and JAX {now} here, which alone may make a difference)"
 
 
 def first_difference(name: str, there: np.ndarray, here: np.ndarray) -> str:
-    """The first bits in which two arrays of swept values differ."""
+    """Return a description of the first difference between two arrays of swept values."""
     if there.shape != here.shape or there.dtype != here.dtype:
         was, now = (f"{x.dtype} of shape {x.shape}" for x in (there, here))
         return f"{name} is {was} there and {now} here"

@@ -1,7 +1,7 @@
-"""How a store is laid out on disk, and how an empty one is made.
+"""The layout of a store on disk, and the creation of an empty one.
 
 A store is a Zarr group that xarray opens: columns in the shape of the grid, one chunk for each
-tile, and coordinates. A group inside it, which xarray passes over, keeps the sweep's header and one
+tile, and coordinates. A group inside it, which xarray ignores, keeps the sweep's header and one
 record for each finished tile.
 """
 
@@ -36,7 +36,7 @@ STAGING = f"{GROUP}/partial"
 
 
 def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> None:
-    """An empty store: metadata and the swept values, but no tile."""
+    """Create an empty store: metadata and the swept values, but no tile."""
     names, drawn = header["columns"], header["drawn"]
     dims = tuple(header.get("tally", header)["dims"])
     arrays = {name: _column(folder / name, header) for name in names}
@@ -49,7 +49,7 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         shape,
         (1, shape[1]),
         np.dtype("uint8"),
-        packed=False,  # a record is its own checksum
+        packed=False,  # a record contains its own checksum
     )
     for array in arrays.values():
         array.create()
@@ -63,7 +63,7 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
         **({"coordinates": " ".join(others)} if others else {}),
     }
-    # Without this xarray warns that it opens many small files.
+    # Without these metadata xarray warns that it opens many small files.
     consolidated = {"kind": "inline", "must_understand": False, "metadata": shown}
     write_json(folder / METADATA, _group(attributes) | {"consolidated_metadata": consolidated})
     layout = {name: metadata_digest(folder, name) for name in ("", *arrays)}
@@ -73,11 +73,11 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
 
 
 def _column(folder: Path, header: Header) -> StoredArray:
-    """The array of a column, in the shape of the grid, with components behind."""
+    """Return the array of a column, in the shape of the grid, with component axes last."""
     name, tiling, dims = folder.name, tiling_of(header), tuple(header["dims"])
     dtype = column_spec(name).dtype
     components = tuple((header["drawn"] | header.get("components", {})).get(name, ()))
-    kept = "int8" if dtype == "bool" else dtype  # which can say that it is missing
+    kept = "int8" if dtype == "bool" else dtype  # has a fill value for "missing"
     missing = {} if kept == "float64" else {"_FillValue": MISSING[kept]}
     return StoredArray(
         folder,
@@ -91,7 +91,7 @@ def _column(folder: Path, header: Header) -> StoredArray:
 
 
 def _coordinates(folder: Path, values: np.ndarray, dims: tuple[str, ...]) -> StoredArray:
-    """The array of the values on an axis, or of points."""
+    """Return the array of the values on an axis, or of points."""
     return StoredArray(
         folder,
         values.shape,
@@ -108,16 +108,16 @@ def _group(attributes: dict[str, Any]) -> dict[str, Any]:
 
 
 def tiling_of(header: Header) -> Tiling:
-    """How the columns of a store are cut into tiles."""
+    """Return the tiling of the columns of a store."""
     return Tiling(tuple(header["shape"]), tuple(header["chunk"]))
 
 
 def tiling_of_starts(header: Header) -> Tiling:
-    """How the starts of the sweep are cut into tiles, whose counts alone may be kept."""
+    """Return the tiling of the starts of the sweep, which for a tally differs from the columns'."""
     tally = header.get("tally")
     return Tiling(tuple(tally["shape"]), tuple(tally["chunk"])) if tally else tiling_of(header)
 
 
 def metadata_digest(folder: Path, array: str) -> str:
-    """Digest of the metadata of an array, or of the store itself ("")."""
+    """Return the digest of the metadata of an array, or of the store itself ("")."""
     return digest((folder / array / METADATA).read_bytes()).hex()

@@ -1,4 +1,4 @@
-"""The store of a sweep: a new one, or one that the same sweep has begun and resumes."""
+"""The store of a sweep: a new one, or an existing one that the same sweep resumes."""
 
 import contextlib
 import os
@@ -21,12 +21,12 @@ THIS_SWEEP = "be new or hold this very sweep"
 def begin_or_resume(
     path: Any, header: Header, values: Mapping[str, np.ndarray], repair: bool = False
 ) -> Tiles:
-    """A new store at `path`, or the one that is there if it belongs to the same sweep.
+    """Return a new store at `path`, or the existing one if it belongs to the same sweep.
 
     Args:
         path: a folder.
-        header: what tells this sweep from another one; see `headers`.
-        values: what is swept, by name.
+        header: the data that identify this sweep; see `headers`.
+        values: the swept values by name.
         repair: whether to write damaged metadata again.
 
     Raises:
@@ -57,16 +57,16 @@ def begin_or_resume(
 
 
 def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
-    """The store with its metadata written again, if its records belong to this sweep."""
+    """Write a store's metadata again if its records belong to this sweep; return the store."""
     every = (TileRecord(folder, tile) for tile in range(tiling_of(header).count))
     records = [record for record in every if record.is_sound]
     if not records or any(record.sweep != sweep_digest(header) for record in records):
-        reason = f"the metadata of {folder} are damaged, and its tiles are of another one, or none"
+        reason = f"the metadata of {folder} are damaged, and it has no tiles of this sweep"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
     with hidden_folder(folder.parent) as hidden:
         fresh = Path(hidden)
         create_arrays(fresh, header, values)
-        # The header last: until then the store is known to be damaged.
+        # The header is written last; until then the store counts as damaged.
         header_file = fresh / GROUP / METADATA
         for file in sorted(fresh.rglob("*"), key=lambda file: file == header_file):
             if file.is_file():

@@ -18,14 +18,14 @@ from .tiles import open_store, open_tiles
 
 
 class Verification(NamedTuple):
-    """What `verify` finds in a store."""
+    """The state of a store, from `verify`."""
 
     tiles: int
     """Number of tiles."""
     unfinished: list[int]
     """Numbers of the tiles that are not computed yet."""
     damaged: dict[int, str]
-    """What is wrong with each damaged tile, by its number."""
+    """Descriptions of the damage, by number of the tile."""
 
 
 def save(parts: BasinParts, path: Any) -> None:
@@ -62,10 +62,10 @@ def _new_folder(folder: Path) -> Iterator[Path]:
 
 
 def load(path: Any, partial: bool = False) -> BasinParts:
-    """The basin at `path`; its columns are read, and checked, when they are used.
+    """Return the basin at `path`; its columns are read, and checked, when they are used.
 
-    All of a finished one is verified at once. With `partial` it may be unfinished, and is not
-    verified beforehand, which would take long for a large store that is only looked at.
+    A finished basin is also verified at once. With `partial` the basin may be unfinished and is not
+    verified at once, which would take long for a large store of which little is used.
     """
     tiles = open_store(path)
     if "tally" in tiles.header:
@@ -76,7 +76,7 @@ def load(path: Any, partial: bool = False) -> BasinParts:
     parts = tiles.contents()
     if left := len(tiles.unfinished()):
         reason = (
-            f"{tiles.folder} lacks {left} of {tiles.tiling.count} tiles; "
+            f"{tiles.folder} is missing {left} of {tiles.tiling.count} tiles; "
             "run the sweep again with this store"
         )
         raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
@@ -100,7 +100,7 @@ def verify(path: Any) -> Verification:
 
 
 def starts_done(path: Any, repair: bool = False) -> int:
-    """Number of starts that a sweep with this store need not compute; 0 if it is no sound store."""
+    """Return the number of starts that this store already holds; 0 if it is not a valid store."""
     try:
         tiles = open_store(path)
         left = tiles.unfinished()

@@ -1,4 +1,4 @@
-"""How far the sweep of a store is, how fast it goes, and what it is about."""
+"""Progress, speed and subject of the sweep of a store."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ RECENT = 100  # tiles from which the rate is found
 
 
 class Status(NamedTuple):
-    """How far the sweep of a store is."""
+    """The progress of the sweep of a store."""
 
     folder: Path
     header: dict[str, Any]
@@ -24,19 +24,19 @@ class Status(NamedTuple):
     rate: float | None
     """Starts per second, from the last tiles; None if there are too few."""
     at_work: bool
-    """Whether a process computes tiles at this moment, as far as locks of files tell."""
+    """Whether a process is computing tiles, as far as file locks show."""
 
     @property
     def seconds_left(self) -> float | None:
-        """Time to the end at this rate."""
+        """Time to the end at this rate, in seconds."""
         return (self.starts - self.starts_done) / self.rate if self.rate else None
 
 
 def status(path: Any) -> Status:
-    """How far the sweep of the store at a path is.
+    """Return the progress of the sweep of the store at a path.
 
     Raises:
-        StoreMismatch: there is none.
+        StoreMismatch: there is no store.
         StoreDamaged: its metadata are damaged.
     """
     store = open_store(path)
@@ -63,7 +63,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _rate(store: Tiles, finished: list[int]) -> float | None:
-    """Starts per second between the records of the last tiles."""
+    """Return the starts per second between the records of the last tiles."""
     times = sorted((store.written_at(tile), tile) for tile in finished)[-RECENT:]
     if len(times) < 2 or times[-1][0] <= times[0][0]:
         return None

@@ -1,8 +1,8 @@
-"""Tiles of a sweep on disk: how they are written, and read with every bit checked.
+"""Tiles of a sweep on disk, written, and read with every bit checked.
 
 Each chunk is written to a temporary name and renamed. The record of a tile holds digests of its
-inputs and of its columns, and is written after them: so a tile torn by a crash is simply not
-finished, and is computed again to the same bytes.
+inputs and of its columns, and is written after them. So a tile that is incomplete after a crash
+counts as unfinished, and is computed again, with the same bytes.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from .layout import CLAIMS, FORMAT, GROUP, RECORDS, STAGING, metadata_digest, ti
 
 @contextlib.contextmanager
 def _reading(folder: Path, tiles: tuple[int, ...], what: str) -> Iterator[None]:
-    """Turns whatever codecs raise at damaged bytes into `StoreDamaged`.
+    """Turn any error of codecs at damaged bytes into `StoreDamaged`.
 
-    The types of their errors are not documented. No code of the user runs in here.
+    The types of their errors are not documented. No user code runs in this context.
     """
     try:
         yield
@@ -45,7 +45,7 @@ def _unreadable(folder: Path, tiles: tuple[int, ...], what: str, error: Exceptio
 
 
 class TileRecord:
-    """What is kept of a finished tile: digests of its sweep, of its inputs and of its columns."""
+    """The record of a finished tile: digests of its sweep, of its inputs and of its columns."""
 
     def __init__(self, store: Path, tile: int) -> None:
         file = store / RECORDS / "c" / str(tile) / "0"
@@ -59,7 +59,7 @@ class TileRecord:
 
     @staticmethod
     def encode(tile: int, sweep: bytes, inputs: bytes, columns: list[np.ndarray]) -> bytes:
-        """The bytes of the record of a tile."""
+        """Return the bytes of the record of a tile."""
         content = b"".join([sweep, inputs, *(array_digest(column) for column in columns)])
         return _seal(tile, content) + content
 
@@ -70,13 +70,13 @@ def _seal(tile: int, content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class StoredColumn:
-    """A column in a store, flat, read and checked each time it is indexed.
+    """A flat column in a store, read and checked each time it is indexed.
 
     Attributes:
         tiles: the store.
         name: the name of the column.
-        finished: the tiles that are read; the numbers of others are `MISSING`. None: all are.
-        chosen: the flat indices of the entries that it holds; None: all of them.
+        finished: the tiles to read; numbers in other tiles are `MISSING`. None: all tiles.
+        chosen: the flat indices of its entries; None: all entries.
     """
 
     tiles: "Tiles"
@@ -90,23 +90,23 @@ class StoredColumn:
         return self.tiles.entries(self.name, self.chosen, self.finished)[key]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """All of the column, read anew: without this NumPy would wrap the object itself."""
+        """Return the whole column, read anew; without this NumPy would wrap the object itself."""
         return np.asarray(self[...], dtype)
 
     def take(self, flat: np.ndarray, axis: int = 0) -> "StoredColumn":
-        """The entries with these flat indices; only the tiles that hold them will be read."""
+        """Return the entries with these flat indices; only the tiles that hold them are read."""
         return replace(self, chosen=flat if self.chosen is None else self.chosen[flat])
 
 
 class Tiles:
-    """An open store, as `open_tiles` gives it.
+    """An open store, from `open_tiles`.
 
     Attributes:
         folder: its folder.
-        header: what it says about the sweep; see `headers`.
-        tiling: how its columns are cut into tiles.
-        names: those of its columns.
-        swept_names: those of the swept values.
+        header: its header; see `headers`.
+        tiling: the division of its columns into tiles.
+        names: names of its columns.
+        swept_names: names of the swept values.
     """
 
     def __init__(self, folder: Path, header: Header) -> None:
@@ -123,7 +123,7 @@ class Tiles:
         self._sweep = sweep_digest(header)
 
     def values(self, name: str) -> np.ndarray:
-        """What was swept: an axis, or a column of points."""
+        """Return swept values: an axis, or a column of points."""
         what = f"the values of {name}"
         with _reading(self.folder, (), what):
             array = self._arrays[name]
@@ -145,14 +145,14 @@ class Tiles:
         self._arrays[RECORDS].write(tile, np.frombuffer(record, np.uint8))
 
     def claims(self) -> Claims:
-        """The claims of this process on tiles."""
+        """Open the claims of this process on tiles."""
         return Claims(self.folder, self.folder / CLAIMS)
 
     def is_claimed(self) -> bool:
-        """Whether a sweep has claims on tiles at this moment."""
+        """Return whether a sweep has claims on tiles at this moment."""
         try:
             claims = self.claims()
-        except StoreMismatch:  # one of this process
+        except StoreMismatch:  # a sweep of this process
             return True
         try:
             with claims.everything() as alone:
@@ -161,7 +161,7 @@ class Tiles:
             claims.close()
 
     def written_at(self, tile: int) -> float:
-        """When a finished tile was written, in seconds since the epoch."""
+        """Return the time when a finished tile was written, in seconds since the epoch."""
         return self._arrays[RECORDS].file(tile).stat().st_mtime
 
     def discard_partial_files(self) -> None:
@@ -170,19 +170,19 @@ class Tiles:
             shutil.rmtree(self.folder / STAGING)
 
     def forget(self, tile: int) -> None:
-        """Make a tile one that is not computed yet."""
+        """Mark a tile as not computed."""
         self._arrays[RECORDS].file(tile).unlink(missing_ok=True)
 
     def is_finished(self, tile: int) -> bool:
-        """Whether a tile has been computed."""
+        """Return whether a tile has been computed."""
         return TileRecord(self.folder, tile).exists
 
     def unfinished(self) -> list[int]:
-        """The tiles that have to be computed."""
+        """Return the tiles that have to be computed."""
         return [tile for tile in range(self.tiling.count) if not self.is_finished(tile)]
 
     def record(self, tile: int) -> TileRecord:
-        """The record of a finished tile."""
+        """Return the record of a finished tile."""
         record = TileRecord(self.folder, tile)
         if not record.exists:
             raise StoreDamaged(self.folder, (tile,), "its record is missing")
@@ -191,7 +191,7 @@ class Tiles:
         return record
 
     def read(self, name: str, tile: int) -> np.ndarray:
-        """The part of a column in a tile, flat except for components."""
+        """Return the part of a column in a tile, flat except for components."""
         array = self._arrays[name]
         if not array.file(tile).is_file():
             raise StoreDamaged(self.folder, (tile,), f"its {name} is missing")
@@ -206,12 +206,12 @@ class Tiles:
         return self._arrays[name].shape[len(self.tiling.shape) :]
 
     def column(self, name: str, finished: Set[int] | None = None) -> np.ndarray:
-        """A column, flat except for components; of the finished tiles only, if these are given."""
+        """Return a column, flat except for components, from all tiles or only from `finished`."""
         every = range(self.tiling.count)
         return np.concatenate([self._part(name, tile, finished) for tile in every])
 
     def entries(self, name: str, flat: np.ndarray, finished: Set[int] | None = None) -> np.ndarray:
-        """Some entries of a column."""
+        """Return some entries of a column."""
         found = np.empty((len(flat), *self._components(name)), column_spec(name).dtype)
         of_entry = self.tiling.tiles_with(flat)
         for tile in np.unique(of_entry).tolist():
@@ -226,9 +226,9 @@ class Tiles:
         return np.full((self.tiling.length(tile), *self._components(name)), MISSING[dtype], dtype)
 
     def contents(self, partial: bool = False) -> BasinParts:
-        """The basin in the store; its columns are read from disk when they are used.
+        """Return the basin in the store; its columns are read from disk when they are used.
 
-        With `partial` it is what is finished now, however far the sweep is when they are used.
+        With `partial` it contains only the tiles that are finished now.
         """
         header = self.header
         finished = frozenset(self.tiling.others(self.unfinished())) if partial else None
@@ -238,7 +238,7 @@ class Tiles:
         return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
 
     def damaged(self, tiles: Iterable[int]) -> dict[int, str]:
-        """What is wrong with those of the finished tiles that are damaged, by their numbers."""
+        """Return descriptions of the damage of finished tiles, by number of the tile."""
         reasons = {}
         for tile in tiles:
             try:
@@ -249,22 +249,22 @@ class Tiles:
         return reasons
 
     def refuse_damaged(self, damaged: dict[int, str], way_out: str = "") -> None:
-        """Raise what is wrong with them, if there are any."""
+        """Raise `StoreDamaged` if there are damaged tiles."""
         if damaged:
             reason = next(iter(damaged.values())) + way_out
             raise StoreDamaged(self.folder, tuple(damaged), reason)
 
 
 def open_store(path: Any) -> Tiles:
-    """The store at a path, to be read."""
+    """Open the store at a path for reading."""
     return open_tiles("path", absolute_path("path", path))
 
 
 def open_tiles(argument: str, folder: Path) -> Tiles:
-    """The store in a folder.
+    """Open the store in a folder.
 
     Raises:
-        StoreMismatch: there is none.
+        StoreMismatch: there is no store.
         StoreDamaged: its metadata are damaged.
     """
     must = "be a folder with a basin"
