@@ -28,6 +28,7 @@ STARTS = jnp.asarray(RNG.normal(size=(3, N)) * 0.3)
 
 SHORT = JaxEngine(diffrax.Tsit5())  # its programs take a third of the time to compile
 both = pytest.mark.parametrize("engine", [SHORT, NativeEngine()], ids=lambda e: e.name)
+JAX_SLOW = [pytest.param(SHORT, marks=pytest.mark.slow), NativeEngine()]
 
 
 def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
@@ -185,7 +186,7 @@ class Own(eqx.Module):
         )
 
 
-@both
+@pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda engine: engine.name)
 def test_a_users_own_equation(engine):
     """Three methods and a three-valued verdict are all that the engine asks for.
 
@@ -220,11 +221,7 @@ class Swing(Own):
         return jnp.stack([self.rate * jnp.cos(t) * y[0], self.rate * jnp.cos(t) * y[1]])
 
 
-@pytest.mark.parametrize(
-    "engine",
-    [pytest.param(SHORT, marks=pytest.mark.slow), NativeEngine()],
-    ids=lambda engine: engine.name,
-)
+@pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda engine: engine.name)
 def test_a_right_hand_side_that_depends_on_time(engine):
     """Other methods are tried in `test_every_explicit_method_has_its_order`."""
     rates, starts = jnp.linspace(0.1, 1.0, 128), jnp.ones((2, 128))
