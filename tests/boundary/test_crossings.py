@@ -38,7 +38,7 @@ def test_bisection_ends_at_rounding_and_at_the_universal_boundary():
 
 def test_what_is_undecided_is_left_between():
     rough = boundary.bisect(
-        lambda z: slow(DELTA, z, 0.0, 1e-3), {"z": 4.0}, {"z": 4.5}, max_steps=60
+        lambda z: slow(DELTA, z, 0.0, 1e-3), {"z": 4.0}, {"z": 4.5}, max_steps=60, slow_flow=False
     )
     assert 1e-6 < rough.width[0] < 0.1
     exact = across().after["z"][0]

@@ -44,6 +44,7 @@ def test_a_share_is_not_known_of_segments_where_nothing_is():
     assert np.isnan([found.share, found.slopes["delta"]]).all()
 
 
+@pytest.mark.slow
 def test_what_is_not_known_beside_a_boundary_does_not_hide_it():
     """A hole next to the boundary, and one at the beginning, change nothing."""
     known = {"phi": 0.0}, {"phi": 0.464}

@@ -17,6 +17,7 @@ def reduced(w3, phi, delta=-0.2):
 GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 10), phi=np.linspace(0.0, 3.0, 26))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseSemi])
 def test_labels_equal_classify_point_by_point(level):
     def problem(w3, phi):

@@ -161,6 +161,7 @@ def test_no_value_is_paid_for_that_is_not_counted():
     assert dt.tally(of_sample, SAMPLE, histograms={"omega_inf": EDGES}).attrs["value"] is True
 
 
+@pytest.mark.slow
 def test_derivatives_are_counted():
     def by_delta(delta, omega0):
         return dt.TransverseReduced(delta), omega0

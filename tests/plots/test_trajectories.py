@@ -11,17 +11,30 @@ from made_basins import legend
 import dipoletop as dt
 from dipoletop import plots
 
+START = dt.cylindrical(0.2, 0.2, np.pi / 30)
+N = 41  # times of every run, whose programs are compiled for so many
+
+
+@pytest.fixture(scope="module")
+def residual():
+    ts = np.concatenate([[0.0], np.geomspace(0.5, 3e3, N - 1)])
+    return dt.simulate(dt.TransverseReduced(-0.2), START, ts)
+
+
+@pytest.fixture
+def averaged(residual):
+    """As if the states were those of an equation without a verdict."""
+    return replace(residual, equation=dt.TransverseAveraged(-0.2))
+
 
 def curves(ax):
     return {line.get_label(): line for line in ax.lines}
 
 
-def test_a_trajectory_that_keeps_a_residual_rotation():
-    ts = np.concatenate([[0.0], np.geomspace(0.5, 3e3, 60)])
-    run = dt.simulate(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, np.pi / 30), ts)
-    ax = plots.trajectory(run)
+def test_a_trajectory_that_keeps_a_residual_rotation(residual):
+    ax = plots.trajectory(residual)
     drawn = curves(ax)
-    omega = np.asarray(run.omega)
+    ts, omega = np.asarray(residual.ts), np.asarray(residual.omega)
     times = drawn[r"$|\omega|$"].get_xdata()
     own = np.searchsorted(times, ts)
     np.testing.assert_array_equal(times[own], ts)
@@ -37,7 +50,7 @@ def test_a_trajectory_that_keeps_a_residual_rotation():
 
 
 def test_a_trajectory_that_stops_has_its_power_law():
-    ts = np.geomspace(1.0, 1e4, 40)
+    ts = np.geomspace(1.0, 1e4, N)
     run = dt.simulate(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, np.pi / 3), ts)
     _, given = plt.subplots()
     ax = plots.trajectory(run, ax=given)
@@ -49,27 +62,21 @@ def test_a_trajectory_that_stops_has_its_power_law():
     assert ax.get_xscale() == "log"
 
 
-def test_a_level_without_a_verdict_has_no_asymptote():
-    ts = np.array([0.0, 1.0, 2.0])
-    run = dt.simulate(dt.TransverseAveraged(-0.2), dt.cylindrical(0.2, 0.2, 1.0), ts)
-    ax = plots.trajectory(run)
+def test_a_level_without_a_verdict_has_no_asymptote(averaged):
+    ax = plots.trajectory(averaged)
     assert legend(ax) == [r"$|\omega|$", r"$\omega_1$", r"$\omega_2$", r"$\omega_3$"]
 
 
-def test_a_batch_of_trajectories_is_refused():
-    run = dt.simulate(dt.TransverseAveraged(-0.2), dt.cylindrical(0.2, 0.2, 1.0), [0.0, 1.0, 2.0])
-    batch = replace(run, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
+def test_a_batch_of_trajectories_is_refused(averaged):
+    batch = replace(averaged, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
     with pytest.raises(ValueError, match="must describe one top, but has times of shape"):
         plots.trajectory(batch)
-
-
-START = dt.cylindrical(0.2, 0.2, np.pi / 30)
 
 
 @pytest.mark.parametrize("dense", [False, True])
 def test_sparse_times_make_smooth_curves(dense):
     """Between its times a curve is what a run with more times gives."""
-    ts = np.linspace(0.0, 200.0, 41)
+    ts = np.linspace(0.0, 200.0, N)
     run = dt.simulate(dt.TransverseSemi(-0.2), START, ts, dense=dense)
     curve = curves(plots.trajectory(run))[r"$\omega_2$"]
     times = curve.get_xdata()
@@ -80,15 +87,15 @@ def test_sparse_times_make_smooth_curves(dense):
 
 
 def test_times_too_far_apart_are_joined_by_straight_lines():
-    ts = np.linspace(0.0, 3000.0, 12)  # some 100 radians from one to the next
+    ts = np.linspace(0.0, 10_900.0, N)  # some 100 radians from one to the next
     run = dt.simulate(dt.TransverseSemi(-0.9), dt.cylindrical(0.05, 0.2, 1.0), ts)
     ax = plots.trajectory(run)
-    assert len(curves(ax)[r"$\omega_2$"].get_xdata()) == 12
+    assert len(curves(ax)[r"$\omega_2$"].get_xdata()) == N
     assert any(line.get_marker() == "." for line in ax.lines)
 
 
 def test_several_runs_have_their_labels_and_dashes():
-    ts = np.linspace(0.0, 100.0, 101)
+    ts = np.linspace(0.0, 100.0, N)
     runs = {
         name: dt.simulate(dt.equation_at(level, -0.2), START, ts)
         for name, level in (("paper", "order-1"), ("consistent", "semi"))
@@ -107,8 +114,6 @@ def test_several_runs_have_their_labels_and_dashes():
         (None, {"curves": ["w4"]}, "`curves` must be among size, w1, w2, w3"),
     ],
 )
-def test_refusals(runs, options, message):
-    if runs is None:
-        runs = dt.simulate(dt.TransverseAveraged(-0.2), START, [0.0, 1.0])
+def test_refusals(averaged, runs, options, message):
     with pytest.raises(ValueError, match=message):
-        plots.trajectory(runs, **options)
+        plots.trajectory(averaged if runs is None else runs, **options)
