@@ -128,6 +128,7 @@ def test_maps_agree_with_the_borders():
     assert "64 bodies with the dipole on axis 1; RESIDUAL 0.9" in repr(first)
 
 
+@pytest.mark.slow
 def test_a_map_over_dipoles_stops_everywhere():
     grain = dt.Particle.cuboid([1e-7, 6e-8, 4e-8], [0, 0, 8e-27], density=2000)
     found = dt.atlas(body=grain, n=4)

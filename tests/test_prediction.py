@@ -57,6 +57,7 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     assert np.all(off < float(averaged.error))
 
 
+@pytest.mark.slow
 def test_the_end_does_not_depend_on_the_amplitude():
     ends = [dt.predict(ON_3, scale * STARTS[0]) for scale in (1e-6, 1e-25)]
     assert float(ends[0].ratio) == _approx(ends[1].ratio, rel=1e-13)

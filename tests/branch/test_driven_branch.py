@@ -57,6 +57,7 @@ def test_where_a_runaway_may_pass_for_the_branch_nothing_is_found(gamma):
     assert not np.isfinite(found[-1])
 
 
+@pytest.mark.slow
 def test_a_torque_that_drives_to_a_steady_rotation():
     """The bounded motion from rest to ω² = γ, against an integration back from its end."""
     gamma = 0.2

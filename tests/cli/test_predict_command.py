@@ -31,6 +31,7 @@ def half_time(square):
     return UNIT * h**2 * np.log1p(square) / (2 * square)
 
 
+@pytest.mark.slow
 def test_a_fibre_with_a_given_start(tmp_path):
     start = ["--momentum", "1,2,3", "--spin", "1GHz"]
     text = said("predict", "--particle", "cellulose", *start, "--output", f"{tmp_path}/s.svg")

@@ -18,6 +18,7 @@ from dipoletop._runs.classification import Classification, classification_of
 from dipoletop.equations.tangent import Tangent
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
+MOST_PROGRAMS = 260  # results are made by hand in arrays of JAX
 
 
 ORDER_ONE = dt.TransverseReduced(0.1)

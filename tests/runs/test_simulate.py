@@ -159,6 +159,7 @@ def test_bad_input_is_refused_in_one_sentence(call, message):
         call()
 
 
+@pytest.mark.slow
 def test_failure_raises_unless_told_otherwise():
     start, times = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e3])
     sentence = r"^The run ended before the last of `ts`: `max_steps` = 5 steps did not suffice\.$"

@@ -83,6 +83,7 @@ def test_the_estimate_of_steps_is_near_the_number(resolved):
     assert 0.5 < np.median(factor) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [1e-8, 1e-25])
 def test_the_cost_does_not_depend_on_the_amplitude(amplitude, predicted):
     found = dt.classify_many(dt.Reduced(BODIES), starts(amplitude), value="unchecked")

@@ -146,6 +146,7 @@ def test_a_plain_function_is_an_equation():
         dt.simulate(damped, [1.0, 2.0, 3.0], [0.0, 2.0], balance=True)
 
 
+@pytest.mark.slow
 def test_a_plain_function_is_differentiated():
     def end(rate):
         return dt.simulate(lambda t, w, args: -rate * w, [1.0, 0.0, 0.0], [0.0, 2.0]).omega[-1, 0]

@@ -76,11 +76,15 @@ class CompiledPrograms:
     def __call__(self, function: Callable[[Any], list[Any]], arguments: Any) -> list[Any]:
         """Return the function's value at these arguments, a list of arrays."""
         leaves, structure = jax.tree.flatten(arguments)
+
+        def flat(*leaves: Any) -> list[Any]:
+            return function(jax.tree.unflatten(structure, leaves))
+
         key = structure, tuple((x.shape, x.dtype) for x in leaves)
         with _lock:
             if key not in self._own:
-                self._own[key] = _compiled(jax.jit(function).lower(arguments))
-        return self._own[key](arguments)
+                self._own[key] = _compiled(jax.jit(flat).lower(*leaves))
+        return self._own[key](*leaves)
 
 
 def _compiled(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
