@@ -15,6 +15,18 @@ def test_sample_depends_on_seed_and_number_only():
     )
 
 
+def test_starts_beyond_32_bits_are_new_ones():
+    """Those before are what they always were."""
+    large, small = dt.Sample(n=10**12, seed=3), dt.Sample(n=10, seed=3)
+    first = np.asarray(large.points(np.arange(10)))
+    np.testing.assert_array_equal(first, small.points(np.arange(10)))
+    numbers = [0, 3, *(k * 2**32 + n for k in (1, 2, 200) for n in (0, 3)), 10**12 - 2, 10**12 - 1]
+    mixed = np.asarray(large.points(np.array(numbers)))
+    np.testing.assert_array_equal(mixed[:2], first[[0, 3]])
+    assert len(np.unique(mixed[:, 0])) == len(mixed)
+    np.testing.assert_allclose(np.linalg.norm(mixed, axis=1), 1.0)
+
+
 def test_isotropic_starts_are_isotropic():
     w = np.asarray(dt.Sample(n=20_000, amplitude=0.2, seed=0).points(np.arange(20_000)))
     assert np.allclose(np.linalg.norm(w, axis=1), 0.2, rtol=1e-14)
