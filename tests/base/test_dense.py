@@ -32,7 +32,7 @@ def test_agrees_with_numpy_in_every_batch(batched, twice):
     if not twice:
         single = [x[0] for x in single]
     many = jax.vmap(solve_dense, in_axes=batched)
-    result = (jax.vmap(many) if twice else many)(*map(jnp.asarray, single))
+    result = jax.jit(jax.vmap(many) if twice else many)(*single)
     whole = [x if b == 0 else x[..., None, :, :] for x, b in zip(single, batched, strict=True)]
     np.testing.assert_allclose(result, np.linalg.solve(*whole), rtol=1e-12, atol=1e-13)
 
@@ -45,7 +45,7 @@ def test_differentiates_twice_in_a_batch():
         first = jax.jacfwd(moved)
         return first(0.0, matrix, side), jax.jacfwd(first)(0.0, matrix, side)
 
-    first, second = jax.vmap(both)(jnp.asarray(MATRICES[0]), jnp.asarray(SIDES[0]))
+    first, second = jax.jit(jax.vmap(both))(MATRICES[0], SIDES[0])
     inverse = np.linalg.inv(MATRICES[0])
     slope = -inverse @ inverse @ SIDES[0]  # d/dt (M + t)⁻¹ = −(M + t)⁻²
     np.testing.assert_allclose(first, slope, rtol=1e-11, atol=1e-12)

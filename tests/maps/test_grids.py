@@ -1,5 +1,6 @@
 """Grids, points and samples."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,6 +14,17 @@ def test_sample_depends_on_seed_and_number_only():
     assert not np.array_equal(
         long.points(np.arange(10)), dt.Sample(n=10, seed=4).points(np.arange(10))
     )
+
+
+def test_starts_beyond_32_bits_are_new_ones():
+    """Those before are what they always were."""
+    large, small = dt.Sample(n=10**12, seed=3), dt.Sample(n=10, seed=3)
+    first = np.asarray(large.points(np.arange(4)))
+    np.testing.assert_array_equal(first, small.points(np.arange(4)))
+    mixed = np.asarray(large.points(np.array([0, 3, 2**32, 2**32 + 3, 2 * 2**32, 10**12 - 1])))
+    np.testing.assert_array_equal(mixed[:2], first[[0, 3]])
+    assert len(np.unique(mixed[:, 0])) == len(mixed)
+    assert jnp.allclose(jnp.linalg.norm(mixed, axis=1), 1.0)
 
 
 def test_isotropic_starts_are_isotropic():

@@ -32,6 +32,7 @@ def test_unfolded_cell_equals_a_sweep_of_the_whole_plane():
     assert unfolded.level == plane.level
 
 
+@pytest.mark.slow
 def test_unfolded_derivatives_are_those_of_a_sweep_of_the_whole_plane():
     names = ("delta", "phi", "w3")
     cell = dt.Grid(phi=np.arange(4) * np.pi / 4, delta=[-0.2], w3=[0.1, 0.2])

@@ -59,7 +59,13 @@ def test_tiles_that_share_a_queue_are_stored_as_ever(tmp_path, monkeypatch, engi
     "victim",
     ["omega_inf/c/1/0", f"{RECORDS}/c/0/0", "phi/c/0", "time/zarr.json", "zarr.json", HEADER],
 )
-@pytest.mark.parametrize("harm", [lambda file: file.unlink(), lambda file: flip(file, 200)])
+@pytest.mark.parametrize(
+    "harm",
+    [
+        pytest.param(lambda file: file.unlink(), marks=pytest.mark.slow),
+        lambda file: flip(file, 200),
+    ],
+)
 def test_a_sweep_finds_damage_and_repairs_it_to_the_same_bytes(good, copy, victim, harm):
     harm(copy / victim)
     lacking = victim.startswith(RECORDS) and not (copy / victim).exists()
