@@ -36,7 +36,7 @@ from .bodies import Body
 from .equations._common import is_full
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.torque_driven import DrivenEquation
-from .equations.transverse import TransverseAveraged
+from .equations.transverse_approximations import TransverseAveraged
 
 ITERATIONS = 128  # of S ← −(D − S)⁻¹C: enough while |slow| ≤ 0.8 |fast|, up to ω ≈ 50
 

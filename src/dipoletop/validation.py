@@ -21,8 +21,9 @@ from ._maps.grids import Sample
 from ._runs.classify import classify
 from ._runs.classify_many import classify_many
 from ._runs.simulate import simulate
+from .equations.coordinates import cylindrical
 from .equations.rigid import Reduced, SemiReduced
-from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from .equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 
 Values = ArrayLike | Sequence[float]
 

@@ -26,29 +26,10 @@ from ._common import (
     transverse_omega_scale,
 )
 from ._verdicts import transverse as regions
-from .coordinates import cylindrical
 from .levels import Level
-from .transverse_approximations import (
-    TransverseAveraged,
-    TransverseCylindrical,
-    TransverseLinearised,
-)
 
 FullState = Float[Array, "5 *lanes"]
 """(ω₁, ω₂, ω₃, ω₂′, ω₃′)."""
-
-# `cylindrical` moved to `coordinates`, the approximations to `transverse_approximations`; for one
-# release they can be imported from here, too.
-__all__ = [
-    "TransverseAveraged",
-    "TransverseCylindrical",
-    "TransverseFull",
-    "TransverseLinearised",
-    "TransverseReduced",
-    "TransverseSemi",
-    "cylindrical",
-    "equation_at",
-]
 
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:

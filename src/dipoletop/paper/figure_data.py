@@ -16,8 +16,9 @@ from .._maps.grids import Grid
 from .._maps.sweep import sweep
 from .._runs.simulate import simulate
 from .._runs.trajectory import Trajectory
+from ..equations.coordinates import cylindrical
 from ..equations.levels import Level
-from ..equations.transverse import cylindrical, equation_at
+from ..equations.transverse import equation_at
 from ..plots.map_layout import CLASSES
 from ..stability import spectrum
 

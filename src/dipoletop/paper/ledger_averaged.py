@@ -9,7 +9,8 @@ import numpy as np
 from scipy.integrate import quad, solve_ivp
 
 from .. import exact
-from ..equations.transverse import TransverseAveraged, cylindrical
+from ..equations.coordinates import cylindrical
+from ..equations.transverse_approximations import TransverseAveraged
 from .ledger_entry import Entry, gap, shapes, unsolved
 
 ORBITS = {-0.8: (1.2, 0.5, -0.4, 1.0), -0.3: (0.5, 0.6, -0.2, 3.0), 0.4: (0.5, 0.6, -0.2, 3.0)}

@@ -13,8 +13,9 @@ from .._runs.classify import classify
 from .._runs.classify_many import classify_many
 from .._runs.simulate import simulate
 from ..bodies import Body
+from ..equations.coordinates import cylindrical
 from ..equations.rigid import Reduced
-from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi, cylindrical
+from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
 from ..stability import equilibria, spectrum
 from ..validation import RESIDUAL_ROTATION, figure_2
 from .ledger_entry import Entry, gap, share

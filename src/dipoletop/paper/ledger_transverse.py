@@ -11,13 +11,11 @@ from .. import exact
 from .._branch.slow_manifold import slow_manifold
 from ..bodies import axisymmetric
 from ..equations.rigid import Full, Reduced
-from ..equations.transverse import (
+from ..equations.transverse import TransverseFull, TransverseReduced, TransverseSemi
+from ..equations.transverse_approximations import (
     TransverseAveraged,
     TransverseCylindrical,
-    TransverseFull,
     TransverseLinearised,
-    TransverseReduced,
-    TransverseSemi,
 )
 from ..stability import spectrum, threshold
 from .ledger_entry import LANES, Entry, gap, shapes, share, states, unsolved
