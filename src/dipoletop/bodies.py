@@ -24,6 +24,7 @@ from ._base.checks import (
     refuse,
     where_valid,
 )
+from ._base.linalg import diagonal
 
 Inertia = Float[Array, "*batch 3 3"] | Float[np.ndarray, "*batch 3 3"]
 AXES = {"transverse": (1.0, 0.0, 0.0), "longitudinal": (0.0, 0.0, 1.0)}
@@ -290,13 +291,6 @@ def _positive_numbers(**values: Any) -> list[Any]:
     return _same_batch(
         **{name: (on_host(positive(name, value)), 0) for name, value in values.items()}
     )
-
-
-def diagonal(*moments: Any) -> Inertia:
-    """Return the inertia tensor whose principal axes are the body axes."""
-    xp, zero = namespace(*moments), 0 * moments[0]
-    rows = [[moment if i == j else zero for j in range(3)] for i, moment in enumerate(moments)]
-    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _same_batch(**fields: tuple[Any, int]) -> list[Any]:

@@ -6,10 +6,12 @@ library calls on 3×3 matrices.
 """
 
 import functools
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .checks import namespace
 from .types import Matrix, Real, Vector
 
 
@@ -65,3 +67,13 @@ def inverse(m: Matrix) -> Matrix:
     """Return the inverse of m."""
     rows = jnp.stack([cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])])
     return jnp.swapaxes(rows, 0, 1) / dot(m[0], rows[0])[None, None]
+
+
+def diagonal(*entries: Any) -> Any:
+    """Return the diagonal matrix of these entries, its two axes behind any others.
+
+    It is an array of NumPy if the entries are.
+    """
+    xp, zero = namespace(*entries), 0 * entries[0]
+    rows = [[entry if i == j else zero for j in range(3)] for i, entry in enumerate(entries)]
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)

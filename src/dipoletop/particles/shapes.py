@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from .. import bodies
 from .._base.checks import namespace, refuse
+from .._base.linalg import diagonal
 from .units import positive_si
 
 _ANY_DIPOLE = (1.0, 0.0, 0.0)
@@ -33,7 +34,7 @@ def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
     semi_axes = positive_si("semi_axes", semi_axes, (3,))
     mass = _mass(4 * math.pi / 3 * semi_axes.prod(), mass, density)
     a, b, c = mass * semi_axes**2 / 5
-    return Solid(mass, bodies.diagonal(b + c, c + a, a + b), semi_axes.max())
+    return Solid(mass, diagonal(b + c, c + a, a + b), semi_axes.max())
 
 
 def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
