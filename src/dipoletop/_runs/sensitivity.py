@@ -172,6 +172,7 @@ def _with_gradient(runs: _Runs) -> Callable[..., Float[Array, ""]]:
 
     def rule(primals: Any, tangents: Any) -> Any:
         (leaves, tolerances), (changes, _) = primals, tangents
+        leaves = [jnp.asarray(leaf) for leaf in leaves]  # some are literal numbers
         fixed = [isinstance(change, SymbolicZero) for change in changes]
         varies = [not still for still in fixed[:-1]] + [True]
         along = [

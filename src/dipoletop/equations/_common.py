@@ -7,6 +7,7 @@ reads it and supplies the default.
 import dataclasses
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
@@ -76,7 +77,8 @@ def follows_attitude(equation: Any) -> bool:
 
 def is_full(equation: Any) -> bool:
     """Return whether an equation has runaways, so that its physical branch has to be followed."""
-    return getattr(equation, "runaway_rate", None) is not None
+    # Traced, not computed: leaves may be shapes that stand for arrays.
+    return eqx.filter_eval_shape(getattr, equation, "runaway_rate", None) is not None
 
 
 def elements_of(equation: Any) -> int:
