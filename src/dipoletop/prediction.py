@@ -27,14 +27,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
 from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_forecast
 from ._averaging.histories import Values, best_history
 from ._averaging.principal_axes import free_rotation
-from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
+from ._base.checks import (
+    ArrayLike,
+    concrete,
+    described,
+    finite,
+    namespace,
+    on_device,
+    on_host,
+    refuse,
+    where_valid,
+)
+from ._base.compiling import compiled_soon
 from ._base.summaries import duration, with_error
 from ._base.types import Outcome, Real, Regime
 from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
@@ -221,15 +232,16 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     if omega.dtype != jnp.float64:
         hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
         refuse("omega0", "be float64", f"is {omega.dtype} ({hint})")
-    omega = where_valid("omega0", omega, jnp.any(omega != 0), "not be zero")
+    omega = where_valid("omega0", omega, (on_host(omega) != 0).any(), "not be zero")
     strength = RADIATION if isinstance(body, Particle) else 1.0
-    coupling = jnp.asarray(strength, omega.dtype)
-    variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
+    coupling = on_device(np.asarray(strength, omega.dtype))
+    parts = [on_host(array).ravel() for array in (body.inertia, body.dipole, omega)]
+    variables = on_device(namespace(*parts).concatenate(parts))
     if concrete(variables):
         _check_rim(body, omega)
     averages = _averages(body.inertia, body.dipole)
     numbers = averages.forecast(variables, coupling)
-    if concrete(variables) and numbers.error > HANDOVER:
+    if concrete(variables) and float(numbers.error) > HANDOVER:
         numbers = resolved_forecast(variables, coupling, averages, numbers.ratio) or numbers
         _check_error(float(numbers.error))
     return Prediction(*numbers, variables=variables, strength=strength)
@@ -275,4 +287,9 @@ def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool 
     if not concrete(inertia, dipole):
         return None
     with jax.ensure_compile_time_eval():  # under `jit`, too
-        return bool(free_rotation(inertia, dipole, jnp.zeros(3)).is_needle)
+        return bool(_moves_as_a_needle(inertia, dipole))
+
+
+@compiled_soon
+def _moves_as_a_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Bool[Array, ""]:
+    return free_rotation(inertia, dipole, jnp.zeros_like(dipole)).is_needle

@@ -111,6 +111,18 @@ class Stage(eqx.Module):
         return Piece(y, State(*state))
 
 
+class FromFirstStep(diffrax.PIDController):
+    """The usual controller, which begins with `FIRST_STEP`.
+
+    A first step among the arguments of `diffeqsolve` is checked by a callback to Python, and JAX
+    does not keep a program with a callback in its cache on disk.
+    """
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order: Any):
+        """Return the first step and the initial state of the controller (diffrax's interface)."""
+        return super().init(terms, t0, t1, y0, FIRST_STEP, args, func, error_order)
+
+
 def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
     """Compute the motion from z = logit x to the end of its interval; its start if it rests."""
     interval = interval_of(side, z)
@@ -130,9 +142,9 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         diffrax.Dopri8(),
         start,
         jnp.where(moves, end, start),
-        jnp.where(end > start, FIRST_STEP, -FIRST_STEP),
+        None,
         jnp.stack(initial),
-        stepsize_controller=diffrax.PIDController(RTOL, RTOL),
+        stepsize_controller=FromFirstStep(RTOL, RTOL),
         saveat=diffrax.SaveAt(t0=True, steps=True),
         adjoint=diffrax.ForwardMode(),
         max_steps=MAX_STEPS,
