@@ -22,17 +22,17 @@ metadata.version = version
 """
 OTHER_PROGRAMS = """
 import importlib.metadata
-from dipoletop._maps import cluster_workers, problems
-cluster_workers.versions_here = lambda here=cluster_workers.versions_here(): (
+from dipoletop._maps import cluster, problems
+cluster.versions_here = lambda here=cluster.versions_here(): (
     {**here, "dipoletop": "0.0.1"}
 )
 problems.BlockBuilder.program_digests = lambda blocks: {"problem": bytes(32)}
 """
 OTHER_PYTHON = """
 from types import SimpleNamespace
-from dipoletop._maps import cluster_workers
-cluster_workers.sys = SimpleNamespace(version_info=(3, 99, 0))
-cluster_workers.platform = SimpleNamespace(python_version=lambda: "3.99.0", node=lambda: "n1")
+from dipoletop._maps import cluster
+cluster.sys = SimpleNamespace(version_info=(3, 99, 0))
+cluster.platform = SimpleNamespace(python_version=lambda: "3.99.0", node=lambda: "n1")
 """
 OTHER_FOLDERS = """
 from pathlib import Path

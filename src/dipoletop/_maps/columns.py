@@ -60,8 +60,6 @@ MISSING: dict[str, Any] = {
 DERIVATIVE_PREFIX = "d_omega_inf_d_"
 """A column of derivatives has this prefix and the name of the axis."""
 
-CONVENTIONS = "CF-1.11"
-"""The conventions for names of attributes."""
 
 VERSION = "version_"
 """The prefix of attributes with versions."""
@@ -131,7 +129,8 @@ def component_dims(name: str, count: int) -> tuple[str, ...]:
 
 def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes in a form that every data format can hold; booleans become text."""
-    return {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
+    plain = {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
+    return {"Conventions": "CF-1.11"} | plain
 
 
 def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:

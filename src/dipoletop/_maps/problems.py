@@ -192,21 +192,16 @@ def first_lanes(block: StartBlock, length: int) -> Any:  # a `StartBlock` of ano
     """Return the equations and starts of the first `length` points."""
     if block[1].shape[1] == length:
         return block
-    arrays, rest = eqx.partition(block, _is_array)
-    return eqx.combine(jax.tree.map(lambda x: x[..., :length], arrays), rest)
+    return jax.tree.map(lambda x: x[..., :length] if eqx.is_array(x) else x, block)
 
 
 def joined(blocks: Sequence[Any]) -> Any:  # of several lengths
     """Return one block with the lanes of several blocks."""
     if len(blocks) == 1:
         return blocks[0]
-    arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
+    arrays, rest = zip(*(eqx.partition(block, eqx.is_array) for block in blocks), strict=True)
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *arrays)
     return eqx.combine(together, rest[0])
-
-
-def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 def block_digest(block: StartBlock) -> bytes:

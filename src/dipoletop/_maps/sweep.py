@@ -2,19 +2,21 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
 from jaxtyping import ArrayLike
 
-from .._base.tolerances import MAX_STEPS
+from .._base.tolerances import MAX_STEPS, tolerance
 from .._runs.classification import Value
 from .._runs.slow_runs import SlowFlow
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .sweep_plan import Settings, plan_of
+from .sweep_plan import Plan, Settings, plan_of
 from .sweep_stores import ColumnsInMemory, MemoryStore, Store, ZarrStore
+from .tiling import Tiling
 from .unfinished_tiles import finish
 
 
@@ -113,3 +115,44 @@ def sweep(
         columns = place = ZarrStore(store, plan, repair)
     finish(plan, place, progress, client)
     return Basin(*columns.contents(), seconds=time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class PreparedSweep:
+    """A sweep whose preparation, independent of the values on the axes, is done once; see `sweep`.
+
+    Tracing the problem and choosing an engine take longer than running some ten thousand starts. So
+    does a division into tiles, whose Python code runs in one thread at a time. An engine with its
+    own threads therefore gets all starts at once.
+
+    Attributes:
+        plan: the plan of a sweep over any grid with the same axes.
+    """
+
+    plan: Plan
+
+    @classmethod
+    def of(cls, problem: Problem, grid: Grid, **settings: Any) -> "PreparedSweep":
+        """Prepare a sweep with `settings`, the fields of `Settings`, after checking them.
+
+        Raises:
+            ValueError: bad arguments.
+        """
+        plan = plan_of(problem, grid, Settings(**settings))
+        if not all(engine.has_own_threads for engine in plan.engines.values()):
+            return cls(plan)
+        threads = len(plan.devices)
+        return cls(replace(plan, devices=plan.devices[:1], cut=Tiling.whole, threads=threads))
+
+    def __call__(self, grid: Grid, rtol: float) -> Basin:
+        """Return the basin over a grid with these axes, as from `sweep`.
+
+        Raises:
+            ValueError: a bad tolerance, or values that the problem refuses.
+        """
+        began = time.perf_counter()
+        blocks = replace(self.plan.blocks, over=grid)
+        plan = replace(self.plan, blocks=blocks, rtols=[tolerance("rtol", rtol)])
+        columns = ColumnsInMemory(plan)
+        finish(plan, MemoryStore(plan, columns.add), False)
+        return Basin(*columns.contents(), seconds=time.perf_counter() - began)

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,38 +15,6 @@ from .store.tiles import Tiles
 from .sweep_plan import ComputedTile, Plan
 
 
-@runtime_checkable
-class Store(Protocol):
-    """The interface that a sweep needs from the store of its columns."""
-
-    patience: ClassVar[float]
-    """Seconds for which an interrupted sweep waits for the tiles in progress, to keep them."""
-
-    def unfinished(self) -> list[int]:
-        """Return the tiles to compute."""
-        ...
-
-    def claim(self, tile: int) -> bool:
-        """Return whether this process is to compute a tile."""
-        ...
-
-    def is_finished(self, tile: int) -> bool:
-        """Return whether a tile is in place."""
-        ...
-
-    def write(self, computed: ComputedTile) -> None:
-        """Put a claimed tile in its place."""
-        ...
-
-    def reopen(self) -> None:
-        """Claim tiles again after `close`."""
-        ...
-
-    def close(self) -> None:
-        """Claim no more tiles."""
-        ...
-
-
 class MemoryStore:
     """A store in memory; an interruption loses the tiles in progress.
 
@@ -56,6 +24,7 @@ class MemoryStore:
     """
 
     patience: ClassVar[float] = 0.0
+    """Seconds for which an interrupted sweep waits for the tiles in progress, to keep them."""
 
     def __init__(self, plan: Plan, keep: Callable[[ComputedTile], None]) -> None:
         self._count, self._keep = plan.tiling.count, keep
@@ -77,9 +46,6 @@ class MemoryStore:
         """Keep the columns of a tile."""
         self._keep(computed)
         self._finished.add(computed.tile)
-
-    def reopen(self) -> None:
-        """Do nothing."""
 
     def close(self) -> None:
         """Do nothing."""
@@ -206,3 +172,7 @@ class ZarrStore:
     def contents(self) -> BasinParts:
         """Return the finished basin, whose columns are read from disk when they are used."""
         return self._tiles.contents()
+
+
+Store = MemoryStore | ZarrStore
+"""A store in which a sweep claims, computes and writes its tiles."""

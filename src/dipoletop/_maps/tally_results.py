@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from .._base.checks import flag, refuse
 from .._base.statistics import wilson
 from .._base.types import Outcome
-from .columns import CONVENTIONS, column_spec, coordinate_dims, labels, plain_attributes
+from .columns import column_spec, coordinate_dims, labels, plain_attributes
 from .grids import counted, described_axis
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
@@ -166,8 +166,7 @@ class Tally:
             values = self.coords[name]
             dims = coordinate_dims(name, self.dims, values.ndim)
             coords[name] = (dims, values, labels(name))
-        attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
-        return xarray.Dataset(variables, coords, attrs)
+        return xarray.Dataset(variables, coords, plain_attributes(self.attrs))
 
     def __eq__(self, other: object) -> bool:
         """Return whether cells, bins and all counts are the same."""
@@ -200,14 +199,9 @@ class Tally:
         if "tally" not in tiles.header:
             must, reason = "be a tally", f"{tiles.folder} is not one (`Basin.load` reads a basin)"
             raise StoreMismatch("path", tiles.folder, must, reason)
-        left = tiles.unfinished()
-        if left and not flag("unfinished", unfinished):
-            reason = (
-                f"{tiles.folder} is missing {len(left)} of {tiles.tiling.count} tiles; "
-                "run the tally again with this store"
-            )
-            raise StoreMismatch("path", tiles.folder, "hold a finished tally", reason)
-        return tally_on_disk(tiles, tiles.tiling.others(left))
+        if not flag("unfinished", unfinished):
+            tiles.refuse_unfinished("tally")
+        return tally_on_disk(tiles, tiles.finished())
 
     @property
     def merged(self) -> "Tally":

@@ -11,10 +11,12 @@ import numpy as np
 from jaxtyping import Int
 
 from .._base.parallel import Device, ParallelJobs
+from .._base.statistics import share_of
+from .._base.types import Outcome
 from .cluster import on_cluster
-from .outcome_shares import RunningShares
+from .grids import Sample
 from .sweep_plan import Plan
-from .sweep_stores import Store
+from .sweep_stores import Store, ZarrStore
 
 POLL = 0.2  # seconds between checks for tiles that other processes have finished
 
@@ -30,8 +32,8 @@ def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = 
         else:
             once = on_cluster(client, plan, store)
         _compute(plan, store, once, progress)
-        if client is not None:  # closing removes the files that killed workers left
-            store.reopen()
+        if isinstance(store, ZarrStore) and client is not None:
+            store.reopen()  # closing removes the files that killed workers left
 
 
 def _compute(
@@ -54,16 +56,29 @@ def _compute(
         disable=None if progress is None else not progress,
         file=sys.stderr,
     ) as bar:
-        waiting, shares = set(tiles), RunningShares(plan.is_sample)
+        waiting, totals = set(tiles), np.zeros(len(Outcome), int)
         while waiting:
             for tile, counts in once(sorted(waiting)):
                 if counts is not None:
-                    shares.add(counts)
-                    bar.set_postfix_str(shares.text(), refresh=False)
+                    totals += counts
+                    bar.set_postfix_str(_shares(plan, totals), refresh=False)
                 bar.update(plan.tiling.length(tile))
                 waiting.discard(tile)
             if waiting:
                 time.sleep(POLL)
+
+
+def _shares(plan: Plan, totals: Int[np.ndarray, "outcomes"]) -> str:
+    """Return such as "residual 46.6%, stop 53.4%", with 95 % intervals for random starts."""
+    counts, parts = dict(zip(Outcome, totals.tolist(), strict=True)), []
+    for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED):
+        if counts[outcome]:
+            share = share_of(counts[outcome], sum(counts.values()))
+            part = f"{outcome.name.lower()} {share.share:.1%}"
+            if isinstance(plan.blocks.over, Sample):
+                part += f" ({100 * share.low:.1f}-{100 * share.high:.1f})"
+            parts.append(part)
+    return ", ".join(parts)
 
 
 def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._maps.basin import Basin
 from .._maps.grids import Grid
-from .._maps.prepared_sweep import PreparedSweep
+from .._maps.sweep import PreparedSweep
 from .._runs.classification import UNCHECKED, Value
 from ..equations.levels import Level
 from .pictures import Picture, picture_of

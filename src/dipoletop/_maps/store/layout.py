@@ -13,7 +13,6 @@ import numpy as np
 
 from ..._base.digests import SIZE, digest
 from ..columns import (
-    CONVENTIONS,
     MISSING,
     column_spec,
     component_dims,
@@ -58,7 +57,6 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
     (folder / CLAIMS).touch()
     others = [name for name in (*values, *drawn) if name not in dims]
     attributes = {
-        "Conventions": CONVENTIONS,
         **plain_attributes(header["attrs"]),
         **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
         **({"coordinates": " ".join(others)} if others else {}),

@@ -1,8 +1,5 @@
 """Basins on disk: saved, loaded, verified."""
 
-import contextlib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,19 +41,13 @@ def save(parts: BasinParts, path: Any) -> None:
         "attrs": parts.attrs,
         "axes": list(parts.coords),
     }
-    with _new_folder(folder) as fresh:
-        create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
-        tiles = open_tiles("path", fresh)
-        for tile in range(tiling.count):
-            span = tiling.span(tile)
-            tiles.write(tile, {name: x[span] for name, x in columns.items()}, bytes(SIZE))
-
-
-@contextlib.contextmanager
-def _new_folder(folder: Path) -> Iterator[Path]:
     try:
         with atomic_folder("path", folder) as fresh:
-            yield fresh
+            create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
+            tiles = open_tiles("path", fresh)
+            for tile in range(tiling.count):
+                span = tiling.span(tile)
+                tiles.write(tile, {name: x[span] for name, x in columns.items()}, bytes(SIZE))
     except FileExistsError:
         raise StoreMismatch("path", folder, "not exist yet", f"{folder} does") from None
 
@@ -74,12 +65,7 @@ def load(path: Any, partial: bool = False) -> BasinParts:
     if partial:
         return tiles.contents(partial=True)
     parts = tiles.contents()
-    if left := len(tiles.unfinished()):
-        reason = (
-            f"{tiles.folder} is missing {left} of {tiles.tiling.count} tiles; "
-            "run the sweep again with this store"
-        )
-        raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
+    tiles.refuse_unfinished("sweep")
     tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
     return parts
 
