@@ -22,8 +22,8 @@ def opened(query):
         FIRST,
         replace(FIRST, levels=(Level.ORDER_1, Level.SEMI), rtol=1e-5, size=512),
         replace(FIRST, ranges={"phi": (0.1 + 1e-15, 0.1 + 3e-15), "w3": (1 / 3, 2 / 3)}),
-        views.in_system(TOP, FIRST, "theta", "amplitude", ("delta", "amplitude", "theta", "phi")),
-        views.in_system(TOP, FIRST, "delta", "phi", ("delta", "amplitude", "theta", "phi")),
+        views.in_system(TOP, FIRST, ("delta", "amplitude", "theta", "phi"), "theta", "amplitude"),
+        views.in_system(TOP, FIRST, ("delta", "amplitude", "theta", "phi"), "delta", "phi"),
     ],
 )
 def test_an_address_gives_back_its_view(view):

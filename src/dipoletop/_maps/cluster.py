@@ -76,7 +76,7 @@ def on_cluster(
     with _reaching(client, store):
         await_worker(client)
     store.close()  # the workers claim tiles, which may be threads of this process
-    job = job_of(plan, store.folder)
+    job = job_of(plan, store.tiles.folder)
     return functools.partial(_compute_once, client, job, store)
 
 
@@ -169,8 +169,8 @@ def _reaching(client: Any, store: ZarrStore) -> Iterator[None]:
 def _kept(store: ZarrStore) -> str:
     finished, count = store.progress()
     return (
-        f"{finished} of the {count} tiles of {store.folder} are finished and kept, and the same "
-        "sweep goes on from there."
+        f"{finished} of the {count} tiles of {store.tiles.folder} are finished and kept, and the "
+        "same sweep goes on from there."
     )
 
 

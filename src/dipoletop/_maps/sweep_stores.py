@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +10,6 @@ from .._base.parallel import in_parallel
 from .columns import BasinParts, column_spec
 from .store.errors import StoreMismatch, StoreNotWritable
 from .store.resume import THIS_SWEEP, begin_or_resume
-from .store.tiles import Tiles
 from .sweep_plan import ComputedTile, Plan
 
 
@@ -85,24 +83,20 @@ class ZarrStore:
     def __init__(self, path: Any, plan: Plan, repair: bool) -> None:
         self._plan, self._repair = plan, repair
         values = plan.blocks.over.header.values
-        self._tiles = begin_or_resume(path, plan.header(), values, repair)
-        self._claims = self._tiles.claims()
+        self.tiles = begin_or_resume(path, plan.header(), values, repair)
+        """The tiles on disk."""
+        self._claims = self.tiles.claims()
         self._tidy()
 
     def _tidy(self) -> None:
         """Remove what killed processes left behind, unless another process may be writing."""
         with self._claims.everything() as alone:
             if alone:
-                self._tiles.discard_partial_files()
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the store."""
-        return self._tiles.folder
+                self.tiles.discard_partial_files()
 
     def unfinished(self) -> list[int]:
         """Return the tiles to compute, after reading finished ones and comparing their inputs."""
-        tiles = self._tiles
+        tiles = self.tiles
         left = tiles.unfinished()
         finished = tiles.tiling.others(left)
         damaged = tiles.damaged(finished)
@@ -134,20 +128,19 @@ class ZarrStore:
 
     def is_finished(self, tile: int) -> bool:
         """Return whether a tile is on disk."""
-        return self._tiles.is_finished(tile)
+        return self.tiles.is_finished(tile)
 
     def progress(self) -> tuple[int, int]:
         """Return the number of finished tiles, and of all tiles."""
-        count = self._tiles.tiling.count
-        return count - len(self._tiles.unfinished()), count
+        return len(self.tiles.finished()), self.tiles.tiling.count
 
     def write(self, computed: ComputedTile) -> None:
         """Write a claimed tile to disk, with the digest of its inputs."""
         try:
-            self._tiles.write(computed.tile, computed.columns, computed.inputs)
+            self.tiles.write(computed.tile, computed.columns, computed.inputs)
         except OSError as error:
             reason = error.strerror or str(error)
-            raise StoreNotWritable(self.folder, *self.progress(), reason) from error
+            raise StoreNotWritable(self.tiles.folder, *self.progress(), reason) from error
         self._claims.give_back(computed.tile)
 
     def give_back(self, tile: int) -> None:
@@ -157,21 +150,16 @@ class ZarrStore:
     def reopen(self) -> None:
         """Claim tiles again after `close`, unless a sweep of this process has the store."""
         with contextlib.suppress(StoreMismatch):
-            self._claims = self._tiles.claims()
+            self._claims = self.tiles.claims()
 
     def close(self) -> None:
         """Release the store to other processes."""
         self._tidy()
         self._claims.close()
 
-    @property
-    def tiles(self) -> Tiles:
-        """The tiles on disk."""
-        return self._tiles
-
     def contents(self) -> BasinParts:
         """Return the finished basin, whose columns are read from disk when they are used."""
-        return self._tiles.contents()
+        return self.tiles.contents()
 
 
 Store = MemoryStore | ZarrStore

@@ -113,7 +113,7 @@ def predict_command(**options: Any) -> None:
     say(f"L·Ω/|L| = {float(angular_speed(spin)):.4g} rad/s, {along}")
     say(shown)
     if single:
-        from ..plots.history_curves import times_for
+        from ..plots.histories import times_for
 
         times = jnp.asarray(times_for(predictions))
         columns: dict[str, Any] = dict(zip(HISTORY, shown.history(times), strict=True))

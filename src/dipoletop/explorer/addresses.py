@@ -9,7 +9,7 @@ from .._base.checks import refuse
 from .._base.numerals import number_in
 from ..equations.levels import Level
 from .scenes import Scene
-from .views import SIZES, Range, View, axes_in, checked_view, whole_ranges
+from .views import SIZES, Range, View, check_axes, checked_view, in_system
 
 RANGE = ".."
 """The separator between the ends of a range."""
@@ -42,21 +42,16 @@ def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> Vie
     named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
     rtol = _number("rtol", single.pop("rtol", view.rtol))
     size = _size(single.pop("size", str(view.size)))
-    for argument, name in named.items():
-        if name not in scene.free:
-            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
-    system = scene.system_of(*named.values(), *single)
-    kept = {name: axis for name, axis in (("x", view.x), ("y", view.y)) if axis in system}
-    x, y = axes_in(scene, system, *((kept | named).get(name) for name in ("x", "y")))
-    values = {name: view.values.get(name, scene.quantities[name].default) for name in system}
-    ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
+    check_axes(scene, named)
+    moved = in_system(scene, view, scene.system_of(*named.values(), *single), **named)
+    ranges, values = dict(moved.ranges), dict(moved.values)
     for name, text in single.items():
         if name in ranges:
             ranges[name] = _range(name, text)
         else:
             values[name] = _number(name, text)
-    changed = replace(view, x=x, y=y, ranges=ranges, values=values, levels=levels, rtol=rtol)
-    return checked_view(scene, replace(changed, size=size))
+    changed = replace(moved, ranges=ranges, values=values, levels=levels, rtol=rtol, size=size)
+    return checked_view(scene, changed)
 
 
 def _number(name: str, text: Any) -> float:

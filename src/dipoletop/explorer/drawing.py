@@ -58,7 +58,8 @@ class Drawing:
                 budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
                 problem = self._scene.problem_at(level)
                 prepared = PreparedSweep.of(problem, grid, value=value, **budget)
-                prepared(_first_start(grid), rtol)  # compiles, so that later runs show their cost
+                first = Grid(**{name: values[:1] for name, values in grid.axes.items()})
+                prepared(first, rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared
         return self._prepared[key](grid, rtol)
 
@@ -135,10 +136,6 @@ class Drawing:
 
 def _levels(view: View) -> tuple[Level | None, ...]:
     return view.levels or (None,)
-
-
-def _first_start(grid: Grid) -> Grid:
-    return Grid(**{name: values[:1] for name, values in grid.axes.items()})
 
 
 def _joined(parts: list[Basin], grid: Grid) -> Basin:

@@ -79,12 +79,12 @@ class Explorer:
             RuntimeError: the program has an event loop already, as a notebook has.
             OSError: the address or the port cannot be used.
         """
-        from .server import serve
+        from .server import made_server, serve
 
         if _in_event_loop():
             raise RuntimeError(IN_NOTEBOOK)
-        place = {"address": address, "port": port, "origins": origins}
-        serve(self._session, **place, show=show, say=say)
+        server = made_server(self._session, address=address, port=port, origins=origins)
+        serve(server, address, show=show, say=say)
 
     def _session(self, query: dict[str, list[str]]) -> Any:
         """Return the page for the query of an address, or a page with the reason of refusal."""

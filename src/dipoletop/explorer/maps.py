@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,22 +24,7 @@ from .views import Range, View
 
 HEIGHT = 440
 TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
-TICKS = """
-// If all ticks of an axis begin with the same digits, only the first one shows them.
-const step = Math.abs(ticks[1] - ticks[0]), most = Math.max(...ticks.map(Math.abs))
-if (of_angle && step > 0.3) {
-  const eighths = Math.round(tick/(Math.PI/4))
-  if (Math.abs(tick - eighths*Math.PI/4) < 1e-9) {
-    const [over, under] = eighths % 4 == 0 ? [eighths/4, 1]
-      : eighths % 2 == 0 ? [eighths/2, 2] : [eighths, 4]
-    const above = over == 0 ? "0" : over == 1 ? "π" : over == -1 ? "−π" : `${over}π`
-    return (over == 0 || under == 1 ? above : `${above}/${under}`).replace("-", "−")
-  }
-}
-if (!(step < 1e-4*most)) return String(Number(tick.toPrecision(5))).replace("-", "−")
-if (index == 0) return tick.toPrecision(Math.min(17, Math.ceil(Math.log10(most/step)) + 1))
-return "+" + Number((tick - ticks[0]).toPrecision(2)).toExponential().replace("-", "−")
-"""
+TICKS = Path(__file__).with_name("ticks.js").read_text(encoding="utf-8")
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser reports which picture it has, so that it is sent no more than it can draw."""
 
@@ -70,15 +56,8 @@ class Maps:
         for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
             plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
             for colour, width in (("white", 5), ("black", 2)):
-                plot.scatter(
-                    "x",
-                    "y",
-                    source=self._chosen,
-                    marker="cross",
-                    size=18,
-                    line_color=colour,
-                    line_width=width,
-                )
+                line = {"line_color": colour, "line_width": width}
+                plot.scatter("x", "y", source=self._chosen, marker="cross", size=18, **line)
             plot.on_event(Tap, lambda event, number=number: on_start(number, event.x, event.y))
         first = self.figures[0]
         self._sources[0].js_on_change("data", CustomJS(args={"figure": first}, code=DRAWN))
@@ -133,11 +112,13 @@ class Maps:
         """Draw a picture; its axes must be the ones shown."""
         (x0, x1), (y0, y1) = (picture.view.ranges[n] for n in (picture.view.x, picture.view.y))
         place = {"x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}
+        about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
+        identity = {"serial": [serial], "about": [json.dumps(about)]}  # read in the browser
         sources = self._sources[: len(picture.images)]
         # The first map is sent last: once the browser has it, it has both.
         for source, image in reversed(list(zip(sources, picture.images, strict=True))):
             pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
-            source.data = {"image": [pixels], **place, **_about(picture, serial)}
+            source.data = {"image": [pixels], **place, **identity}
 
 
 def _figure(number: int, x: Range1d, y: Range1d) -> Any:
@@ -159,12 +140,6 @@ def _figure(number: int, x: Range1d, y: Range1d) -> Any:
 def _source(number: int) -> Any:
     columns = "image", "x", "y", "dw", "dh", "serial", "about"
     return ColumnDataSource({name: [] for name in columns}, name=f"picture-{number}")
-
-
-def _about(picture: Picture, serial: int) -> dict[str, list[Any]]:
-    """Return columns that identify the picture, to be read in the browser."""
-    about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
-    return {"serial": [serial], "about": [json.dumps(about)]}
 
 
 def _label(axes: Any, name: str, symbol: str, width: float) -> None:

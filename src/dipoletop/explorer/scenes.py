@@ -15,6 +15,7 @@ from .._maps.top_parameters import (
     QUANTITIES,
     Quantity,
     checked,
+    checked_range,
     initial_condition,
     problem_of_top,
 )
@@ -60,7 +61,7 @@ class Scene:
     quantities: dict[str, Quantity]
     systems: tuple[tuple[str, ...], ...]
     levels: tuple[Level, ...]
-    problem_at: Callable[[Level | None], Problem]
+    problem_at: Callable[[Any], Problem]
     source: Source
     symmetric: bool
 
@@ -112,13 +113,10 @@ def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
     quantities = _quantities(tuple(QUANTITIES), over)
     systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
     levels = first, *(level for level in MAPPED if level is not first)
-    source = Source((), lambda level, names: source_code.of_top(level, names))
-    return Scene(quantities, systems, levels, _problem_of_top, source, True)
-
-
-def _problem_of_top(level: Level | None) -> Problem:
-    assert level is not None  # views of this scene have one
-    return problem_of_top(level)
+    source = Source(
+        (), lambda level, names: source_code.of_starts(names, f'dt.equation_at("{level}", delta)')
+    )
+    return Scene(quantities, systems, levels, problem_of_top, source, True)
 
 
 def scene_of_equation(equation: Any, over: Over) -> Scene:
@@ -207,9 +205,7 @@ def _plain(name: str) -> Quantity:
 def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
     """Return a quantity with the given number as its value, or with the given range."""
     if isinstance(given, tuple | list) and len(given) == 2:
-        low, high = (checked(name, value, usual) for value in given)
-        if not low < high:
-            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+        low, high = checked_range(name, given, usual)
         inside = low <= usual.default <= high
         default = usual.default if inside else (low + high) / 2
         return usual._replace(low=low, high=high, default=default)

@@ -12,7 +12,7 @@ from .._base.checks import refuse
 from .._base.tolerances import tolerance
 from .._maps.grids import Grid
 from ..equations.levels import Level
-from .scenes import Scene, checked
+from .scenes import Scene, checked, checked_range
 
 SIZES = 64, 128, 256, 512, 1024
 FINEST = 4
@@ -88,11 +88,9 @@ def first_view(
     Raises:
         ValueError: bad axes, levels, tolerance or size.
     """
-    named = [name for name in (x, y) if name is not None]
-    for argument, name in (("x", x), ("y", y)):
-        if name is not None and name not in scene.free:
-            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
-    system = scene.system_of(*named)
+    named = {axis: name for axis, name in (("x", x), ("y", y)) if name is not None}
+    check_axes(scene, named)
+    system = scene.system_of(*named.values())
     x, y = axes_in(scene, system, x, y)
     found = tuple(Level.named(level) for level in levels)
     ranges = whole_ranges(scene, x, y)
@@ -107,6 +105,13 @@ def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None)
     return x, y or next(name for name in usual if name != x)
 
 
+def check_axes(scene: Scene, axes: Mapping[str, str]) -> None:
+    """Refuse axes, by their arguments, along which nothing may be varied."""
+    for argument, name in axes.items():
+        if name not in scene.free:
+            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+
+
 def checked_view(scene: Scene, view: View) -> View:
     """Return the view after checking it against the scene.
 
@@ -115,17 +120,13 @@ def checked_view(scene: Scene, view: View) -> View:
     """
     if view.x == view.y:
         refuse("y", "be another axis than `x`", f"is {view.y!r} too")
-    for argument, name in (("x", view.x), ("y", view.y)):
-        if name not in scene.free:
-            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+    check_axes(scene, {"x": view.x, "y": view.y})
     scene.system_of(*view.values, view.x, view.y)
     values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
-    ranges = {}
-    for name, ends in view.ranges.items():
-        low, high = (checked(name, end, scene.quantities[name]) for end in ends)
-        if not low < high:
-            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
-        ranges[name] = low, high
+    ranges = {
+        name: checked_range(name, ends, scene.quantities[name])
+        for name, ends in view.ranges.items()
+    }
     allowed = (1, 2) if scene.levels else (0,)
     for level in view.levels:
         if level not in scene.levels:
@@ -146,11 +147,20 @@ def whole_ranges(scene: Scene, x: str, y: str) -> dict[str, Range]:
     return {name: scene.quantities[name][3:5] for name in (x, y)}
 
 
-def in_system(scene: Scene, view: View, x: str, y: str, system: tuple[str, ...]) -> View:
+def in_system(
+    scene: Scene,
+    view: View,
+    system: tuple[str, ...],
+    x: str | None = None,
+    y: str | None = None,
+) -> View:
     """Return the view over other axes, with starts given by a system of quantities.
 
-    New axes have their whole range, and new quantities their defaults.
+    An axis that is None stays if it is in the system. New axes have their whole range, and new
+    quantities their defaults.
     """
+    kept = (name if name in system else None for name in (x or view.x, y or view.y))
+    x, y = axes_in(scene, system, *kept)
     known = {name: view.values.get(name, scene.quantities[name].default) for name in system}
     ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
     return checked_view(scene, replace(view, x=x, y=y, ranges=ranges, values=known))
@@ -184,11 +194,6 @@ def middles(low: float, high: float, count: int) -> Float[np.ndarray, "n"]:
     return np.linspace(low + half, high - half, count)
 
 
-def least_width(low: float, high: float, size: int) -> float:
-    """Return the least width of a range with these ends whose neighbours differ after rounding."""
-    return size * max(FINEST * float(np.spacing(max(abs(low), abs(high)))), SMALLEST)
-
-
 def finest_step(view: View) -> float:
     """Return the least distance of neighbours on an axis, relative to the largest number there."""
     return min(
@@ -211,7 +216,8 @@ def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View,
         if not (math.isfinite(low) and math.isfinite(high)):
             refuse(name, "have a finite range", f"has {low} to {high}")
         low, high = min(low, high), max(low, high)
-        least = least_width(low, high, view.size)
+        rounding = float(np.spacing(max(abs(low), abs(high))))
+        least = view.size * max(FINEST * rounding, SMALLEST)
         if high - low < least:
             centre = low + (high - low) / 2
             low, high = centre - least / 2, centre + least / 2

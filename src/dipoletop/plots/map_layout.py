@@ -1,13 +1,14 @@
 """The content of a map of outcomes, before it is drawn: two axes, classes, colours, title."""
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import to_rgb
 
-from .._base.checks import refuse
+from .._base.checks import instance, refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
@@ -84,6 +85,15 @@ def plane_of(
     xs = np.asarray(whole.coords[x][x_order], float)
     ys = np.asarray(whole.coords[y][y_order], float)
     return Plane(x, y, xs, ys, columns, title_of(basin))
+
+
+def part_at(basin: Basin, at: Mapping[str, Any] | None) -> Basin:
+    """Return the part of a basin nearest to these values on its axes, after checking both."""
+    instance("basin", basin, Basin)
+    if at is None:
+        return basin
+    instance("at", at, Mapping, "be a dict from axes to their values, or None")
+    return basin.sel(method="nearest", **at)
 
 
 def check_axis(basin: Basin, argument: str, name: str) -> None:
