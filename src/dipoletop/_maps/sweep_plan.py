@@ -104,7 +104,9 @@ class Plan:
     @property
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
-        return [*column_names(self.settings, self.blocks.derivatives), *self.drawn]
+        derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
+        confirmed = [] if self.settings.confirm is None else ["changed"]
+        return [*COLUMNS, *derivatives, *confirmed, *self.drawn]
 
     @functools.cached_property
     def drawn(self) -> dict[str, tuple[int, ...]]:
@@ -252,13 +254,6 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
     until, finish = stopping_rule(equation, value), finish_of(value)
     engines = select_engines(engine, equation, devices, until, finish)
     return Plan(blocks, equation, rtols, devices, engines, settings)
-
-
-def column_names(settings: Settings, derivatives: Iterable[str]) -> list[str]:
-    """Return the names of the columns of results, in order."""
-    confirmed = [] if settings.confirm is None else ["changed"]
-    names = [DERIVATIVE_PREFIX + name for name in derivatives]
-    return [*COLUMNS, *names, *confirmed]
 
 
 def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:

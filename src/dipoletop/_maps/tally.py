@@ -11,10 +11,10 @@ from .._base.tolerances import check_settings
 from .._runs.classification import Value
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .sweep_plan import Settings, column_names, derivative_names, plan_of
+from .sweep_plan import Settings, derivative_names, plan_of
 from .sweep_stores import MemoryStore, ZarrStore
 from .tally_counts import ROTATION, reduction_of, with_kept_first
-from .tally_results import CountsInMemory, Tally, tally_of, tally_on_disk
+from .tally_results import Counts, Tally, tally_on_disk
 from .unfinished_tiles import finish
 
 
@@ -75,22 +75,19 @@ def tally(
     began = time.perf_counter()
     names = derivative_names(derivatives, value is not False)
     check_settings(settings)
-    given = Settings(derivatives=derivatives, **settings)
-    reduction = reduction_of(
-        over, keep, {} if histograms is None else histograms, column_names(given, names)
-    )
+    reduction = reduction_of(over, keep, {} if histograms is None else histograms, names)
     counts_rotation = any(column in ROTATION for column in reduction.edges)
     if counts_rotation and value is False:
         refuse("value", "be True or None if there are histograms of ω∞", "is False")
     if value is None:
         value = bool(names) or counts_rotation
-    given = given._replace(value=value, reduction=reduction)
+    given = Settings(value=value, derivatives=derivatives, reduction=reduction, **settings)
     plan = plan_of(problem, with_kept_first(over, reduction.keep), given)
     if store is None:
-        kept = CountsInMemory(reduction, plan.tiling)
-        finish(plan, MemoryStore(plan, kept.add), progress, client)
-        coords = plan.blocks.over.coords
-        found = tally_of(reduction, plan.tiling, coords, kept.counts, plan.attrs)
+        kept = Counts(reduction, plan.tiling)
+        place = MemoryStore(plan, lambda x: kept.add(x.tile, x.columns["counts"][0]))
+        finish(plan, place, progress, client)
+        found = kept.tally(plan.blocks.over.coords, plan.attrs)
     else:
         place = ZarrStore(store, plan, repair)
         finish(plan, place, progress, client)

@@ -88,7 +88,7 @@ def simulate_command(**options: Any) -> None:
     if tau_max <= 0:
         raise Refusal(f"--tau-max must be positive, but is {tau_max:g}.")
     values = start_values(options)
-    base, picture = output_paths(options, "trajectory")
+    _, picture = output_paths(options, "trajectory")
     omega0, delta = initial_condition(values), values["delta"]
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, tau_max, options["points"])
@@ -101,8 +101,6 @@ def simulate_command(**options: Any) -> None:
             f"The run did not reach τ = {tau_max:g}: it ended after "
             f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
         )
-    table = base.with_name(f"{base.name}.csv")
-    write_table(table, dict(zip(COLUMNS, columns, strict=True)))
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
     say(f"{describe(values)}.\n{trajectory}")
@@ -114,7 +112,7 @@ def simulate_command(**options: Any) -> None:
     if not level.consistent:
         semi = classify(equation_at(Level.SEMI, delta), omega0, **settings)
         say(f"{level.caveat}; at the semi-reduced level: {semi}")
-    say(f"Picture: {picture}\nData: {table}")
+    write_table(picture, dict(zip(COLUMNS, columns, strict=True)))
 
 
 @main.command("figures", epilog=NAMES, short_help="The figures of the paper, and three more.")

@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import to_rgb
 
 from .._base.checks import instance, refuse
+from .._base.numerals import as_text
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
 from .._maps.unfolded_basins import unfold
 from .column_shading import UNKNOWN, Shade, check_shade, shades_by
-from .style import capitalised, number, percent, symbol
+from .style import capitalised, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
 """A hexadecimal colour, or RGBA."""
@@ -139,7 +140,7 @@ def fixed_values(basin: Basin) -> list[str]:
         if (len(values) == 1 if name in basin.dims else not of_points)
     }
     return [
-        f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values).tolist())}"
+        f"{symbol(name)} = {', '.join(map(as_text, np.ravel(values).tolist())).replace('-', '−')}"
         for name, values in fixed.items()
     ]
 

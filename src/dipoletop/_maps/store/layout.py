@@ -112,8 +112,7 @@ def tiling_of(header: Header) -> Tiling:
 
 def tiling_of_starts(header: Header) -> Tiling:
     """Return the tiling of the starts of the sweep, which for a tally differs from the columns'."""
-    tally = header.get("tally")
-    return Tiling(tuple(tally["shape"]), tuple(tally["chunk"])) if tally else tiling_of(header)
+    return tiling_of(header.get("tally", header))
 
 
 def metadata_digest(folder: Path, array: str) -> str:
