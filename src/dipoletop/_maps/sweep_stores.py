@@ -9,7 +9,7 @@ import numpy as np
 from .._base.parallel import in_parallel
 from .columns import BasinParts, column_spec
 from .store.errors import StoreMismatch, StoreNotWritable
-from .store.resume import THIS_SWEEP, begin_or_resume
+from .store.saved_basins import THIS_SWEEP, begin_or_resume
 from .sweep_plan import ComputedTile, Plan
 
 

@@ -171,14 +171,12 @@ class Tally:
         """Return whether cells, bins and all counts are the same."""
         if not isinstance(other, Tally):
             return NotImplemented
-        same = (self.dims, self.size) == (other.dims, other.size)
-        same = same and self.reduction.edges.keys() == other.reduction.edges.keys()
-        pairs = [
-            (x, other.reduction.edges[name]) for name, x in self.reduction.edges.items() if same
-        ]
+        bins, others = self.reduction.edges, other.reduction.edges
+        if (self.dims, self.size, bins.keys()) != (other.dims, other.size, others.keys()):
+            return False
+        pairs = [(self.counts, other.counts), *((x, others[name]) for name, x in bins.items())]
         pairs += [(x, other.coords.get(name, np.nan)) for name, x in self.coords.items()]
-        pairs += [(self.counts, other.counts)]
-        return same and all(np.array_equal(*pair) for pair in pairs)
+        return all(np.array_equal(*pair) for pair in pairs)
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 

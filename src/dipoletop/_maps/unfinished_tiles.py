@@ -4,7 +4,7 @@ import contextlib
 import functools
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,38 +25,29 @@ Finished: TypeAlias = tuple[int, Int[np.ndarray, "outcomes"] | None]
 
 
 def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
-    """Compute the unfinished tiles of a sweep, then close its store, so that it can be read."""
-    with contextlib.closing(store):
+    """Compute the unfinished tiles of a sweep, then close its store, so that it can be read.
+
+    Tiles that another process computes are waited for. A progress bar tells of all of them.
+    """
+    from tqdm import tqdm
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(store.close)
         if client is None:
             once = functools.partial(_compute_once, plan, store)
         else:
             once = on_cluster(client, plan, store)
-        _compute(plan, store, once, progress)
-        if isinstance(store, ZarrStore) and client is not None:
-            store.reopen()  # closing removes the files that killed workers left
-
-
-def _compute(
-    plan: Plan,
-    store: Store,
-    once: Callable[[Sequence[int]], Iterator[Finished]],
-    progress: bool | str | None,
-) -> None:
-    """Compute every unfinished tile that no other process computes, with a progress bar."""
-    from tqdm import tqdm
-
-    tiles = store.unfinished()
-    left = sum(plan.tiling.length(tile) for tile in tiles)
-    with tqdm(
-        desc=progress if isinstance(progress, str) else None,
-        total=plan.tiling.size,
-        initial=plan.tiling.size - left,
-        unit="start",
-        unit_scale=True,
-        disable=None if progress is None else not progress,
-        file=sys.stderr,
-    ) as bar:
-        waiting, totals = set(tiles), np.zeros(len(Outcome), int)
+        waiting, totals = set(store.unfinished()), np.zeros(len(Outcome), int)
+        bar = tqdm(
+            desc=progress if isinstance(progress, str) else None,
+            total=plan.tiling.size,
+            initial=plan.tiling.size - sum(map(plan.tiling.length, waiting)),
+            unit="start",
+            unit_scale=True,
+            disable=None if progress is None else not progress,
+            file=sys.stderr,
+        )
+        stack.enter_context(bar)
         while waiting:
             for tile, counts in once(sorted(waiting)):
                 if counts is not None:
@@ -66,6 +57,8 @@ def _compute(
                 waiting.discard(tile)
             if waiting:
                 time.sleep(POLL)
+        if isinstance(store, ZarrStore) and client is not None:
+            store.reopen()  # closing removes the files that killed workers left
 
 
 def _shares(plan: Plan, totals: Int[np.ndarray, "outcomes"]) -> str:

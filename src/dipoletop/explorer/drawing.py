@@ -11,7 +11,7 @@ import numpy as np
 
 from .._maps.basin import Basin
 from .._maps.grids import Grid
-from .._maps.sweep import PreparedSweep
+from .._maps.sweep import prepared_sweep
 from .._runs.classification import UNCHECKED, Value
 from ..equations.levels import Level
 from .pictures import Picture, picture_of
@@ -41,7 +41,7 @@ class Drawing:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._prepared: dict[Any, PreparedSweep] = {}
+        self._prepared: dict[Any, Callable[[Grid, float], Basin]] = {}
         self._preparing = threading.Lock()
         self._cost: dict[Any, float] = {}
         """Seconds for each start, by level and by requested value."""
@@ -57,7 +57,7 @@ class Drawing:
             if key not in self._prepared:
                 budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
                 problem = self._scene.problem_at(level)
-                prepared = PreparedSweep.of(problem, grid, value=value, **budget)
+                prepared = prepared_sweep(problem, grid, value=value, **budget)
                 first = Grid(**{name: values[:1] for name, values in grid.axes.items()})
                 prepared(first, rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared

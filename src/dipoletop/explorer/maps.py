@@ -47,8 +47,7 @@ class Maps:
         on_start: Callable[[int, float, float], None],
         on_drawn: Callable[[int], None],
     ) -> None:
-        self._symbols, self._on_ranges, self._on_drawn = symbols, on_ranges, on_drawn
-        self._axes = "", ""
+        self._symbols, self._axes = symbols, ("", "")
         x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
         self.figures = [_figure(number, x, y) for number in range(2)]
         self._sources = [_source(number) for number in range(2)]
@@ -61,21 +60,16 @@ class Maps:
             plot.on_event(Tap, lambda event, number=number: on_start(number, event.x, event.y))
         first = self.figures[0]
         self._sources[0].js_on_change("data", CustomJS(args={"figure": first}, code=DRAWN))
-        first.on_change("tags", self._drawn)
-        first.on_event(RangesUpdate, self._moved)
+        first.on_change("tags", lambda attr, old, new: on_drawn(int(new[0])) if new else None)
+        first.on_event(
+            RangesUpdate, lambda at: on_ranges({"x": (at.x0, at.x1), "y": (at.y0, at.y1)})
+        )
         for plot in self.figures:
             plot.on_event(Reset, lambda _: on_ranges(None))
         self.panes = [
             pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)
             for plot in self.figures
         ]
-
-    def _drawn(self, attr: str, old: Any, new: Any) -> None:
-        if new:
-            self._on_drawn(int(new[0]))
-
-    def _moved(self, event: Any) -> None:
-        self._on_ranges({"x": (event.x0, event.x1), "y": (event.y0, event.y1)})
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
         """Call `begin` when the browser has laid out the map for the first time."""

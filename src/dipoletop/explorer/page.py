@@ -12,7 +12,6 @@ import panel as pn
 
 from .._base.checks import one_line
 from . import texts
-from .addresses import address_of
 from .controls import Controls
 from .curves import CurvePlots
 from .drawing import Drawing
@@ -22,7 +21,7 @@ from .pictures import Picture
 from .recipes import code_of
 from .scenes import Scene
 from .starts import motion_of, slopes_of, verdict_of
-from .views import Range, View, whole_ranges, zoomed
+from .views import Range, View, address_of, whole_ranges, zoomed
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 PATIENCE = 5.0
@@ -248,11 +247,8 @@ class Page:
 
     def _draw_at_once(self) -> None:
         """Draw a first picture here and now, which a notebook also keeps without its kernel."""
-
-        def show(picture: Picture) -> None:
-            self._show(picture, 0)
-
-        next(self._workshop.drawing.pictures(self.view, show, self._fail), None)
+        drawing = self._workshop.drawing
+        next(drawing.pictures(self.view, lambda found: self._show(found, 0), self._fail), None)
 
     def _fail(self, error: Exception) -> None:
         self._refuse(_sentence(error))

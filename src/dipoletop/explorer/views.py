@@ -1,14 +1,16 @@
 """The view of a page: two axes with their ranges, the other values, levels, tolerance, size."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+from urllib.parse import urlencode
 
 import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import refuse
+from .._base.numerals import number_in
 from .._base.tolerances import tolerance
 from .._maps.grids import Grid
 from ..equations.levels import Level
@@ -19,6 +21,8 @@ FINEST = 4
 """Least distance of neighbouring values on an axis, in units of the last place."""
 SMALLEST = 1e-290
 """Least distance of neighbouring values near 0, so that they do not become subnormal."""
+RANGE = ".."
+"""The separator between the ends of a range in an address."""
 Range = tuple[float, float]
 
 
@@ -90,12 +94,9 @@ def first_view(
     """
     named = {axis: name for axis, name in (("x", x), ("y", y)) if name is not None}
     check_axes(scene, named)
-    system = scene.system_of(*named.values())
-    x, y = axes_in(scene, system, x, y)
     found = tuple(Level.named(level) for level in levels)
-    ranges = whole_ranges(scene, x, y)
-    values = {name: scene.quantities[name].default for name in system}
-    return checked_view(scene, View(x, y, ranges, values, found, rtol, size))
+    blank = View("", "", {}, {}, found, rtol, size)
+    return in_system(scene, blank, scene.system_of(*named.values()), **named)
 
 
 def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None) -> tuple[str, str]:
@@ -233,3 +234,57 @@ def _inside(low: float, high: float, least: float, most: float) -> Range:
     if high > most:
         low, high = low - (high - most), most
     return max(low, least), high
+
+
+def address_of(view: View) -> str:
+    """Return the query that opens a page at this view, "?" included."""
+    pairs = [("level", level.value) for level in view.levels]
+    pairs += [("x", view.x), ("y", view.y)]
+    pairs += [(name, f"{low!r}{RANGE}{high!r}") for name, (low, high) in view.ranges.items()]
+    pairs += [(name, repr(value)) for name, value in view.fixed.items()]
+    return "?" + urlencode([*pairs, ("rtol", repr(view.rtol)), ("size", str(view.size))])
+
+
+def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> View:
+    """Return the view, changed as the query of an address asks.
+
+    Raises:
+        ValueError: a name or a value of the query is not allowed.
+    """
+    given = {name.replace("-", "_"): list(texts) for name, texts in query.items()}
+    known = "x", "y", "level", "rtol", "size", *scene.quantities
+    for name, texts in given.items():
+        if name not in known:
+            refuse("address", f"name only {', '.join(known)}", f"names {name!r}")
+        if len(texts) > 1 and name != "level":
+            refuse(name, "be given once", f"is given {len(texts)} times")
+    levels = tuple(Level.named(text) for text in given.pop("level", view.levels))
+    single = {name: texts[0] for name, texts in given.items()}
+    named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
+    rtol = _number("rtol", single.pop("rtol", view.rtol))
+    size: Any = single.pop("size", str(view.size))
+    size = int(size) if size.isdecimal() else size
+    check_axes(scene, named)
+    moved = in_system(scene, view, scene.system_of(*named.values(), *single), **named)
+    ranges, values = dict(moved.ranges), dict(moved.values)
+    for name, text in single.items():
+        if name in ranges:
+            ranges[name] = _range(name, text)
+        else:
+            values[name] = _number(name, text)
+    changed = replace(moved, ranges=ranges, values=values, levels=levels, rtol=rtol, size=size)
+    return checked_view(scene, changed)
+
+
+def _number(name: str, text: Any) -> float:
+    try:
+        return number_in(str(text))
+    except ValueError:
+        return refuse(name, "be a finite number", f"is {text!r}")
+
+
+def _range(name: str, text: str) -> Range:
+    low, found, high = text.partition(RANGE)
+    if not found:
+        refuse(name, f"be a range such as 0{RANGE}0.5, since it is an axis", f"is {text!r}")
+    return _number(name, low), _number(name, high)

@@ -149,15 +149,11 @@ def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
     """Return the shading of every outcome that occurs, with colour scales common to all planes."""
     if shading is None:
         return []
-    outcomes = (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED)
-    return shades_by(shading, {x: _shaded_values(planes, shading, x) for x in outcomes})
-
-
-def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
-    """Return the values of a column for the starts with an outcome, on all planes."""
-    columns = [plane.columns for plane in planes]
-    values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
-    return values[np.isfinite(values)].astype(float)
+    found, columns = {}, [plane.columns for plane in planes]
+    for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED):
+        values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
+        found[outcome] = values[np.isfinite(values)].astype(float)
+    return shades_by(shading, found)
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:

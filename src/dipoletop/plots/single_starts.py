@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -62,7 +62,11 @@ def line(
     ax = axes_or_new(ax)
     shown = _flat(basin)
     handles = []
-    for label, colour, members in _classes(shown, classes_of(shown)):
+    (classes,) = classes_of(shown)
+    for k, (label, colour) in enumerate(CLASSES.values()):
+        members = classes == k
+        if not members.any():
+            continue
         known = members & np.isfinite(values)
         ax.plot(xs[known], values[known], "o", ms=3, color=colour)
         unknown = members & ~np.isfinite(values)
@@ -142,14 +146,6 @@ def _flat(basin: Basin, shade: str | None = None) -> Plane:
     names = [x for x in ("outcome", "stop", "probability", shade) if x and x in basin.columns]
     columns = {name: basin.column(name).reshape(1, -1) for name in names}
     return Plane("", "", np.zeros(0), np.zeros(0), columns, "")
-
-
-def _classes(shown: Plane, classes: Int[np.ndarray, "1 N"]) -> Any:
-    """Yield name, colour and members of every class that occurs."""
-    for k, (label, colour) in enumerate(CLASSES.values()):
-        members = classes[0] == k
-        if members.any():
-            yield label, colour, members
 
 
 def _quantities(basin: Basin) -> dict[str, Float[np.ndarray, "N"]]:

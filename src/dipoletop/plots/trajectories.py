@@ -62,7 +62,10 @@ def trajectory(
         instance("trajectory", run, Trajectory)
         if np.ndim(run.ts) != 1:
             refuse("trajectory", "describe one top", f"has times of shape {run.ts.shape}")
-    wanted = _wanted(curves)
+    names = [curves] if isinstance(curves, str) else list(curves)
+    if not names or any(name not in CURVES for name in names):
+        refuse("curves", f"be among {', '.join(CURVES)}", f"is {curves!r}")
+    wanted = [name for name in CURVES if name in names]
     ax = axes_or_new(ax)
     ax.axhline(0.0, color="0.8", linewidth=0.8)
     for run, dashes in zip(runs.values(), RUNS, strict=False):
@@ -79,13 +82,6 @@ def trajectory(
         handles += [Line2D([], [], color="0.3", ls=dashes, label=name) for name, dashes in lines]
     ax.legend(handles=handles, frameon=False, ncols=2)
     return ax
-
-
-def _wanted(curves: Sequence[str]) -> list[str]:
-    names = [curves] if isinstance(curves, str) else list(curves)
-    if not names or any(name not in CURVES for name in names):
-        refuse("curves", f"be among {', '.join(CURVES)}", f"is {curves!r}")
-    return [name for name in CURVES if name in names]
 
 
 def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
