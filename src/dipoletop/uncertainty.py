@@ -170,14 +170,11 @@ def propagate(
     drawn = sweep(problem, sample, **{"value": UNCHECKED, **settings})
     residual = drawn.omega_inf[drawn.outcome == Outcome.RESIDUAL]
     other = (fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)
-    return Propagation(
-        float(at_mean.omega_inf[0]),
-        dict(zip(means, gradient.tolist(), strict=True)),
-        float(linear_std),
-        drawn.fractions(),
-        share_of(int(other.sum()), len(other)),
-        *_mean_and_std(residual[np.isfinite(residual)]),
-    )
+    value, slopes = float(at_mean.omega_inf[0]), dict(zip(means, gradient.tolist(), strict=True))
+    changed = share_of(int(other.sum()), len(other))
+    mean_and_std = _mean_and_std(residual[np.isfinite(residual)])
+    shares = drawn.fractions()
+    return Propagation(value, slopes, float(linear_std), shares, changed, *mean_and_std)
 
 
 def _root(covariance: Any, m: int) -> Float[Array, "m m"]:

@@ -216,7 +216,7 @@ def prepared_sweep(
     plan = plan_of(problem, grid, Settings(**settings))
     if all(engine.has_own_threads for engine in plan.engines.values()):
         devices, threads = plan.devices[:1], len(plan.devices)
-        plan = replace(plan, devices=devices, cut=Tiling.whole, threads=threads)
+        plan = replace(plan, devices=devices, cut=lambda x: Tiling(x, x), threads=threads)
 
     def basin_over(grid: Grid, rtol: ArrayLike) -> Basin:
         began = time.perf_counter()

@@ -5,7 +5,7 @@ import functools
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -19,9 +19,6 @@ from .sweep_plan import Plan
 from .sweep_stores import Store, ZarrStore
 
 POLL = 0.2  # seconds between checks for tiles that other processes have finished
-
-Finished: TypeAlias = tuple[int, Int[np.ndarray, "outcomes"] | None]
-"""A finished tile, and the counts of its outcomes if this sweep has computed them."""
 
 
 def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
@@ -74,8 +71,10 @@ def _shares(plan: Plan, totals: Int[np.ndarray, "outcomes"]) -> str:
     return ", ".join(parts)
 
 
-def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:
+def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[tuple[int, Any]]:
     """Yield the tiles as they are finished, here or by other processes; some may remain.
+
+    With a tile that this sweep has computed come the counts of its outcomes, else None.
 
     The thread that has computed a tile also writes it: creating files takes as long as computing.
     After an interruption, the tiles in progress are kept if they do not take much longer.

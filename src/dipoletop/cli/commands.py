@@ -20,7 +20,6 @@ from .options import (
     LEVEL,
     MAP_LEVEL,
     NUMBER,
-    RANGE,
     TERMS,
     levels_option,
     make_folder,
@@ -29,6 +28,7 @@ from .options import (
     output_paths,
     picture_options,
     quantity_options,
+    range_option,
     start_values,
     write_table,
 )
@@ -46,19 +46,22 @@ Names of the figures:
   3        phase plane of the plane rotator, with its runaways
   spectra  how perturbations of a residual rotation decay, at every level
   levels   which starts have another outcome at another level"""
+OTHERS = (
+    map_command,
+    predict_command,
+    atlas_command,
+    info_command,
+    plot_command,
+    export_command,
+    store,
+)
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
-@click.group(epilog=TERMS, context_settings=SHOWN)
+@click.group(epilog=TERMS, context_settings=SHOWN, commands=OTHERS)
 @click.version_option(package_name="dipoletop", message="%(prog)s %(version)s")
 def main() -> None:
     """Rotation of a rigid electric dipole that radiates: does it keep rotating, or stop?"""
-
-
-for command in (map_command, predict_command, atlas_command):
-    main.add_command(command)
-for command in (info_command, plot_command, export_command, store):
-    main.add_command(command)
 
 
 @main.command("simulate", epilog=TERMS, short_help="One top: its motion and its outcome.")
@@ -196,7 +199,7 @@ def validate_command(paper: bool) -> None:
 @levels_option(MAP_LEVEL, ("semi",), "Level of the equation at first; give two to compare them.")
 @click.option("--x", type=AXIS, metavar="AXIS", help="Horizontal axis at first.  [default: phi]")
 @click.option("--y", type=AXIS, metavar="AXIS", help="Vertical axis at first.  [default: w3]")
-@click.option("--range", "ranges", **RANGE, help="Range of an axis or slider; may be repeated.")
+@range_option("Range of an axis or slider; may be repeated.")
 @quantity_options
 @click.option(
     "--size",

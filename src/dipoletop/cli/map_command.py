@@ -32,7 +32,6 @@ from .options import (
     DURATION,
     MAP_LEVEL,
     NUMBER,
-    RANGE,
     SIZE,
     TERMS,
     grid_over,
@@ -42,6 +41,7 @@ from .options import (
     picture_options,
     progress_option,
     quantity_options,
+    range_option,
 )
 from .running import Refusal, computing, interruptible, say
 
@@ -60,7 +60,7 @@ JOIN = 300.0  # seconds within which a worker must; they may just be starting
 @levels_option(MAP_LEVEL, ("order-1", "semi"), "Level of the equation; give two to compare them.")
 @click.option("--x", type=AXIS, metavar="AXIS", default="phi", help="Horizontal axis.")
 @click.option("--y", type=AXIS, metavar="AXIS", default="w3", help="Vertical axis.")
-@click.option("--range", "ranges", **RANGE, help="Range of an axis; may be repeated.")
+@range_option("Range of an axis; may be repeated.")
 @quantity_options
 @click.option("--size", type=SIZE, metavar="N[xM]", default="512", help="Starts on x [and on y].")
 @click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")

@@ -140,7 +140,6 @@ LEVEL = click.Choice([level.value for level in Level])
 MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.FULL])
 AXIS = click.Choice(list(map(spelled, QUANTITIES)))
 FORMATS = click.Choice(["png", "pdf", "svg"])
-RANGE = {"type": (AXIS, NUMBER, NUMBER), "multiple": True, "metavar": "AXIS LOW HIGH"}
 
 
 def together(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
@@ -165,6 +164,12 @@ quantity_options = together(
         for name, quantity in QUANTITIES.items()
     )
 )
+
+
+def range_option(what: str, axis: Any = AXIS) -> Any:
+    """The option --range, which may be given for several axes."""
+    several: Any = {"multiple": True, "metavar": "AXIS LOW HIGH"}
+    return click.option("--range", "ranges", type=(axis, NUMBER, NUMBER), help=what, **several)
 
 
 def levels_option(choices: click.Choice, default: tuple[str, ...], what: str) -> Any:

@@ -18,7 +18,7 @@ from .._maps.tally_results import Tally
 from .._maps.top_parameters import CYLINDRICAL, SPHERICAL
 from ..equations.levels import Level
 from .map_command import run_level
-from .options import NUMBER, name_of, output_paths, picture_options, progress_option
+from .options import NUMBER, name_of, output_paths, picture_options, progress_option, range_option
 from .running import Refusal, computing, interruptible, say
 
 RECENT = 100  # tiles from which the speed of a sweep is found
@@ -109,14 +109,7 @@ def plot_command(path: str, **options: Any) -> None:
 @path_argument
 @click.argument("target")
 @at_option
-@click.option(
-    "--range",
-    "ranges",
-    type=(str, NUMBER, NUMBER),
-    multiple=True,
-    metavar="AXIS LOW HIGH",
-    help="Only values in this range; may be given for several axes.",
-)
+@range_option("Only values in this range; may be given for several axes.", str)
 @click.option(
     "--column",
     "columns",

@@ -108,11 +108,11 @@ class Controls:
         self._on_view(view)
 
     def _set_value(self, name: str, value: Any) -> None:
-        self._change(
-            lambda view: checked_view(
-                self._scene, replace(view, values=view.values | {name: _number(name, value)})
-            )
-        )
+        def changed(view: View) -> View:
+            values = view.values | {name: _number(name, value)}
+            return checked_view(self._scene, replace(view, values=values))
+
+        self._change(changed)
 
     def _set_range(self, axis: str, low: str, high: str) -> None:
         def changed(view: View) -> View:

@@ -53,30 +53,23 @@ class Outlet:
     sent explicitly.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, panes: list[Any]) -> None:
         document = pn.state.curdoc
-        self._document = document if document and document.session_context else None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        if self._document is None:
-            self._loop = asyncio.get_running_loop()
-        self.panes: list[Any] = []
-        """The panes of Bokeh's figures."""
-
-    @property
-    def is_served(self) -> bool:
+        self.is_served = bool(document and document.session_context)
         """Whether the page is a session of a server."""
-        return self._document is not None
+        self._owner: Any = document if self.is_served else asyncio.get_running_loop()
+        self._panes = panes
 
     def post(self, change: Callable[[], None]) -> None:
         """Run a change of the page."""
-        if self._document is not None:
-            self._document.add_next_tick_callback(change)
-        elif self._loop is not None:
-            self._loop.call_soon_threadsafe(self._changed, change)
+        if self.is_served:
+            self._owner.add_next_tick_callback(change)
+        else:
+            self._owner.call_soon_threadsafe(self._changed, change)
 
     def _changed(self, change: Callable[[], None]) -> None:
         change()
-        pn.io.push_notebook(*self.panes)
+        pn.io.push_notebook(*self._panes)
 
 
 class Page:
@@ -95,7 +88,6 @@ class Page:
         self._workshop, self._on_picture = workshop, on_picture
         self.view, self._ended = zoomed(scene, view, view.ranges)
         """The view shown, and the axes on which rounding ends the zoom."""
-        self._outlet = Outlet()
         self._asked, self._asked_at = 0, 0.0
         """The number of the last picture asked for, and the time when it was."""
         self._has, self._has_changed = 0, False
@@ -109,7 +101,7 @@ class Page:
         self._refusal, self._status, self._legend = _html(), _html(), _html()
         self._captions = [_html(), _html()]
         self._verdict, self._slopes, self._code = _html(), _html(), _html()
-        self._outlet.panes = [*self._maps.panes, *self._curves.panes]
+        self._outlet = Outlet([*self._maps.panes, *self._curves.panes])
         self.layout = self._laid_out()
         self._controls.show(self.view)
         self._show_maps()
@@ -125,26 +117,20 @@ class Page:
         write = pn.widgets.Button(name="Write code", width=130)
         whole.on_click(lambda _: self._zoom(None))
         write.on_click(lambda _: self._write())
-        boxes = [
-            pn.Column(pane, caption, min_width=290, styles={"flex": "1 1 380px"})
-            for pane, caption in zip(self._maps.panes, self._captions, strict=True)
-        ]
+        wide: Any = {"sizing_mode": "stretch_width"}
+        maps = zip(self._maps.panes, self._captions, strict=True)
+        boxes = [_box(pane, caption, flex="1 1 380px") for pane, caption in maps]
         self._second = boxes[1]
         start = pn.FlexBox(
-            pn.Column(self._verdict, self._slopes, min_width=270, styles={"flex": "1 1 270px"}),
-            pn.Column(
-                self._curves.omega,
-                self._curves.energy,
-                min_width=290,
-                styles={"flex": "2 1 380px"},
-            ),
+            _box(self._verdict, self._slopes, flex="1 1 270px", width=270),
+            _box(self._curves.omega, self._curves.energy, flex="2 1 380px"),
             self._curves.body,
-            sizing_mode="stretch_width",
+            **wide,
         )
-        self._start = pn.Column(start, visible=False, sizing_mode="stretch_width")
+        self._start = pn.Column(start, visible=False, **wide)
         main = pn.Column(
             self._refusal,
-            pn.FlexBox(*boxes, sizing_mode="stretch_width"),
+            pn.FlexBox(*boxes, **wide),
             self._legend,
             self._status,
             styles={"flex": "1 1 320px", "min-width": "300px"},
@@ -153,16 +139,10 @@ class Page:
         return pn.Column(
             _html(texts.HEAD),
             # On a narrow screen the maps come before the controls.
-            pn.FlexBox(
-                side,
-                main,
-                flex_wrap="wrap-reverse",
-                align_items="flex-end",
-                sizing_mode="stretch_width",
-            ),
+            pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **wide),
             self._code,
             self._start,
-            sizing_mode="stretch_width",
+            **wide,
         )
 
     def close(self) -> None:
@@ -305,6 +285,10 @@ class Page:
         except Exception as error:  # the thread works for other pages, too
             sentence = _sentence(error)
             show(lambda: _set(self._slopes, texts.refused(sentence)))
+
+
+def _box(*panes: Any, flex: str, width: int = 290) -> Any:
+    return pn.Column(*panes, min_width=width, styles={"flex": flex})
 
 
 def _html(text: str = "") -> Any:

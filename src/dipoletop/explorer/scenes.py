@@ -100,9 +100,8 @@ def scene_of(problem: Any, over: Any) -> Scene:
         return scene_of_top(over)
     if isinstance(problem, TRANSVERSE) and Level.labelled(problem.level) in MAPPED:
         check_single(problem)
-        return scene_of_top(
-            {"delta": float(problem.delta)} | dict(over), Level.labelled(problem.level)
-        )
+        given = {"delta": float(problem.delta)} | dict(over)
+        return scene_of_top(given, Level.labelled(problem.level))
     if not isinstance(problem, type) and isinstance(problem, Equation):
         return scene_of_equation(problem, over)
     return scene_of_problem(problem, over)
@@ -113,9 +112,8 @@ def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
     quantities = _quantities(tuple(QUANTITIES), over)
     systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
     levels = first, *(level for level in MAPPED if level is not first)
-    source = Source(
-        (), lambda level, names: source_code.of_starts(names, f'dt.equation_at("{level}", delta)')
-    )
+    equation = 'dt.equation_at("{}", delta)'.format
+    source = Source((), lambda level, names: source_code.of_starts(names, equation(level)))
     return Scene(quantities, systems, levels, problem_of_top, source, True)
 
 
@@ -129,9 +127,8 @@ def scene_of_equation(equation: Any, over: Over) -> Scene:
         return equation, initial_condition(point)
 
     systems = _ordered((CYLINDRICAL, SPHERICAL), over)
-    source = Source(
-        source_code.of_equation(equation), lambda _, names: source_code.of_starts(names)
-    )
+    lines = source_code.of_equation(equation)
+    source = Source(lines, lambda _, names: source_code.of_starts(names))
     return Scene(quantities, systems, (), lambda _: problem, source, _is_symmetric(equation))
 
 
@@ -147,14 +144,8 @@ def scene_of_problem(problem: Any, over: Over) -> Scene:
             must = "give a number or a range (low, high) for every argument of `problem`"
             refuse("over", must, f"gives none for `{name}`")
     quantities = {name: _quantity(name, _plain(name), over[name]) for name in names}
-    scene = Scene(
-        quantities,
-        (names,),
-        (),
-        lambda _: problem,
-        Source(source_code.of_function(problem), lambda _, names: ()),
-        False,
-    )
+    source = Source(source_code.of_function(problem), lambda _, names: ())
+    scene = Scene(quantities, (names,), (), lambda _: problem, source, False)
     if len(scene.free) < 2:
         refuse("over", "give a range for at least two arguments", f"gives {len(scene.free)}")
     return scene

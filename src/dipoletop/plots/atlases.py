@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
 
 from .._base.checks import flag, instance, refuse
-from ..atlases import BODY_CORNERS, Atlas, Ending, saddle_node_border, spin_border
+from ..atlases import BODY_CORNERS, STOPS_AT, Atlas, Ending, saddle_node_border, spin_border
 from ..particles import paper_particles
 from .axes import several_axes
 from .style import BLACK, MM, STYLE, WIDE, percent
@@ -28,8 +28,6 @@ STOPS = {
     Ending.TUMBLING_HIGH: ("stop, tumbling about $J_1$", "#ebb97f"),
 }
 """Name and colour of every kind of stop."""
-PLACES = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
-"""The kinds of stop by their index in `prediction.ENDS`."""
 RATIOS = mpl.colormaps["YlGnBu"]
 """Colours of the mean L∞/L₀."""
 MOST = 0.75
@@ -117,9 +115,9 @@ def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
 
 def _colours(atlas: Atlas) -> Float[np.ndarray, "N 4"]:
     """Return the colour of every cell, from its mean L∞/L₀ or its most frequent kind of stop."""
-    places = list(PLACES)
+    places = list(STOPS_AT)
     most = np.argmax(atlas.probability[:, places], axis=1)
-    flat = np.array([(*to_rgb(STOPS[PLACES[place]][1]), 1.0) for place in places])
+    flat = np.array([(*to_rgb(STOPS[STOPS_AT[place]][1]), 1.0) for place in places])
     return np.where(
         (atlas.residual > 0)[:, None], RATIOS(np.clip(atlas.ratio / MOST, 0, 1)), flat[most]
     )
@@ -223,7 +221,7 @@ def _legend(maps: list[Atlas]) -> list[Patch]:
     if np.any(endings == Ending.BOTH):
         label = "residual or a stop, by the start"
         handles.append(Patch(fc=RATIOS(0.2), ec=BLACK, hatch=DENSE, lw=0, label=label))
-    for place, ending in sorted(PLACES.items(), key=lambda item: list(STOPS).index(item[1])):
+    for place, ending in sorted(STOPS_AT.items(), key=lambda item: list(STOPS).index(item[1])):
         if any(np.any(each.probability[each.residual == 0][:, place] > 0) for each in maps):
             name, colour = STOPS[ending]
             handles.append(Patch(facecolor=colour, label=name))

@@ -43,17 +43,13 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         arrays[name] = _coordinates(folder / name, array, dims)
     shown = {name: array.metadata for name, array in arrays.items()}
     shape = tiling_of(header).count, SIZE * (3 + len(names))
-    arrays[RECORDS] = StoredArray(
-        folder / RECORDS,
-        shape,
-        (1, shape[1]),
-        np.dtype("uint8"),
-        packed=False,  # a record contains its own checksum
-    )
+    records, numbers = folder / RECORDS, np.dtype("uint8")
+    # Not packed, since a record contains its own checksum.
+    arrays[RECORDS] = StoredArray(records, shape, (1, shape[1]), numbers, packed=False)
     for array in arrays.values():
         array.create()
-    for name, numbers in values.items():
-        arrays[name].write_all(numbers)
+    for name, swept in values.items():
+        arrays[name].write_all(swept)
     (folder / CLAIMS).touch()
     others = [name for name in (*values, *drawn) if name not in dims]
     attributes = {
