@@ -28,7 +28,7 @@ from ._maps.store.errors import StoreDamaged as StoreDamaged
 from ._maps.store.errors import StoreMismatch as StoreMismatch
 from ._maps.store.errors import StoreNotWritable as StoreNotWritable
 from ._maps.sweep import sweep as sweep
-from ._maps.tally import tally as tally
+from ._maps.sweep import tally as tally
 from ._maps.tally_results import Tally as Tally
 from ._runs.classification import Classification as Classification
 from ._runs.classify import classify as classify

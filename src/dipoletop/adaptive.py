@@ -154,10 +154,8 @@ class _Lattice:
 
     def spans(self, cells: Cells) -> Spans:
         """Return the first and last row, and the first and last column, of every cell."""
-        row_nodes, column_nodes = self.nodes
-        row, column = cells.T
-        rows = np.stack([row_nodes[row], row_nodes[row + 1]], -1)
-        return rows, np.stack([column_nodes[column], column_nodes[column + 1]], -1)
+        firsts = cells[:, :, None] + np.arange(2)
+        return self.nodes[0][firsts[:, 0]], self.nodes[1][firsts[:, 1]]
 
     def corners(self, cells: Cells) -> Corners:
         """Return the flat indices of the corners."""

@@ -45,6 +45,10 @@ class Ending(enum.IntEnum):
     """One of two kinds of stop, depending on the start."""
 
 
+STOPS_AT = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
+"""The kinds of stop by their index in `prediction.ENDS`."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Atlas:
     """Ends over the n² cells of a triangle.
@@ -78,9 +82,8 @@ class Atlas:
     @property
     def ending(self) -> Int[np.ndarray, "N"]:
         """The end of each body over all directions of L, a member of `Ending`."""
-        stops = self.probability[:, [2, 4, 5, 6]]
-        kinds = [Ending.SPIN_1, Ending.SPIN_3, Ending.TUMBLING_LOW, Ending.TUMBLING_HIGH]
-        ending = np.array(kinds)[np.argmax(stops, axis=1)]
+        stops = self.probability[:, list(STOPS_AT)]
+        ending = np.array(list(STOPS_AT.values()))[np.argmax(stops, axis=1)]
         ending = np.where(np.sum(stops > 0, axis=1) > 1, Ending.STOPS, ending)
         ending = np.where(self.residual > 0, Ending.BOTH, ending)
         return np.where(np.all(stops == 0, axis=1), Ending.RESIDUAL, ending)

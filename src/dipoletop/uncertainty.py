@@ -4,7 +4,7 @@
 variance to the parameters. A call makes one sweep or two.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,8 +17,7 @@ from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
 from ._base.statistics import Share, mean_and_error, share_of
 from ._base.summaries import summary, with_error
 from ._base.tolerances import check_settings, whole
-from ._base.types import Outcome
-from ._maps.basin import Basin
+from ._base.types import Outcome, implied_probability
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
@@ -161,31 +160,21 @@ def propagate(
     gradient = np.array([at_mean.derivative(name)[0] for name in means])
     with np.errstate(invalid="ignore"):  # infinity times 0 gives NaN
         linear_std = np.linalg.norm(gradient @ np.asarray(root))
-    sample = Sample(n=n, seed=seed, draw=_normal_draw(means, root))
-    drawn = sweep(problem, sample, **{"value": UNCHECKED, **settings})
-    residual = drawn.omega_inf[drawn.outcome == Outcome.RESIDUAL]
-    other = (fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)
-    return Propagation(
-        float(at_mean.omega_inf[0]),
-        dict(zip(means, gradient.tolist(), strict=True)),
-        float(linear_std),
-        drawn.fractions(),
-        share_of(int(other.sum()), len(other)),
-        *_mean_and_std(residual[np.isfinite(residual)]),
-    )
-
-
-def _normal_draw(
-    means: dict[str, float], root: Float[Array, "m m"]
-) -> Callable[[Array], dict[str, Array]]:
-    """Return a function from a random key to parameters x ~ N(mean, RRᵀ)."""
     centre = jnp.asarray(list(means.values()))
 
     def draw(key: Array) -> dict[str, Array]:
         point = centre + root @ jax.random.normal(key, centre.shape, float)
         return dict(zip(means, point, strict=True))
 
-    return draw
+    sample = Sample(n=n, seed=seed, draw=draw)
+    drawn = sweep(problem, sample, **{"value": UNCHECKED, **settings})
+    residual = drawn.omega_inf[drawn.outcome == Outcome.RESIDUAL]
+    other = (fate(drawn) != fate(at_mean)) | (fate(at_mean) <= Fate.UNDECIDED)
+    value, slopes = float(at_mean.omega_inf[0]), dict(zip(means, gradient.tolist(), strict=True))
+    changed = share_of(int(other.sum()), len(other))
+    mean_and_std = _mean_and_std(residual[np.isfinite(residual)])
+    shares = drawn.fractions()
+    return Propagation(value, slopes, float(linear_std), shares, changed, *mean_and_std)
 
 
 def _root(covariance: Any, m: int) -> Float[Array, "m m"]:
@@ -264,26 +253,23 @@ def sobol(
     """
     check_settings(settings, STORED)
     low, high = corners_of_box("bounds", bounds)
-    n, seed = _power_of_two(n), whole("seed", seed, 0)
+    n, seed = whole("n", n, 2, "be a power of two"), whole("seed", seed, 0)
+    if n & (n - 1):
+        refuse("n", "be a power of two", f"is {n!r}")
     if target not in ("omega_inf", "residual"):
         refuse("target", "be 'omega_inf' or 'residual'", f"is {target!r}")
     most_unknown = float(finite("most_unknown", most_unknown, batch=False))
     points = low + (high - low) * _saltelli_points(n, len(low), seed)
     columns = dict(zip(bounds, points.reshape(-1, len(low)).T, strict=True))
     basin = sweep(problem, Points(**columns), **{"value": UNCHECKED, **settings})
-    values = _target_values(basin, target).reshape(points.shape[:2])
+    found = basin.omega_inf if target == "omega_inf" else implied_probability(basin.outcome)
+    values = found.reshape(points.shape[:2])
     unknown = float(np.mean(np.isnan(values)))
     generator = np.random.default_rng([seed, 1])
     _replace_unknown(values, most_unknown, generator)
     first, total = _with_intervals(values, tuple(bounds), generator)
     mean, variance = float(values[:2].mean()), float(values[:2].var())
     return SobolIndices(target, first, total, mean, variance, values.size, unknown)
-
-
-def _power_of_two(n: Any) -> int:
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 2 or n & (n - 1):
-        refuse("n", "be a power of two", f"is {n!r}")
-    return int(n)
 
 
 def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
@@ -295,14 +281,6 @@ def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"
     a, b = both[:, :m], both[:, m:]
     mixed = np.where(np.eye(m, dtype=bool)[:, None], b, a)
     return np.concatenate([a[None], b[None], mixed])
-
-
-def _target_values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
-    """Return the target of every run; NaN where unknown."""
-    if target == "omega_inf":
-        return basin.omega_inf
-    known = np.isin(basin.outcome, (Outcome.RESIDUAL, Outcome.STOP))
-    return np.where(known, (basin.outcome == Outcome.RESIDUAL) * 1.0, np.nan)
 
 
 def _replace_unknown(

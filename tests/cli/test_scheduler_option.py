@@ -8,7 +8,7 @@ from command_line import refusal
 
 import dipoletop as dt
 from dask_processes import DIPOLETOP, SCHEDULER, Processes
-from dipoletop.cli import clusters
+from dipoletop.cli import map_command
 
 MAP = ["map", "--level", "order-1", "--size", "8", "--quiet"]
 # Run by a worker before it starts.
@@ -22,17 +22,17 @@ metadata.version = version
 """
 OTHER_PROGRAMS = """
 import importlib.metadata
-from dipoletop._maps import cluster_workers, problems
-cluster_workers.versions_here = lambda here=cluster_workers.versions_here(): (
+from dipoletop._maps import cluster, problems
+cluster.versions_here = lambda here=cluster.versions_here(): (
     {**here, "dipoletop": "0.0.1"}
 )
 problems.BlockBuilder.program_digests = lambda blocks: {"problem": bytes(32)}
 """
 OTHER_PYTHON = """
 from types import SimpleNamespace
-from dipoletop._maps import cluster_workers
-cluster_workers.sys = SimpleNamespace(version_info=(3, 99, 0))
-cluster_workers.platform = SimpleNamespace(python_version=lambda: "3.99.0", node=lambda: "n1")
+from dipoletop._maps import cluster
+cluster.sys = SimpleNamespace(version_info=(3, 99, 0))
+cluster.platform = SimpleNamespace(python_version=lambda: "3.99.0", node=lambda: "n1")
 """
 OTHER_FOLDERS = """
 from pathlib import Path
@@ -63,7 +63,7 @@ def test_what_is_no_address_is_refused(tmp_path, address):
 
 def test_a_scheduler_that_does_not_answer_is_waited_for_no_longer_than_told(tmp_path, monkeypatch):
     """One port that is closed, one of a server that is silent, and a host that is unknown."""
-    monkeypatch.setattr(clusters, "CONNECT", 0.5)
+    monkeypatch.setattr(map_command, "CONNECT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
         for address in (f"tcp://127.0.0.1:{port}", "tcp://no-such-host.invalid:8786"):
@@ -81,7 +81,7 @@ def test_a_map_without_a_store_is_refused_before_anything_is_asked(tmp_path):
 def test_a_scheduler_without_workers_is_waited_for_no_longer_than_told(
     tmp_path, monkeypatch, processes
 ):
-    monkeypatch.setattr(clusters, "JOIN", 0.5)
+    monkeypatch.setattr(map_command, "JOIN", 0.5)
     _, address = processes.scheduler()
     assert said(tmp_path, address) == (f"--scheduler {address}: no worker has answered in 0.5 s.")
 

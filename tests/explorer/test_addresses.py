@@ -6,14 +6,14 @@ from urllib.parse import parse_qs
 import pytest
 
 from dipoletop.equations.levels import Level
-from dipoletop.explorer import addresses, scenes, views
+from dipoletop.explorer import scenes, views
 
 TOP = scenes.scene_of_top({})
 FIRST = views.first_view(TOP, levels=TOP.at_first)
 
 
 def opened(query):
-    return addresses.view_at(TOP, FIRST, parse_qs(query.removeprefix("?"), keep_blank_values=True))
+    return views.view_at(TOP, FIRST, parse_qs(query.removeprefix("?"), keep_blank_values=True))
 
 
 @pytest.mark.parametrize(
@@ -22,12 +22,12 @@ def opened(query):
         FIRST,
         replace(FIRST, levels=(Level.ORDER_1, Level.SEMI), rtol=1e-5, size=512),
         replace(FIRST, ranges={"phi": (0.1 + 1e-15, 0.1 + 3e-15), "w3": (1 / 3, 2 / 3)}),
-        views.in_system(TOP, FIRST, "theta", "amplitude", ("delta", "amplitude", "theta", "phi")),
-        views.in_system(TOP, FIRST, "delta", "phi", ("delta", "amplitude", "theta", "phi")),
+        views.in_system(TOP, FIRST, ("delta", "amplitude", "theta", "phi"), "theta", "amplitude"),
+        views.in_system(TOP, FIRST, ("delta", "amplitude", "theta", "phi"), "delta", "phi"),
     ],
 )
 def test_an_address_gives_back_its_view(view):
-    again = opened(addresses.address_of(view))
+    again = opened(views.address_of(view))
     assert (again.x, again.y, again.ranges, again.fixed) == (
         view.x,
         view.y,

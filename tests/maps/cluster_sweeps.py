@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import dipoletop as dt
-from dipoletop._maps import cluster, cluster_workers
+from dipoletop._maps import cluster
 
 GRID = dt.Grid(w3=np.linspace(0.0, 0.45, 40), phi=np.linspace(0.0, 3.0, 64))
 POINTS = dt.Points(w3=np.linspace(0.0, 0.45, 90_000), phi=np.linspace(0.0, 3.0, 90_000))
@@ -40,7 +40,7 @@ def submitted_as_workers_join(problem, store, client):
     submit, counts, count = client.submit, [], [0]
 
     def counting(*arguments, **settings):
-        count[0] += arguments[0] is cluster_workers.compute_tile
+        count[0] += arguments[0] is cluster.compute_tile
         return submit(*arguments, **settings)
 
     def nthreads():

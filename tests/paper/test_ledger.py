@@ -11,7 +11,7 @@ from dipoletop import cli, paper
 from dipoletop.paper import (
     Entry,
     ledger_averaged,
-    ledger_conclusions,
+    ledger_claims,
     ledger_equation_of_motion,
     ledger_longitudinal,
     ledger_rotator,
@@ -25,7 +25,7 @@ MOST_PROGRAMS = 250  # the ledger is read line by line, and computed operation b
 # `dipoletop validate --paper`.
 PLAIN = {
     ledger_averaged.orbits: ["(4.17)", "(4.17)", "(4.19)"],
-    ledger_conclusions.conclusions: ["conclusions", "conclusions"],
+    ledger_claims.conclusions: ["conclusions", "conclusions"],
     ledger_longitudinal.braking_time: [],
     ledger_rotator.phase_plane: ["(A.11)"],
     ledger_longitudinal.changed_variables: [],
@@ -114,8 +114,8 @@ PLANTS = [
         "(4.18)",
     ),
     (ledger_averaged.late, dt.exact, "averaged_late", LATE, "(4.20)"),
-    (ledger_conclusions.conclusions, particle, "RADIATION", 2.4e-16, "conclusions"),
-    (ledger_conclusions.conclusions, ledger_conclusions, "FASTER", 0.5, "conclusions"),
+    (ledger_claims.conclusions, particle, "RADIATION", 2.4e-16, "conclusions"),
+    (ledger_claims.conclusions, ledger_claims, "FASTER", 0.5, "conclusions"),
     (ledger_rotator.phase_plane, ledger_rotator, "separatrix", dt.critical_manifold, "(A.11)"),
     (ledger_rotator.phase_plane, ledger_rotator, "ROOT", 1.42, "(A.7)–(A.12)"),
     (

@@ -8,7 +8,7 @@ import pytest
 import dipoletop as dt
 from dipoletop import plots
 from dipoletop.plots import histories
-from dipoletop.plots.history_curves import Curves
+from dipoletop.plots.histories import Curves
 from dipoletop.prediction import Prediction
 
 TIMES = np.geomspace(1.0, 1e4, 9)

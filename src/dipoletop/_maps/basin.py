@@ -12,7 +12,6 @@ from .._base.checks import described, flag, instance, refuse
 from .._base.statistics import Share, share_of
 from .._base.types import Outcome
 from .columns import (
-    CONVENTIONS,
     DERIVATIVE_PREFIX,
     MISSING,
     START,
@@ -204,8 +203,7 @@ class Basin:
             kind[name] = (dims, values, labels(name))
         for name, values in self.coords.items():
             coords[name] = (coordinate_dims(name, self.dims, values.ndim), values, labels(name))
-        attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
-        data = xarray.Dataset(variables, coords, attrs)
+        data = xarray.Dataset(variables, coords, plain_attributes(self.attrs))
         if "outcome" not in variables or np.all(computed := data.outcome != MISSING["int8"]):
             return data
         truths = {name: x.astype("int8") for name, x in data.items() if x.dtype == bool}

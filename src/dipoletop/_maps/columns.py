@@ -16,16 +16,12 @@ class ColumnSpec(NamedTuple):
     dtype: str
     unit: str
     meaning: str
-    flags: dict[str, int] = {}  # noqa: RUF012 (never changed)
-    """Values by name, for columns whose numbers stand for names."""
-
-
-def _members(enumeration: Any) -> dict[str, int]:
-    return {member.name: int(member) for member in enumeration}
+    members: Iterable[Any] = ()
+    """The enumeration, for columns whose numbers stand for its members."""
 
 
 COLUMNS: dict[str, ColumnSpec] = {
-    "outcome": ColumnSpec("int8", "1", "how the rotation ends", _members(Outcome)),
+    "outcome": ColumnSpec("int8", "1", "how the rotation ends", Outcome),
     "omega_inf": ColumnSpec(
         "float64", "1/tau_0", "residual angular velocity along the dipole, signed"
     ),
@@ -35,8 +31,8 @@ COLUMNS: dict[str, ColumnSpec] = {
     "certified": ColumnSpec(
         "bool", "1", "whether the region that ended the run is proven to decide for its level"
     ),
-    "stop": ColumnSpec("int8", "1", "in which way a top stops", _members(Stop)),
-    "regime": ColumnSpec("int8", "1", "law that decided", _members(Regime)),
+    "stop": ColumnSpec("int8", "1", "in which way a top stops", Stop),
+    "regime": ColumnSpec("int8", "1", "law that decided", Regime),
     "probability": ColumnSpec("float64", "1", "probability that the rotation is residual"),
 }
 """Columns of every basin."""
@@ -60,8 +56,6 @@ MISSING: dict[str, Any] = {
 DERIVATIVE_PREFIX = "d_omega_inf_d_"
 """A column of derivatives has this prefix and the name of the axis."""
 
-CONVENTIONS = "CF-1.11"
-"""The conventions for names of attributes."""
 
 VERSION = "version_"
 """The prefix of attributes with versions."""
@@ -131,7 +125,8 @@ def component_dims(name: str, count: int) -> tuple[str, ...]:
 
 def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes in a form that every data format can hold; booleans become text."""
-    return {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
+    plain = {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
+    return {"Conventions": "CF-1.11"} | plain
 
 
 def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,9 +136,8 @@ def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:
 
 def labels(name: str) -> dict[str, Any]:
     """Return the CF attributes of a column or an axis: unit, meaning and flags."""
-    dtype, unit, meaning, flags = column_spec(name)
-    if dtype == "bool":
-        flags = {"no": 0, "yes": 1}
+    dtype, unit, meaning, members = column_spec(name)
+    flags = {"no": 0, "yes": 1} if dtype == "bool" else {x.name: int(x) for x in members}
     texts = {"units": unit, "long_name": meaning} if meaning else {}
     if not flags:
         return texts

@@ -58,8 +58,10 @@ class BlockBuilder:
         with as_worker():
             if jax.default_backend() != "cpu":
                 return self._jitted(points)
-            leaves = self._programs(self._leaves, points)
-            return jax.tree.unflatten(self._structure, map(np.asarray, leaves))
+            leaves = self._programs(lambda p: jax.tree.leaves(self._vectorised(p)), points)
+            if not self._structures:
+                self._structures.append(jax.tree.structure(self.template()))
+            return jax.tree.unflatten(self._structures[0], map(np.asarray, leaves))
 
     def template(self) -> Any:
         """Return the shapes and types of a block of one point."""
@@ -69,18 +71,9 @@ class BlockBuilder:
                 _check_derivatives(points, self.derivatives)
             return eqx.filter_eval_shape(self._vectorised, points)
 
-    @property
-    def _structure(self) -> Any:
-        if not self._structures:
-            self._structures.append(jax.tree.structure(self.template()))
-        return self._structures[0]
-
     @functools.cached_property
     def _jitted(self) -> Callable[[PointValues], StartBlock]:
         return jax.jit(self._vectorised)
-
-    def _leaves(self, points: PointValues) -> list[Array]:
-        return jax.tree.leaves(self._vectorised(points))
 
     def _vectorised(self, points: PointValues) -> StartBlock:
         of_point = self._with_variations if self.derivatives else self._equation_and_start
@@ -123,12 +116,10 @@ class BlockBuilder:
             state = jax.eval_shape(equation.lift, omegas)
             digests = {
                 "problem": program_digest(self._vectorised, points),
-                "field": _digest_of(_rates, equation, (jnp.zeros(()), state)),
-                "lift": _digest_of(lambda equation, omega: equation.lift(omega), equation, omegas),
+                "field": _digest_of(lambda f, at: f(*at, None), equation, (jnp.zeros(()), state)),
+                "lift": _digest_of(lambda f, omega: f.lift(omega), equation, omegas),
                 "verdict": _digest_of(_verdict, equation, state),
-                "sizes": _digest_of(
-                    lambda equation, y: error_scale_of(equation)(y), equation, state
-                ),
+                "sizes": _digest_of(lambda f, y: error_scale_of(f)(y), equation, state),
             }
             if isinstance(self.over, Sample):
                 digests["draw"] = program_digest(self.over.draw, jax.random.key(0))
@@ -137,7 +128,7 @@ class BlockBuilder:
 
 def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: Any) -> bytes:
     """Return the digest of a method as a function of the equation's arrays and the argument."""
-    arrays, rest = eqx.partition(equation, _is_shape)
+    arrays, rest = eqx.partition(equation, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct))
 
     def leaves(arrays: Any, argument: Any) -> list[Any]:
         return jax.tree.leaves(method(eqx.combine(arrays, rest), argument))
@@ -145,19 +136,10 @@ def _digest_of(method: Callable[[Any, Any], Any], equation: Equation, argument: 
     return program_digest(leaves, arrays, argument)
 
 
-def _rates(equation: Equation, at: tuple[Array, State]) -> State:
-    """Return dy/dτ at (τ, y)."""
-    return equation(*at, None)
-
-
 def _verdict(equation: DecidingEquation, y: State) -> Verdict:
     """Return the verdict, certified only if its regions are proven for this class of equation."""
     verdict = Verdict(*equation.verdict(y))
     return verdict._replace(certified=verdict.certified_for(equation))
-
-
-def _is_shape(leaf: Any) -> bool:
-    return isinstance(leaf, jax.ShapeDtypeStruct)
 
 
 def check_problem(problem: Any) -> None:
@@ -192,21 +174,16 @@ def first_lanes(block: StartBlock, length: int) -> Any:  # a `StartBlock` of ano
     """Return the equations and starts of the first `length` points."""
     if block[1].shape[1] == length:
         return block
-    arrays, rest = eqx.partition(block, _is_array)
-    return eqx.combine(jax.tree.map(lambda x: x[..., :length], arrays), rest)
+    return jax.tree.map(lambda x: x[..., :length] if eqx.is_array(x) else x, block)
 
 
 def joined(blocks: Sequence[Any]) -> Any:  # of several lengths
     """Return one block with the lanes of several blocks."""
     if len(blocks) == 1:
         return blocks[0]
-    arrays, rest = zip(*(eqx.partition(block, _is_array) for block in blocks), strict=True)
+    arrays, rest = zip(*(eqx.partition(block, eqx.is_array) for block in blocks), strict=True)
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *arrays)
     return eqx.combine(together, rest[0])
-
-
-def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
 
 
 def block_digest(block: StartBlock) -> bytes:

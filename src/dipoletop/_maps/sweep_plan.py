@@ -56,23 +56,8 @@ def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[st
     return names
 
 
-class Rules(NamedTuple):
-    """The tolerances of the runs of a sweep, and when they end."""
-
-    rtols: list[Float[Array, ""]]
-    """The tolerance of the columns and, if outcomes are to be confirmed, a second one."""
-    atol: Any
-    """The absolute tolerance given by the user; see `sweep` for None."""
-    max_steps: int
-    """Budget of every run."""
-    value: Value
-    """Whether to compute ω∞, and its error estimate."""
-    slow_flow: SlowFlow
-    """Whether to predict slow runs."""
-
-
 class Settings(NamedTuple):
-    """The arguments of a sweep that say how to compute it, as given by the user; see `sweep`."""
+    """The arguments of a sweep that say how to compute it; see `sweep`."""
 
     rtol: Any = 1e-8
     atol: Any = None
@@ -94,17 +79,17 @@ class Plan:
     Attributes:
         blocks: function from points to the equations and starts of a tile.
         equation: the equation, with the shapes and types of its arrays for one point.
-        rules: tolerances and budgets.
+        rtols: the tolerance of the columns and, if outcomes are to be confirmed, a second one.
         devices: the devices, each repeated once for each of its threads.
         engines: the engine of each device.
-        settings: the arguments as given by the user.
+        settings: the checked arguments.
         cut: function from the shape of the starts to their tiling.
         threads: number of threads for one tile in an engine that has its own.
     """
 
     blocks: BlockBuilder
     equation: Equation
-    rules: Rules
+    rtols: list[Float[Array, ""]]
     devices: list[Device]
     engines: dict[Device, Engine]
     settings: Settings
@@ -119,32 +104,34 @@ class Plan:
     @property
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
-        return [*column_names(self.settings, self.blocks.derivatives), *self.drawn]
-
-    @property
-    def is_sample(self) -> bool:
-        """Whether the starts are random."""
-        return isinstance(self.blocks.over, Sample)
+        derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
+        confirmed = [] if self.settings.confirm is None else ["changed"]
+        return [*COLUMNS, *derivatives, *confirmed, *self.drawn]
 
     @functools.cached_property
     def drawn(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the start and the parameters that are kept for every point of a sample."""
         over = self.blocks.over
-        return drawn_shapes(over) if isinstance(over, Sample) else {}
+        if not isinstance(over, Sample):
+            return {}
+        point = jax.eval_shape(over.draw, jax.random.key(0))
+        parameters = {name: x.shape for name, x in point.items()} if isinstance(point, dict) else {}
+        check_arguments("draw", parameters)
+        return {START: (3,)} | {name: x for name, x in parameters.items() if name != START}
 
     @property
     def attrs(self) -> dict[str, Any]:
         """The attributes of the basin: level, settings, versions."""
-        rtols, atol, max_steps, value, slow_flow = self.rules
-        derivatives = list(self.blocks.derivatives)
+        given, rtols, derivatives = self.settings, self.rtols, list(self.blocks.derivatives)
+        exact = given.value or given.atol is not None
         return {
             "level": level_of(self.equation),
             "rtol": float(rtols[0]),
-            "atol": float(atol or 0) if value or atol is not None else ATOL_OF_LABELS,
-            "max_steps": max_steps,
-            "value": value,
+            "atol": float(given.atol or 0) if exact else ATOL_OF_LABELS,
+            "max_steps": given.max_steps,
+            "value": given.value,
             "engine": self.engines[self.devices[0]].name,
-            "slow_flow": slow_flow,
+            "slow_flow": given.slow_flow,
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
             **self.blocks.over.header.settings,
@@ -206,7 +193,7 @@ class Plan:
         queue = joined(used)
         columns, *confirming = [
             self._columns(queue, is_real, rtol, device, loosely=number == 0)
-            for number, rtol in enumerate(self.rules.rtols)
+            for number, rtol in enumerate(self.rtols)
         ]
         for other in confirming:
             columns["changed"] = columns["outcome"] != other["outcome"]
@@ -231,11 +218,12 @@ class Plan:
         *,
         loosely: bool,
     ) -> Columns:
-        (equation, omegas), (_, atol, max_steps, value, slow_flow) = block, self.rules
+        (equation, omegas), given = block, self.settings
         end = np.where(is_real, np.inf, 0.0)  # padding takes no step
-        atol = absolute(atol, rtol, omegas, exact_when_slow(equation, value))
-        limits = Limits(rtol, atol, end, jnp.asarray(max_steps))
-        way = RunOptions(value, self.engines[device], device, slow_flow, self.threads, loosely)
+        atol = absolute(given.atol, rtol, omegas, exact_when_slow(equation, given.value))
+        limits = Limits(rtol, atol, end, jnp.asarray(given.max_steps))
+        engine, slow_flow = self.engines[device], given.slow_flow
+        way = RunOptions(given.value, engine, device, slow_flow, self.threads, loosely)
         ends = classify_block(equation, omegas, limits, way)
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
         for k, name in enumerate(self.blocks.derivatives):
@@ -257,30 +245,15 @@ def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) 
     rtols = [tolerance("rtol", rtol)]
     if confirm is not None:
         rtols.append(tolerance("confirm", confirm))
-    max_steps, devices = budget("max_steps", max_steps), worker_devices(devices)
+    settings = settings._replace(max_steps=budget("max_steps", max_steps))
+    devices = worker_devices(devices)
     # check
     equation, _ = blocks.template()
     check_verdict(equation)
     check_slow_flow(slow_flow, equation)
     until, finish = stopping_rule(equation, value), finish_of(value)
     engines = select_engines(engine, equation, devices, until, finish)
-    rules = Rules(rtols, atol, max_steps, value, slow_flow)
-    return Plan(blocks, equation, rules, devices, engines, settings)
-
-
-def column_names(settings: Settings, derivatives: Iterable[str]) -> list[str]:
-    """Return the names of the columns of results, in order."""
-    confirmed = [] if settings.confirm is None else ["changed"]
-    names = [DERIVATIVE_PREFIX + name for name in derivatives]
-    return [*COLUMNS, *names, *confirmed]
-
-
-def drawn_shapes(over: Sample) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the start and of each parameter that a sample draws for a point."""
-    point = jax.eval_shape(over.draw, jax.random.key(0))
-    parameters = {name: x.shape for name, x in point.items()} if isinstance(point, dict) else {}
-    check_arguments("draw", parameters)
-    return {START: (3,)} | {name: x for name, x in parameters.items() if name != START}
+    return Plan(blocks, equation, rtols, devices, engines, settings)
 
 
 def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:

@@ -2,49 +2,15 @@
 
 import contextlib
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
 from .._base.parallel import in_parallel
 from .columns import BasinParts, column_spec
 from .store.errors import StoreMismatch, StoreNotWritable
-from .store.resume import THIS_SWEEP, begin_or_resume
-from .store.tiles import Tiles
+from .store.saved_basins import THIS_SWEEP, begin_or_resume
 from .sweep_plan import ComputedTile, Plan
-
-
-@runtime_checkable
-class Store(Protocol):
-    """The interface that a sweep needs from the store of its columns."""
-
-    patience: ClassVar[float]
-    """Seconds for which an interrupted sweep waits for the tiles in progress, to keep them."""
-
-    def unfinished(self) -> list[int]:
-        """Return the tiles to compute."""
-        ...
-
-    def claim(self, tile: int) -> bool:
-        """Return whether this process is to compute a tile."""
-        ...
-
-    def is_finished(self, tile: int) -> bool:
-        """Return whether a tile is in place."""
-        ...
-
-    def write(self, computed: ComputedTile) -> None:
-        """Put a claimed tile in its place."""
-        ...
-
-    def reopen(self) -> None:
-        """Claim tiles again after `close`."""
-        ...
-
-    def close(self) -> None:
-        """Claim no more tiles."""
-        ...
 
 
 class MemoryStore:
@@ -56,6 +22,7 @@ class MemoryStore:
     """
 
     patience: ClassVar[float] = 0.0
+    """Seconds for which an interrupted sweep waits for the tiles in progress, to keep them."""
 
     def __init__(self, plan: Plan, keep: Callable[[ComputedTile], None]) -> None:
         self._count, self._keep = plan.tiling.count, keep
@@ -77,9 +44,6 @@ class MemoryStore:
         """Keep the columns of a tile."""
         self._keep(computed)
         self._finished.add(computed.tile)
-
-    def reopen(self) -> None:
-        """Do nothing."""
 
     def close(self) -> None:
         """Do nothing."""
@@ -119,24 +83,20 @@ class ZarrStore:
     def __init__(self, path: Any, plan: Plan, repair: bool) -> None:
         self._plan, self._repair = plan, repair
         values = plan.blocks.over.header.values
-        self._tiles = begin_or_resume(path, plan.header(), values, repair)
-        self._claims = self._tiles.claims()
+        self.tiles = begin_or_resume(path, plan.header(), values, repair)
+        """The tiles on disk."""
+        self._claims = self.tiles.claims()
         self._tidy()
 
     def _tidy(self) -> None:
         """Remove what killed processes left behind, unless another process may be writing."""
         with self._claims.everything() as alone:
             if alone:
-                self._tiles.discard_partial_files()
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the store."""
-        return self._tiles.folder
+                self.tiles.discard_partial_files()
 
     def unfinished(self) -> list[int]:
         """Return the tiles to compute, after reading finished ones and comparing their inputs."""
-        tiles = self._tiles
+        tiles = self.tiles
         left = tiles.unfinished()
         finished = tiles.tiling.others(left)
         damaged = tiles.damaged(finished)
@@ -168,20 +128,19 @@ class ZarrStore:
 
     def is_finished(self, tile: int) -> bool:
         """Return whether a tile is on disk."""
-        return self._tiles.is_finished(tile)
+        return self.tiles.is_finished(tile)
 
     def progress(self) -> tuple[int, int]:
         """Return the number of finished tiles, and of all tiles."""
-        count = self._tiles.tiling.count
-        return count - len(self._tiles.unfinished()), count
+        return len(self.tiles.finished()), self.tiles.tiling.count
 
     def write(self, computed: ComputedTile) -> None:
         """Write a claimed tile to disk, with the digest of its inputs."""
         try:
-            self._tiles.write(computed.tile, computed.columns, computed.inputs)
+            self.tiles.write(computed.tile, computed.columns, computed.inputs)
         except OSError as error:
             reason = error.strerror or str(error)
-            raise StoreNotWritable(self.folder, *self.progress(), reason) from error
+            raise StoreNotWritable(self.tiles.folder, *self.progress(), reason) from error
         self._claims.give_back(computed.tile)
 
     def give_back(self, tile: int) -> None:
@@ -191,18 +150,17 @@ class ZarrStore:
     def reopen(self) -> None:
         """Claim tiles again after `close`, unless a sweep of this process has the store."""
         with contextlib.suppress(StoreMismatch):
-            self._claims = self._tiles.claims()
+            self._claims = self.tiles.claims()
 
     def close(self) -> None:
         """Release the store to other processes."""
         self._tidy()
         self._claims.close()
 
-    @property
-    def tiles(self) -> Tiles:
-        """The tiles on disk."""
-        return self._tiles
-
     def contents(self) -> BasinParts:
         """Return the finished basin, whose columns are read from disk when they are used."""
-        return self._tiles.contents()
+        return self.tiles.contents()
+
+
+Store = MemoryStore | ZarrStore
+"""A store in which a sweep claims, computes and writes its tiles."""

@@ -127,7 +127,10 @@ def is_counted(column: str, values: np.ndarray, outcome: Int[np.ndarray, "n"]) -
 
 
 def reduction_of(
-    over: Grid | Points | Sample, keep: str | Sequence[str], histograms: Any, columns: Sequence[str]
+    over: Grid | Points | Sample,
+    keep: str | Sequence[str],
+    histograms: Any,
+    derivatives: Sequence[str],
 ) -> Reduction:
     """Return the reduction after checking the arguments.
 
@@ -135,7 +138,7 @@ def reduction_of(
         over: the points of the sweep.
         keep: names of axes of a grid.
         histograms: edges of bins by the names of columns.
-        columns: the columns that can be counted.
+        derivatives: the arguments along which ω∞ is differentiated.
     """
     names = names_of("keep", keep)
     known = over.dims if isinstance(over, Grid) else ()
@@ -146,16 +149,11 @@ def reduction_of(
     if len(set(names)) < len(names):
         refuse("keep", "name each axis once", f"is {', '.join(names)}")
     instance("histograms", histograms, Mapping, "be a mapping from columns to edges of bins")
-    countable = [
-        name for name in columns if name in ROTATION + MOTION or name.startswith(DERIVATIVE_PREFIX)
-    ]
+    countable = [*ROTATION, *MOTION, *(DERIVATIVE_PREFIX + name for name in derivatives)]
     for name in histograms:
         if name not in countable:
-            refuse(
-                "histograms",
-                f"be of columns with numbers ({', '.join(countable)})",
-                f"has {name!r}",
-            )
+            must = f"be of columns with numbers ({', '.join(countable)})"
+            refuse("histograms", must, f"has {name!r}")
     return Reduction(tuple(names), {name: _edges(name, x) for name, x in histograms.items()})
 
 

@@ -12,12 +12,11 @@ from jaxtyping import Float, Int
 from .._base.checks import flag, refuse
 from .._base.statistics import wilson
 from .._base.types import Outcome
-from .columns import CONVENTIONS, column_spec, coordinate_dims, labels, plain_attributes
+from .columns import column_spec, coordinate_dims, labels, plain_attributes
 from .grids import counted, described_axis
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
 from .store.tiles import Tiles, open_store
-from .sweep_plan import ComputedTile
 from .tally_counts import CERTIFIED, Reduction
 from .tiling import Tiling
 
@@ -166,21 +165,18 @@ class Tally:
             values = self.coords[name]
             dims = coordinate_dims(name, self.dims, values.ndim)
             coords[name] = (dims, values, labels(name))
-        attrs = {"Conventions": CONVENTIONS} | plain_attributes(self.attrs)
-        return xarray.Dataset(variables, coords, attrs)
+        return xarray.Dataset(variables, coords, plain_attributes(self.attrs))
 
     def __eq__(self, other: object) -> bool:
         """Return whether cells, bins and all counts are the same."""
         if not isinstance(other, Tally):
             return NotImplemented
-        same = (self.dims, self.size) == (other.dims, other.size)
-        same = same and self.reduction.edges.keys() == other.reduction.edges.keys()
-        pairs = [
-            (x, other.reduction.edges[name]) for name, x in self.reduction.edges.items() if same
-        ]
+        bins, others = self.reduction.edges, other.reduction.edges
+        if (self.dims, self.size, bins.keys()) != (other.dims, other.size, others.keys()):
+            return False
+        pairs = [(self.counts, other.counts), *((x, others[name]) for name, x in bins.items())]
         pairs += [(x, other.coords.get(name, np.nan)) for name, x in self.coords.items()]
-        pairs += [(self.counts, other.counts)]
-        return same and all(np.array_equal(*pair) for pair in pairs)
+        return all(np.array_equal(*pair) for pair in pairs)
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 
@@ -200,14 +196,9 @@ class Tally:
         if "tally" not in tiles.header:
             must, reason = "be a tally", f"{tiles.folder} is not one (`Basin.load` reads a basin)"
             raise StoreMismatch("path", tiles.folder, must, reason)
-        left = tiles.unfinished()
-        if left and not flag("unfinished", unfinished):
-            reason = (
-                f"{tiles.folder} is missing {len(left)} of {tiles.tiling.count} tiles; "
-                "run the tally again with this store"
-            )
-            raise StoreMismatch("path", tiles.folder, "hold a finished tally", reason)
-        return tally_on_disk(tiles, tiles.tiling.others(left))
+        if not flag("unfinished", unfinished):
+            tiles.refuse_unfinished("tally")
+        return tally_on_disk(tiles, tiles.finished())
 
     @property
     def merged(self) -> "Tally":
@@ -232,53 +223,33 @@ class Tally:
         return "\n      ".join(lines) + ")"
 
 
-class CountsInMemory:
-    """The counts of a sweep, in memory."""
+class Counts:
+    """The counts of a sweep, to which tiles are added."""
 
     def __init__(self, reduction: Reduction, tiling: Tiling) -> None:
-        self._tiling, self._adding = tiling, threading.Lock()
-        self.counts = no_counts(reduction, tiling)
+        self._reduction, self._tiling, self._adding = reduction, tiling, threading.Lock()
+        self._shape = tiling.shape[: len(reduction.keep)]
+        self._counts = np.zeros((*self._shape, reduction.width), np.int64)
 
-    def add(self, computed: ComputedTile) -> None:
+    def add(self, tile: int, part: Int[np.ndarray, "..."]) -> None:
         """Add the counts of a tile; tiles of other workers may have the same cells."""
-        part = computed.columns["counts"][0]
+        cells = self._tiling.box(tile)[: part.ndim - 1]
         with self._adding:
-            add_counts(self.counts, part, self._tiling, computed.tile)
+            self._counts[cells] += part[tuple(slice(cell.stop - cell.start) for cell in cells)]
 
-
-def no_counts(reduction: Reduction, tiling: Tiling) -> Int[np.ndarray, "..."]:
-    """Return zeros for all counts."""
-    return np.zeros((*tiling.shape[: len(reduction.keep)], reduction.width), np.int64)
-
-
-def add_counts(
-    counts: Int[np.ndarray, "..."], part: Int[np.ndarray, "..."], tiling: Tiling, tile: int
-) -> None:
-    """Add the counts of a tile to the counts of its cells, in place."""
-    cells = tiling.box(tile)[: part.ndim - 1]
-    counts[cells] += part[tuple(slice(cell.stop - cell.start) for cell in cells)]
+    def tally(self, coords: dict[str, np.ndarray], attrs: dict[str, Any]) -> Tally:
+        """Return the tally of these counts."""
+        keep, size = self._reduction.keep, self._tiling.size
+        return Tally(keep, self._shape, coords, self._counts, self._reduction, size, attrs)
 
 
 def tally_on_disk(tiles: Tiles, finished: Iterable[int]) -> Tally:
     """Return the tally of these tiles of a store."""
     header = tiles.header
-    own, tiling = header["tally"], tiling_of_starts(header)
-    edges = {name: np.asarray(values) for name, values in own["edges"].items()}
-    reduction = Reduction(tuple(own["keep"]), edges)
-    counts = no_counts(reduction, tiling)
+    edges = {name: np.asarray(values) for name, values in header["tally"]["edges"].items()}
+    reduction = Reduction(tuple(header["tally"]["keep"]), edges)
+    counts = Counts(reduction, tiling_of_starts(header))
     for tile in finished:
-        add_counts(counts, tiles.read("counts", tile)[0], tiling, tile)
+        counts.add(tile, tiles.read("counts", tile)[0])
     coords = {name: tiles.values(name) for name in header["axes"]}
-    return tally_of(reduction, tiling, coords, counts, dict(header["attrs"]))
-
-
-def tally_of(
-    reduction: Reduction,
-    tiling: Tiling,
-    coords: dict[str, np.ndarray],
-    counts: Int[np.ndarray, "..."],
-    attrs: dict[str, Any],
-) -> Tally:
-    """Return a tally of these counts."""
-    shape = tiling.shape[: len(reduction.keep)]
-    return Tally(reduction.keep, shape, coords, counts, reduction, tiling.size, attrs)
+    return counts.tally(coords, dict(header["attrs"]))

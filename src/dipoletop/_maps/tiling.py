@@ -47,11 +47,6 @@ class Tiling:
         few, usual = power_of_two(-(-size // 8)), power_of_two(-(-size // MANY))
         return cls.of(shape, min(few, max(TILE, min(usual, LARGEST))))
 
-    @classmethod
-    def whole(cls, shape: tuple[int, ...]) -> "Tiling":
-        """Return the tiling with one tile."""
-        return cls(shape, shape)
-
     @property
     def size(self) -> int:
         """Number of starts."""

@@ -5,7 +5,7 @@ A quantity has the name of its axis in a `Grid`, such as `w_perp`.
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -63,6 +63,18 @@ def checked(name: str, value: Any, quantity: Quantity) -> float:
     if not quantity.least <= number <= quantity.most:
         refuse(name, _bounds(quantity), f"is {number:g}")
     return number
+
+
+def checked_range(name: str, ends: Iterable[Any], quantity: Quantity) -> tuple[float, float]:
+    """A range of numbers that a quantity may have.
+
+    Raises:
+        ValueError: an end is none of them, or the range does not increase.
+    """
+    low, high = (checked(name, end, quantity) for end in ends)
+    if not low < high:
+        refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+    return low, high
 
 
 def _bounds(quantity: Quantity) -> str:

@@ -4,70 +4,77 @@ import contextlib
 import functools
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
 
 from .._base.parallel import Device, ParallelJobs
+from .._base.statistics import share_of
+from .._base.types import Outcome
 from .cluster import on_cluster
-from .outcome_shares import RunningShares
+from .grids import Sample
 from .sweep_plan import Plan
-from .sweep_stores import Store
+from .sweep_stores import Store, ZarrStore
 
 POLL = 0.2  # seconds between checks for tiles that other processes have finished
 
-Finished: TypeAlias = tuple[int, Int[np.ndarray, "outcomes"] | None]
-"""A finished tile, and the counts of its outcomes if this sweep has computed them."""
-
 
 def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
-    """Compute the unfinished tiles of a sweep, then close its store, so that it can be read."""
-    with contextlib.closing(store):
+    """Compute the unfinished tiles of a sweep, then close its store, so that it can be read.
+
+    Tiles that another process computes are waited for. A progress bar tells of all of them.
+    """
+    from tqdm import tqdm
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(store.close)
         if client is None:
             once = functools.partial(_compute_once, plan, store)
         else:
             once = on_cluster(client, plan, store)
-        _compute(plan, store, once, progress)
-        if client is not None:  # closing removes the files that killed workers left
-            store.reopen()
-
-
-def _compute(
-    plan: Plan,
-    store: Store,
-    once: Callable[[Sequence[int]], Iterator[Finished]],
-    progress: bool | str | None,
-) -> None:
-    """Compute every unfinished tile that no other process computes, with a progress bar."""
-    from tqdm import tqdm
-
-    tiles = store.unfinished()
-    left = sum(plan.tiling.length(tile) for tile in tiles)
-    with tqdm(
-        desc=progress if isinstance(progress, str) else None,
-        total=plan.tiling.size,
-        initial=plan.tiling.size - left,
-        unit="start",
-        unit_scale=True,
-        disable=None if progress is None else not progress,
-        file=sys.stderr,
-    ) as bar:
-        waiting, shares = set(tiles), RunningShares(plan.is_sample)
+        waiting, totals = set(store.unfinished()), np.zeros(len(Outcome), int)
+        bar = tqdm(
+            desc=progress if isinstance(progress, str) else None,
+            total=plan.tiling.size,
+            initial=plan.tiling.size - sum(map(plan.tiling.length, waiting)),
+            unit="start",
+            unit_scale=True,
+            disable=None if progress is None else not progress,
+            file=sys.stderr,
+        )
+        stack.enter_context(bar)
         while waiting:
             for tile, counts in once(sorted(waiting)):
                 if counts is not None:
-                    shares.add(counts)
-                    bar.set_postfix_str(shares.text(), refresh=False)
+                    totals += counts
+                    bar.set_postfix_str(_shares(plan, totals), refresh=False)
                 bar.update(plan.tiling.length(tile))
                 waiting.discard(tile)
             if waiting:
                 time.sleep(POLL)
+        if isinstance(store, ZarrStore) and client is not None:
+            store.reopen()  # closing removes the files that killed workers left
 
 
-def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[Finished]:
+def _shares(plan: Plan, totals: Int[np.ndarray, "outcomes"]) -> str:
+    """Return such as "residual 46.6%, stop 53.4%", with 95 % intervals for random starts."""
+    counts, parts = dict(zip(Outcome, totals.tolist(), strict=True)), []
+    for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED):
+        if counts[outcome]:
+            share = share_of(counts[outcome], sum(counts.values()))
+            part = f"{outcome.name.lower()} {share.share:.1%}"
+            if isinstance(plan.blocks.over, Sample):
+                part += f" ({100 * share.low:.1f}-{100 * share.high:.1f})"
+            parts.append(part)
+    return ", ".join(parts)
+
+
+def _compute_once(plan: Plan, store: Store, tiles: Sequence[int]) -> Iterator[tuple[int, Any]]:
     """Yield the tiles as they are finished, here or by other processes; some may remain.
+
+    With a tile that this sweep has computed come the counts of its outcomes, else None.
 
     The thread that has computed a tile also writes it: creating files takes as long as computing.
     After an interruption, the tiles in progress are kept if they do not take much longer.

@@ -155,7 +155,9 @@ def _follow(
     for _ in range(rounds):
         ts = interval * np.arange(1, PARTS + 1) / PARTS
         later = _states_at(equation, pair, ts, crossing.settings)
-        together = _still_together(later)
+        distance = np.linalg.norm(later[:, 1] - later[:, 0], axis=1)
+        near = distance <= APART * np.linalg.norm(later[:, 0], axis=1)
+        together = int(np.cumprod(near).sum())  # times up to which the two are still neighbours
         if not together:
             interval /= PARTS
             continue
@@ -178,13 +180,6 @@ def _follow(
 def _shape_of(shape: Shape, pair: Pair) -> np.ndarray:
     """Return the shape in the middle between two neighbours."""
     return np.asarray(shape(pair.mean(axis=0)))
-
-
-def _still_together(pairs: Float[np.ndarray, "T 2 3"]) -> int:
-    """Return the number of times up to which the two are still neighbours."""
-    distance = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
-    near = distance <= APART * np.linalg.norm(pairs[:, 0], axis=1)
-    return int(np.cumprod(near).sum())
 
 
 def _neighbours(crossing: Crossings) -> Pair:

@@ -112,11 +112,7 @@ def minimal_kick(
         d, r, angles = d[distinct], r[distinct], angles[distinct]
         if not np.any(angles > SETTLED):
             break
-    return _kick(rays, d[np.argmin(r)], np.min(r, keepdims=True))
-
-
-def _kick(rays: "_Rays", direction: Float[np.ndarray, "m"], r: Float[np.ndarray, "1"]) -> Kick:
-    """Return the kick to the boundary in a direction, near the distance r."""
+    direction, r = d[np.argmin(r)], np.min(r, keepdims=True)
     crossing, normals = rays.crossings_and_normals(direction[None], r)
     kick = to_array(crossing.after)[0] - rays.omega0
     tangential = normals[0] - (normals[0] @ direction) * direction

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from .._base.checks import names_of, refuse
 from .._base.statistics import mean_and_error
@@ -110,7 +110,9 @@ def _shares_and_slopes(
     s = np.tile(np.linspace(0, 1, parts + 1), (len(segments.bracket), 1))
     fates = fates_at(segments, s)
     known = fates > Fate.UNDECIDED
-    last = _last_known(known)
+    # The last known place up to each place, or the first known place before it.
+    places = np.where(known, np.arange(parts + 1), np.argmax(known, axis=1)[:, None])
+    last = np.maximum.accumulate(places, axis=1)
     residual = np.take_along_axis(is_residual(fates), last, axis=1)
     rows, places = np.nonzero(residual[:, 1:] != residual[:, :-1])
     share, slopes = residual[:, -1].astype(float), np.zeros((len(s), len(names)))
@@ -123,12 +125,6 @@ def _shares_and_slopes(
     unknown = ~known.any(axis=1)
     share[unknown], slopes[unknown] = np.nan, np.nan
     return np.column_stack([share, slopes]), float(np.mean(~known))
-
-
-def _last_known(known: Bool[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
-    """Return the last known place up to each place, or the first known place before it."""
-    first = np.argmax(known, axis=1)[:, None]
-    return np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), first), axis=1)
 
 
 def _slopes_of_s(crossings: Crossings, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:

@@ -20,7 +20,6 @@ from .options import (
     LEVEL,
     MAP_LEVEL,
     NUMBER,
-    RANGE,
     TERMS,
     levels_option,
     make_folder,
@@ -29,6 +28,7 @@ from .options import (
     output_paths,
     picture_options,
     quantity_options,
+    range_option,
     start_values,
     write_table,
 )
@@ -46,19 +46,22 @@ Names of the figures:
   3        phase plane of the plane rotator, with its runaways
   spectra  how perturbations of a residual rotation decay, at every level
   levels   which starts have another outcome at another level"""
+OTHERS = (
+    map_command,
+    predict_command,
+    atlas_command,
+    info_command,
+    plot_command,
+    export_command,
+    store,
+)
 SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
-@click.group(epilog=TERMS, context_settings=SHOWN)
+@click.group(epilog=TERMS, context_settings=SHOWN, commands=OTHERS)
 @click.version_option(package_name="dipoletop", message="%(prog)s %(version)s")
 def main() -> None:
     """Rotation of a rigid electric dipole that radiates: does it keep rotating, or stop?"""
-
-
-for command in (map_command, predict_command, atlas_command):
-    main.add_command(command)
-for command in (info_command, plot_command, export_command, store):
-    main.add_command(command)
 
 
 @main.command("simulate", epilog=TERMS, short_help="One top: its motion and its outcome.")
@@ -88,7 +91,7 @@ def simulate_command(**options: Any) -> None:
     if tau_max <= 0:
         raise Refusal(f"--tau-max must be positive, but is {tau_max:g}.")
     values = start_values(options)
-    base, picture = output_paths(options, "trajectory")
+    _, picture = output_paths(options, "trajectory")
     omega0, delta = initial_condition(values), values["delta"]
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, tau_max, options["points"])
@@ -101,8 +104,6 @@ def simulate_command(**options: Any) -> None:
             f"The run did not reach τ = {tau_max:g}: it ended after "
             f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
         )
-    table = base.with_name(f"{base.name}.csv")
-    write_table(table, dict(zip(COLUMNS, columns, strict=True)))
     figure: Any = plots.trajectory(trajectory).figure
     figure.savefig(picture, dpi=150)
     say(f"{describe(values)}.\n{trajectory}")
@@ -114,7 +115,7 @@ def simulate_command(**options: Any) -> None:
     if not level.consistent:
         semi = classify(equation_at(Level.SEMI, delta), omega0, **settings)
         say(f"{level.caveat}; at the semi-reduced level: {semi}")
-    say(f"Picture: {picture}\nData: {table}")
+    write_table(picture, dict(zip(COLUMNS, columns, strict=True)))
 
 
 @main.command("figures", epilog=NAMES, short_help="The figures of the paper, and three more.")
@@ -198,7 +199,7 @@ def validate_command(paper: bool) -> None:
 @levels_option(MAP_LEVEL, ("semi",), "Level of the equation at first; give two to compare them.")
 @click.option("--x", type=AXIS, metavar="AXIS", help="Horizontal axis at first.  [default: phi]")
 @click.option("--y", type=AXIS, metavar="AXIS", help="Vertical axis at first.  [default: w3]")
-@click.option("--range", "ranges", **RANGE, help="Range of an axis or slider; may be repeated.")
+@range_option("Range of an axis or slider; may be repeated.")
 @quantity_options
 @click.option(
     "--size",

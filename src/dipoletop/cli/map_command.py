@@ -1,7 +1,9 @@
 """`dipoletop map`: which starts keep rotating and which stop."""
 
+import asyncio
 import contextlib
 import dataclasses
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -12,9 +14,11 @@ import click
 import jax
 import numpy as np
 
+from .._base.checks import one_line
 from .._base.monitoring import COMPILING
 from .._base.types import Outcome, Regime
 from .._maps.basin import Basin
+from .._maps.cluster import await_worker
 from .._maps.grids import Grid
 from .._maps.store.errors import StoreMismatch
 from .._maps.store.saved_basins import starts_done
@@ -23,13 +27,11 @@ from .._maps.top_parameters import problem_of_top
 from .._maps.unfolded_basins import unfold
 from .._runs.slow_runs import SlowFlow
 from ..equations.levels import Level
-from .clusters import cluster_client
 from .options import (
     AXIS,
     DURATION,
     MAP_LEVEL,
     NUMBER,
-    RANGE,
     SIZE,
     TERMS,
     grid_over,
@@ -39,6 +41,7 @@ from .options import (
     picture_options,
     progress_option,
     quantity_options,
+    range_option,
 )
 from .running import Refusal, computing, interruptible, say
 
@@ -49,13 +52,15 @@ ENGINE = """auto runs native (machine code; needs llvmlite) where it can, else j
 kept in your cache folder, ~/.cache/dipoletop on Linux, unless DIPOLETOP_CACHE=off."""
 TIME_LIMIT = """Stop after this time, such as 90s, 30m, 2h or 1:30:00, with exit status 124;
 finished tiles are kept."""
+CONNECT = 20.0  # seconds within which the scheduler must answer
+JOIN = 300.0  # seconds within which a worker must; they may just be starting
 
 
 @click.command("map", epilog=TERMS, short_help="Which starts keep rotating and which stop.")
 @levels_option(MAP_LEVEL, ("order-1", "semi"), "Level of the equation; give two to compare them.")
 @click.option("--x", type=AXIS, metavar="AXIS", default="phi", help="Horizontal axis.")
 @click.option("--y", type=AXIS, metavar="AXIS", default="w3", help="Vertical axis.")
-@click.option("--range", "ranges", **RANGE, help="Range of an axis; may be repeated.")
+@range_option("Range of an axis; may be repeated.")
 @quantity_options
 @click.option("--size", type=SIZE, metavar="N[xM]", default="512", help="Starts on x [and on y].")
 @click.option("--rtol", type=NUMBER, default="1e-8", help="Relative tolerance of every step.")
@@ -130,6 +135,56 @@ def map_command(**options: Any) -> None:
     for run in runs:
         if run.store:
             say(f"Data: {run.store} (dipoletop.Basin.load reads it)")
+
+
+@contextlib.contextmanager
+def cluster_client(address: str | None, has_store: bool) -> Iterator[Any]:
+    """A client of the scheduler at an address, once a worker has answered; None without one.
+
+    Raises:
+        Refusal: the cluster cannot be used.
+        ValueError: the scheduler or the worker has no dipoletop.
+    """
+    if address is None:
+        yield None
+        return
+    if not has_store:
+        raise Refusal("--scheduler needs a store, which its workers write: leave --no-store out.")
+    with _connected(address) as client:
+        if not client.nthreads():
+            click.echo(f"{address} has no workers yet: waiting for one.", err=True)
+        try:
+            await_worker(client, JOIN)
+        except TimeoutError:
+            raise Refusal(f"--scheduler {address}: no worker has answered in {JOIN:g} s.") from None
+        yield client
+
+
+def _connected(address: str) -> Any:
+    """A client of the scheduler at an address."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise Refusal("--scheduler needs dask: pip install 'dipoletop[dask]'.") from None
+    # What it logs when a scheduler is lost are tracebacks; here that is told in a sentence.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        asyncio.run(asyncio.wait_for(_greet(address), CONNECT))
+        return Client(address, timeout=CONNECT)
+    except ValueError as error:
+        said = f"it is no address such as tcp://host:8786 ({one_line(error)})"
+    except OSError:
+        said = f"no Dask scheduler answers there within {CONNECT:g} s"
+    raise Refusal(f"--scheduler {address}: {said}.")
+
+
+async def _greet(address: str) -> None:
+    """Connect and close: a `Client` would wait for ever for a server that accepts and is silent."""
+    from distributed.comm.core import connect
+
+    comm = await connect(address, timeout=CONNECT)
+    await comm.close()
 
 
 def _devices(kind: str | None) -> list[Any] | None:

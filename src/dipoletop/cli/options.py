@@ -17,7 +17,7 @@ from .._base.numerals import as_text, number_in
 from .._maps.grids import Grid
 from .._maps.top_parameters import CYLINDRICAL, QUANTITIES, SPHERICAL, checked, describe
 from ..equations.levels import Level
-from .running import Command, Refusal
+from .running import Command, Refusal, say
 
 TERMS = """\b
 The top is axisymmetric, I₁ = I₂, and its dipole lies across the symmetry axis. Quantities
@@ -140,7 +140,6 @@ LEVEL = click.Choice([level.value for level in Level])
 MAP_LEVEL = click.Choice([level.value for level in Level if level is not Level.FULL])
 AXIS = click.Choice(list(map(spelled, QUANTITIES)))
 FORMATS = click.Choice(["png", "pdf", "svg"])
-RANGE = {"type": (AXIS, NUMBER, NUMBER), "multiple": True, "metavar": "AXIS LOW HIGH"}
 
 
 def together(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
@@ -165,6 +164,12 @@ quantity_options = together(
         for name, quantity in QUANTITIES.items()
     )
 )
+
+
+def range_option(what: str, axis: Any = AXIS) -> Any:
+    """The option --range, which may be given for several axes."""
+    several: Any = {"multiple": True, "metavar": "AXIS LOW HIGH"}
+    return click.option("--range", "ranges", type=(axis, NUMBER, NUMBER), help=what, **several)
 
 
 def levels_option(choices: click.Choice, default: tuple[str, ...], what: str) -> Any:
@@ -217,10 +222,15 @@ def make_folder(folder: Path) -> None:
         raise Refusal(f"--output: the folder {folder} cannot be made ({reason}).") from None
 
 
-def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns as CSV, with the 17 digits that give every number back exactly."""
-    rows, header = np.column_stack(list(columns.values())), ",".join(columns)
-    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+def write_table(picture: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns beside their picture as CSV, and say where both are.
+
+    Its 17 digits give every number back exactly.
+    """
+    data, rows = picture.with_suffix(".csv"), np.column_stack(list(columns.values()))
+    header = ",".join(columns)
+    np.savetxt(data, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    say(f"Picture: {picture}\nData: {data}")
 
 
 def start_values(given: Mapping[str, Any], axes: tuple[str, ...] = ()) -> dict[str, float]:

@@ -99,7 +99,7 @@ def predict_command(**options: Any) -> None:
 
     if options["momentum"] and options["axis"]:
         raise Refusal("--momentum and --axis cannot both be given.")
-    base, picture = output_paths(options, "prediction")
+    _, picture = output_paths(options, "prediction")
     particle, spin = given_particle(options), options["spin"]
     name, letter = ("axis", "Ω") if options["axis"] else ("momentum", "L")
     single = options[name]
@@ -113,7 +113,7 @@ def predict_command(**options: Any) -> None:
     say(f"L·Ω/|L| = {float(angular_speed(spin)):.4g} rad/s, {along}")
     say(shown)
     if single:
-        from ..plots.history_curves import times_for
+        from ..plots.histories import times_for
 
         times = jnp.asarray(times_for(predictions))
         columns: dict[str, Any] = dict(zip(HISTORY, shown.history(times), strict=True))
@@ -122,9 +122,7 @@ def predict_command(**options: Any) -> None:
         columns |= {column: getattr(shown, column) for column in COLUMNS}
         names = (end.replace(",", "").replace(" ", "_") for end in ENDS)
         columns |= dict(zip(names, shown.probability.T, strict=True))
-    data = base.with_name(f"{base.name}.csv")
-    write_table(data, columns)
-    say(f"Picture: {picture}\nData: {data}")
+    write_table(picture, columns)
 
 
 def _predictions(particle: Particle, starts: Any, show: bool) -> Prediction:
@@ -218,7 +216,7 @@ def atlas_command(**options: Any) -> None:
     """
     from .. import plots
 
-    base, picture = output_paths(options, "atlas")
+    _, picture = output_paths(options, "atlas")
     dipoles, moments = options["dipoles"], options["body"]
     if moments and dipoles:
         raise Refusal("--dipole and --body cannot both be given.")
@@ -228,7 +226,6 @@ def atlas_command(**options: Any) -> None:
     else:
         maps = [atlas(int(axis), **settings) for axis in dict.fromkeys(dipoles or "123")]
     plots.save(plots.atlas(maps, particles=options["particles"]), picture)
-    data, columns = base.with_name(f"{base.name}.csv"), [each.columns() for each in maps]
-    write_table(data, {k: np.concatenate([each[k] for each in columns]) for k in columns[0]})
     say("\n".join(map(repr, maps)))
-    say(f"Picture: {picture}\nData: {data}")
+    columns = [each.columns() for each in maps]
+    write_table(picture, {k: np.concatenate([each[k] for each in columns]) for k in columns[0]})

@@ -11,16 +11,17 @@ from .._maps.basin import Basin
 from .._maps.columns import VERSION, without_versions
 from .._maps.grids import Grid, counted
 from .._maps.store.errors import StoreDamaged
+from .._maps.store.layout import tiling_of_starts
 from .._maps.store.saved_basins import verify
-from .._maps.store.status import status
 from .._maps.store.tiles import open_store
 from .._maps.tally_results import Tally
 from .._maps.top_parameters import CYLINDRICAL, SPHERICAL
 from ..equations.levels import Level
 from .map_command import run_level
-from .options import NUMBER, name_of, output_paths, picture_options, progress_option
+from .options import NUMBER, name_of, output_paths, picture_options, progress_option, range_option
 from .running import Refusal, computing, interruptible, say
 
+RECENT = 100  # tiles from which the speed of a sweep is found
 path_argument = click.argument("path")
 at_option = click.option(
     "--at",
@@ -38,21 +39,24 @@ certified, a derivative such as d_omega_inf_d_delta, or none."""
 @computing
 def info_command(path: str) -> None:
     """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
-    found = status(path)
-    header, attrs = found.header, found.header["attrs"]
+    tiles = open_store(path)
+    header, attrs = tiles.header, tiles.header["attrs"]
+    starts, finished = tiling_of_starts(header), tiles.finished()
+    done = sum(map(starts.length, finished))
     say(repr((Tally if "tally" in header else Basin).load(path, unfinished=True)))
     plain = without_versions(attrs)
     settings = (f"{name} {value}" for name, value in plain.items() if name != "level")
     say(f"Settings  {', '.join(settings)}")
-    done = f"{found.starts_done} starts ({found.starts_done / found.starts:.1%})"
-    size = f"{found.bytes / 1e6:.3g} MB on disk"
-    say(f"Tiles     {found.finished} of {found.tiles} finished, {done}; {size}")
-    if found.rate:
-        left = f"; {duration(found.seconds_left or 0.0)} left at this rate"
-        unfinished = found.finished < found.tiles
-        pauses = f"over the last tiles, pauses included{left if unfinished else ''}"
-        say(f"Speed     {found.rate:,.0f} starts per second {pauses}")
-    say(f"Work      {'a process is at it' if found.at_work else 'no process is at it'}")
+    bytes_on_disk = sum(file.stat().st_size for file in tiles.folder.rglob("*") if file.is_file())
+    size = f"{done} starts ({done / starts.size:.1%}); {bytes_on_disk / 1e6:.3g} MB on disk"
+    say(f"Tiles     {len(finished)} of {starts.count} finished, {size}")
+    times = sorted((tiles.written_at(tile), tile) for tile in finished)[-RECENT:]
+    if times and (seconds := times[-1][0] - times[0][0]):
+        rate = sum(starts.length(tile) for _, tile in times[1:]) / seconds
+        left = f"; {duration((starts.size - done) / rate)} left at this rate"
+        pauses = f"over the last tiles, pauses included{left if done < starts.size else ''}"
+        say(f"Speed     {rate:,.0f} starts per second {pauses}")
+    say(f"Work      {'a process is at it' if tiles.is_claimed() else 'no process is at it'}")
     versions = (name.removeprefix(VERSION) for name in attrs if name not in plain)
     say(f"Versions  {', '.join(f'{name} {attrs[VERSION + name]}' for name in versions)}")
     for name, digest in header.get("programs", {}).items():
@@ -105,14 +109,7 @@ def plot_command(path: str, **options: Any) -> None:
 @path_argument
 @click.argument("target")
 @at_option
-@click.option(
-    "--range",
-    "ranges",
-    type=(str, NUMBER, NUMBER),
-    multiple=True,
-    metavar="AXIS LOW HIGH",
-    help="Only values in this range; may be given for several axes.",
-)
+@range_option("Only values in this range; may be given for several axes.", str)
 @click.option(
     "--column",
     "columns",

@@ -1,7 +1,6 @@
 """The controls of a page: axes and their ranges, sliders, levels, tolerance, size."""
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -10,8 +9,8 @@ import panel as pn
 from .._base.checks import refuse
 from .._base.numerals import as_text, number_in
 from .._maps.top_parameters import Quantity
-from .scenes import Scene, checked
-from .views import SIZES, View, axes_in, checked_view, in_system, zoomed
+from .scenes import Scene, checked_range
+from .views import SIZES, View, checked_view, in_system, zoomed
 
 STEPS = 240
 """Steps of a slider."""
@@ -75,8 +74,8 @@ class Controls:
 
     def show(self, view: View) -> None:
         """Show a view in the widgets, without calling `on_view`."""
-        with self._showing():
-            self._view = view
+        self._is_showing, self._view = True, view
+        try:
             self._axes[0].value, self._axes[1].value = view.x, view.y
             self._system.value = self._scene.system_of(*view.values)
             for name, value in self._values.items():
@@ -91,14 +90,8 @@ class Controls:
             if view.rtol not in self._rtol.options:
                 self._rtol.options = sorted({*TOLERANCES, view.rtol}, reverse=True)
             self._rtol.value, self._size.value = view.rtol, view.size
-
-    @contextlib.contextmanager
-    def _showing(self) -> Iterator[None]:
-        before, self._is_showing = self._is_showing, True
-        try:
-            yield
         finally:
-            self._is_showing = before
+            self._is_showing = False
 
     def _change(self, make: Callable[[View], View]) -> None:
         """Make a new view; if it is refused, report why and show the old values again."""
@@ -115,20 +108,17 @@ class Controls:
         self._on_view(view)
 
     def _set_value(self, name: str, value: Any) -> None:
-        self._change(
-            lambda view: checked_view(
-                self._scene, replace(view, values=view.values | {name: _number(name, value)})
-            )
-        )
+        def changed(view: View) -> View:
+            values = view.values | {name: _number(name, value)}
+            return checked_view(self._scene, replace(view, values=values))
+
+        self._change(changed)
 
     def _set_range(self, axis: str, low: str, high: str) -> None:
         def changed(view: View) -> View:
             name = getattr(view, axis)
             ends = [_number(name, text) for text in (low, high)]
-            quantity = self._scene.quantities[name]
-            span = checked(name, ends[0], quantity), checked(name, ends[1], quantity)
-            if not span[0] < span[1]:
-                refuse(name, "have a range that increases", f"has {span[0]:g} to {span[1]:g}")
+            span = checked_range(name, ends, self._scene.quantities[name])
             return zoomed(self._scene, view, view.ranges | {name: span})[0]
 
         self._change(changed)
@@ -139,7 +129,7 @@ class Controls:
         def changed(view: View) -> View:
             x, y = (widget.value for widget in self._axes)
             if event.obj is self._system:
-                return _of_system(self._scene, view, self._system.value)
+                return in_system(self._scene, view, self._system.value)
             if (x, y) == (view.y, view.y) or (x, y) == (view.x, view.x):
                 x, y = view.y, view.x  # one axis was set to the other: swap them
             if (x, y) != (view.x, view.y):
@@ -160,19 +150,11 @@ def _number(name: str, value: Any) -> float:
         return refuse(name, "be a finite number such as 0.2, 1e-3 or pi/30", f"is {value!r}")
 
 
-def _of_system(scene: Scene, view: View, system: tuple[str, ...]) -> View:
-    """Return the view with starts given by a system of quantities; axes in it are kept."""
-    x, y = axes_in(scene, system, *(n if n in system else None for n in (view.x, view.y)))
-    return in_system(scene, view, x, y, system)
-
-
 def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:
     """Return the view with these axes; if no system has both, the axis just changed wins."""
-    if not any({x, y} <= set(system) for system in scene.systems):
-        new = x if x != view.x else y
-        axes = (x, None) if new == x else (None, y)
-        x, y = axes_in(scene, scene.system_of(new), *axes)
-    return in_system(scene, view, x, y, scene.system_of(x, y))
+    if any({x, y} <= set(system) for system in scene.systems):
+        return in_system(scene, view, scene.system_of(x, y), x, y)
+    return in_system(scene, view, scene.system_of(x if x != view.x else y), x, y)
 
 
 def _select(name: str, options: dict[str, Any]) -> Any:

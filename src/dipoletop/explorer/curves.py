@@ -10,11 +10,11 @@ from bokeh.models import ColumnDataSource, CustomJS, Range1d
 from bokeh.plotting import figure
 from jaxtyping import Float
 
-from ..plots.style import BLACK, COMPONENTS, GREEN, ORANGE
+from ..plots.style import BLACK, BLUE, GREEN, ORANGE
 from .starts import FRAMES, OfBody, ShownMotion
 
 HEIGHT = 250
-NAMES = "ω₁", "ω₂", "ω₃"
+CURVES = ("size", "|ω|", BLACK), ("w1", "ω₁", BLUE), ("w2", "ω₂", ORANGE), ("w3", "ω₃", GREEN)
 MERIDIANS, PARALLELS, POINTS = 8, 5, 24
 """Numbers of lines on the surface of a body, and of segments of each."""
 DRAW = Path(__file__).with_name("motion.js").read_text(encoding="utf-8")
@@ -30,7 +30,7 @@ class CurvePlots:
         self._energy = _source("energy", "tau", "energy")
         self._motion: ShownMotion | None = None
         of_omega = _figure("τ = t/τ₀", "ω = τ₀Ω", "omega-figure")
-        for column, name, colour in (("size", "|ω|", BLACK), *_components()):
+        for column, name, colour in CURVES:
             style = {"color": colour, "line_width": 1.5, "legend_label": name}
             of_omega.line("tau", column, source=self._omega, **style)
         of_omega.legend.orientation = "horizontal"
@@ -169,11 +169,6 @@ def surface(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "n"], 
     points = np.einsum("ik,lkp->ilp", axes[:, order] * lengths[order], np.array(lines))
     first, last = points[..., :-1], points[..., 1:]
     return tuple(np.concatenate([first.reshape(3, -1), last.reshape(3, -1)]))
-
-
-def _components() -> list[tuple[str, str, str]]:
-    colours = [colour for _, colour in COMPONENTS]
-    return [(f"w{k + 1}", NAMES[k], colours[k]) for k in range(3)]
 
 
 def _source(name: str, *columns: str) -> Any:

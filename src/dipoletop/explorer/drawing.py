@@ -11,7 +11,7 @@ import numpy as np
 
 from .._maps.basin import Basin
 from .._maps.grids import Grid
-from .._maps.prepared_sweep import PreparedSweep
+from .._maps.sweep import prepared_sweep
 from .._runs.classification import UNCHECKED, Value
 from ..equations.levels import Level
 from .pictures import Picture, picture_of
@@ -41,7 +41,7 @@ class Drawing:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._prepared: dict[Any, PreparedSweep] = {}
+        self._prepared: dict[Any, Callable[[Grid, float], Basin]] = {}
         self._preparing = threading.Lock()
         self._cost: dict[Any, float] = {}
         """Seconds for each start, by level and by requested value."""
@@ -57,8 +57,9 @@ class Drawing:
             if key not in self._prepared:
                 budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
                 problem = self._scene.problem_at(level)
-                prepared = PreparedSweep.of(problem, grid, value=value, **budget)
-                prepared(_first_start(grid), rtol)  # compiles, so that later runs show their cost
+                prepared = prepared_sweep(problem, grid, value=value, **budget)
+                first = Grid(**{name: values[:1] for name, values in grid.axes.items()})
+                prepared(first, rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared
         return self._prepared[key](grid, rtol)
 
@@ -135,10 +136,6 @@ class Drawing:
 
 def _levels(view: View) -> tuple[Level | None, ...]:
     return view.levels or (None,)
-
-
-def _first_start(grid: Grid) -> Grid:
-    return Grid(**{name: values[:1] for name, values in grid.axes.items()})
 
 
 def _joined(parts: list[Basin], grid: Grid) -> Basin:

@@ -8,11 +8,11 @@ from typing import Any
 from .._base.tolerances import tolerance
 from .._maps.basin import Basin
 from ..equations.levels import Level
-from . import addresses, recipes
+from . import recipes
 from .drawing import Drawing
 from .pictures import Picture
 from .scenes import Over, Scene, scene_of
-from .views import View, first_view
+from .views import View, address_of, first_view, view_at
 
 NEEDED = "panel", "bokeh"
 MISSING = "The explorer needs Panel: pip install 'dipoletop[explore]'."
@@ -52,7 +52,7 @@ class Explorer:
 
     def address(self) -> str:
         """Return the query of an address that opens a page at `view`."""
-        return addresses.address_of(self.view)
+        return address_of(self.view)
 
     def serve(
         self,
@@ -79,19 +79,19 @@ class Explorer:
             RuntimeError: the program has an event loop already, as a notebook has.
             OSError: the address or the port cannot be used.
         """
-        from .server import serve
+        from .server import made_server, serve
 
         if _in_event_loop():
             raise RuntimeError(IN_NOTEBOOK)
-        place = {"address": address, "port": port, "origins": origins}
-        serve(self._session, **place, show=show, say=say)
+        server = made_server(self._session, address=address, port=port, origins=origins)
+        serve(server, address, show=show, say=say)
 
     def _session(self, query: dict[str, list[str]]) -> Any:
         """Return the page for the query of an address, or a page with the reason of refusal."""
         from .page import refusal_page
 
         try:
-            view = addresses.view_at(self._scene, self._first, query)
+            view = view_at(self._scene, self._first, query)
         except ValueError as error:
             return refusal_page(str(error))
         return self._opened(view)

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,22 +24,7 @@ from .views import Range, View
 
 HEIGHT = 440
 TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
-TICKS = """
-// If all ticks of an axis begin with the same digits, only the first one shows them.
-const step = Math.abs(ticks[1] - ticks[0]), most = Math.max(...ticks.map(Math.abs))
-if (of_angle && step > 0.3) {
-  const eighths = Math.round(tick/(Math.PI/4))
-  if (Math.abs(tick - eighths*Math.PI/4) < 1e-9) {
-    const [over, under] = eighths % 4 == 0 ? [eighths/4, 1]
-      : eighths % 2 == 0 ? [eighths/2, 2] : [eighths, 4]
-    const above = over == 0 ? "0" : over == 1 ? "π" : over == -1 ? "−π" : `${over}π`
-    return (over == 0 || under == 1 ? above : `${above}/${under}`).replace("-", "−")
-  }
-}
-if (!(step < 1e-4*most)) return String(Number(tick.toPrecision(5))).replace("-", "−")
-if (index == 0) return tick.toPrecision(Math.min(17, Math.ceil(Math.log10(most/step)) + 1))
-return "+" + Number((tick - ticks[0]).toPrecision(2)).toExponential().replace("-", "−")
-"""
+TICKS = Path(__file__).with_name("ticks.js").read_text(encoding="utf-8")
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser reports which picture it has, so that it is sent no more than it can draw."""
 
@@ -61,8 +47,7 @@ class Maps:
         on_start: Callable[[int, float, float], None],
         on_drawn: Callable[[int], None],
     ) -> None:
-        self._symbols, self._on_ranges, self._on_drawn = symbols, on_ranges, on_drawn
-        self._axes = "", ""
+        self._symbols, self._axes = symbols, ("", "")
         x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
         self.figures = [_figure(number, x, y) for number in range(2)]
         self._sources = [_source(number) for number in range(2)]
@@ -70,33 +55,21 @@ class Maps:
         for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
             plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
             for colour, width in (("white", 5), ("black", 2)):
-                plot.scatter(
-                    "x",
-                    "y",
-                    source=self._chosen,
-                    marker="cross",
-                    size=18,
-                    line_color=colour,
-                    line_width=width,
-                )
+                line = {"line_color": colour, "line_width": width}
+                plot.scatter("x", "y", source=self._chosen, marker="cross", size=18, **line)
             plot.on_event(Tap, lambda event, number=number: on_start(number, event.x, event.y))
         first = self.figures[0]
         self._sources[0].js_on_change("data", CustomJS(args={"figure": first}, code=DRAWN))
-        first.on_change("tags", self._drawn)
-        first.on_event(RangesUpdate, self._moved)
+        first.on_change("tags", lambda attr, old, new: on_drawn(int(new[0])) if new else None)
+        first.on_event(
+            RangesUpdate, lambda at: on_ranges({"x": (at.x0, at.x1), "y": (at.y0, at.y1)})
+        )
         for plot in self.figures:
             plot.on_event(Reset, lambda _: on_ranges(None))
         self.panes = [
             pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)
             for plot in self.figures
         ]
-
-    def _drawn(self, attr: str, old: Any, new: Any) -> None:
-        if new:
-            self._on_drawn(int(new[0]))
-
-    def _moved(self, event: Any) -> None:
-        self._on_ranges({"x": (event.x0, event.x1), "y": (event.y0, event.y1)})
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
         """Call `begin` when the browser has laid out the map for the first time."""
@@ -133,11 +106,13 @@ class Maps:
         """Draw a picture; its axes must be the ones shown."""
         (x0, x1), (y0, y1) = (picture.view.ranges[n] for n in (picture.view.x, picture.view.y))
         place = {"x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}
+        about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
+        identity = {"serial": [serial], "about": [json.dumps(about)]}  # read in the browser
         sources = self._sources[: len(picture.images)]
         # The first map is sent last: once the browser has it, it has both.
         for source, image in reversed(list(zip(sources, picture.images, strict=True))):
             pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
-            source.data = {"image": [pixels], **place, **_about(picture, serial)}
+            source.data = {"image": [pixels], **place, **identity}
 
 
 def _figure(number: int, x: Range1d, y: Range1d) -> Any:
@@ -159,12 +134,6 @@ def _figure(number: int, x: Range1d, y: Range1d) -> Any:
 def _source(number: int) -> Any:
     columns = "image", "x", "y", "dw", "dh", "serial", "about"
     return ColumnDataSource({name: [] for name in columns}, name=f"picture-{number}")
-
-
-def _about(picture: Picture, serial: int) -> dict[str, list[Any]]:
-    """Return columns that identify the picture, to be read in the browser."""
-    about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
-    return {"serial": [serial], "about": [json.dumps(about)]}
 
 
 def _label(axes: Any, name: str, symbol: str, width: float) -> None:

@@ -1,5 +1,6 @@
 """A page: the maps of a view, its controls, and the start that was clicked."""
 
+import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,6 @@ import panel as pn
 
 from .._base.checks import one_line
 from . import texts
-from .addresses import address_of
 from .controls import Controls
 from .curves import CurvePlots
 from .drawing import Drawing
@@ -21,8 +21,7 @@ from .pictures import Picture
 from .recipes import code_of
 from .scenes import Scene
 from .starts import motion_of, slopes_of, verdict_of
-from .thread_results import Outlet
-from .views import Range, View, whole_ranges, zoomed
+from .views import Range, View, address_of, whole_ranges, zoomed
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 PATIENCE = 5.0
@@ -45,6 +44,34 @@ class Workshop:
     )
 
 
+class Outlet:
+    """A queue of changes of a page, which run in the thread that the page belongs to.
+
+    On a server this is its event loop: changes run at the next opportunity, and no session waits
+    for another one's work. In a notebook it is the loop of the kernel: changes run between the
+    cells, since the messages of two threads would mix. There, changes of Bokeh's models must be
+    sent explicitly.
+    """
+
+    def __init__(self, panes: list[Any]) -> None:
+        document = pn.state.curdoc
+        self.is_served = bool(document and document.session_context)
+        """Whether the page is a session of a server."""
+        self._owner: Any = document if self.is_served else asyncio.get_running_loop()
+        self._panes = panes
+
+    def post(self, change: Callable[[], None]) -> None:
+        """Run a change of the page."""
+        if self.is_served:
+            self._owner.add_next_tick_callback(change)
+        else:
+            self._owner.call_soon_threadsafe(self._changed, change)
+
+    def _changed(self, change: Callable[[], None]) -> None:
+        change()
+        pn.io.push_notebook(*self._panes)
+
+
 class Page:
     """One user's page.
 
@@ -61,7 +88,6 @@ class Page:
         self._workshop, self._on_picture = workshop, on_picture
         self.view, self._ended = zoomed(scene, view, view.ranges)
         """The view shown, and the axes on which rounding ends the zoom."""
-        self._outlet = Outlet()
         self._asked, self._asked_at = 0, 0.0
         """The number of the last picture asked for, and the time when it was."""
         self._has, self._has_changed = 0, False
@@ -75,7 +101,7 @@ class Page:
         self._refusal, self._status, self._legend = _html(), _html(), _html()
         self._captions = [_html(), _html()]
         self._verdict, self._slopes, self._code = _html(), _html(), _html()
-        self._outlet.panes = [*self._maps.panes, *self._curves.panes]
+        self._outlet = Outlet([*self._maps.panes, *self._curves.panes])
         self.layout = self._laid_out()
         self._controls.show(self.view)
         self._show_maps()
@@ -91,26 +117,20 @@ class Page:
         write = pn.widgets.Button(name="Write code", width=130)
         whole.on_click(lambda _: self._zoom(None))
         write.on_click(lambda _: self._write())
-        boxes = [
-            pn.Column(pane, caption, min_width=290, styles={"flex": "1 1 380px"})
-            for pane, caption in zip(self._maps.panes, self._captions, strict=True)
-        ]
+        wide: Any = {"sizing_mode": "stretch_width"}
+        maps = zip(self._maps.panes, self._captions, strict=True)
+        boxes = [_box(pane, caption, flex="1 1 380px") for pane, caption in maps]
         self._second = boxes[1]
         start = pn.FlexBox(
-            pn.Column(self._verdict, self._slopes, min_width=270, styles={"flex": "1 1 270px"}),
-            pn.Column(
-                self._curves.omega,
-                self._curves.energy,
-                min_width=290,
-                styles={"flex": "2 1 380px"},
-            ),
+            _box(self._verdict, self._slopes, flex="1 1 270px", width=270),
+            _box(self._curves.omega, self._curves.energy, flex="2 1 380px"),
             self._curves.body,
-            sizing_mode="stretch_width",
+            **wide,
         )
-        self._start = pn.Column(start, visible=False, sizing_mode="stretch_width")
+        self._start = pn.Column(start, visible=False, **wide)
         main = pn.Column(
             self._refusal,
-            pn.FlexBox(*boxes, sizing_mode="stretch_width"),
+            pn.FlexBox(*boxes, **wide),
             self._legend,
             self._status,
             styles={"flex": "1 1 320px", "min-width": "300px"},
@@ -119,16 +139,10 @@ class Page:
         return pn.Column(
             _html(texts.HEAD),
             # On a narrow screen the maps come before the controls.
-            pn.FlexBox(
-                side,
-                main,
-                flex_wrap="wrap-reverse",
-                align_items="flex-end",
-                sizing_mode="stretch_width",
-            ),
+            pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **wide),
             self._code,
             self._start,
-            sizing_mode="stretch_width",
+            **wide,
         )
 
     def close(self) -> None:
@@ -213,11 +227,8 @@ class Page:
 
     def _draw_at_once(self) -> None:
         """Draw a first picture here and now, which a notebook also keeps without its kernel."""
-
-        def show(picture: Picture) -> None:
-            self._show(picture, 0)
-
-        next(self._workshop.drawing.pictures(self.view, show, self._fail), None)
+        drawing = self._workshop.drawing
+        next(drawing.pictures(self.view, lambda found: self._show(found, 0), self._fail), None)
 
     def _fail(self, error: Exception) -> None:
         self._refuse(_sentence(error))
@@ -274,6 +285,10 @@ class Page:
         except Exception as error:  # the thread works for other pages, too
             sentence = _sentence(error)
             show(lambda: _set(self._slopes, texts.refused(sentence)))
+
+
+def _box(*panes: Any, flex: str, width: int = 290) -> Any:
+    return pn.Column(*panes, min_width=width, styles={"flex": flex})
 
 
 def _html(text: str = "") -> Any:

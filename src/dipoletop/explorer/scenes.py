@@ -15,6 +15,7 @@ from .._maps.top_parameters import (
     QUANTITIES,
     Quantity,
     checked,
+    checked_range,
     initial_condition,
     problem_of_top,
 )
@@ -60,7 +61,7 @@ class Scene:
     quantities: dict[str, Quantity]
     systems: tuple[tuple[str, ...], ...]
     levels: tuple[Level, ...]
-    problem_at: Callable[[Level | None], Problem]
+    problem_at: Callable[[Any], Problem]
     source: Source
     symmetric: bool
 
@@ -99,9 +100,8 @@ def scene_of(problem: Any, over: Any) -> Scene:
         return scene_of_top(over)
     if isinstance(problem, TRANSVERSE) and Level.labelled(problem.level) in MAPPED:
         check_single(problem)
-        return scene_of_top(
-            {"delta": float(problem.delta)} | dict(over), Level.labelled(problem.level)
-        )
+        given = {"delta": float(problem.delta)} | dict(over)
+        return scene_of_top(given, Level.labelled(problem.level))
     if not isinstance(problem, type) and isinstance(problem, Equation):
         return scene_of_equation(problem, over)
     return scene_of_problem(problem, over)
@@ -112,13 +112,9 @@ def scene_of_top(over: Over, first: Level = Level.SEMI) -> Scene:
     quantities = _quantities(tuple(QUANTITIES), over)
     systems = _ordered((("delta", *CYLINDRICAL), ("delta", *SPHERICAL)), over)
     levels = first, *(level for level in MAPPED if level is not first)
-    source = Source((), lambda level, names: source_code.of_top(level, names))
-    return Scene(quantities, systems, levels, _problem_of_top, source, True)
-
-
-def _problem_of_top(level: Level | None) -> Problem:
-    assert level is not None  # views of this scene have one
-    return problem_of_top(level)
+    equation = 'dt.equation_at("{}", delta)'.format
+    source = Source((), lambda level, names: source_code.of_starts(names, equation(level)))
+    return Scene(quantities, systems, levels, problem_of_top, source, True)
 
 
 def scene_of_equation(equation: Any, over: Over) -> Scene:
@@ -131,9 +127,8 @@ def scene_of_equation(equation: Any, over: Over) -> Scene:
         return equation, initial_condition(point)
 
     systems = _ordered((CYLINDRICAL, SPHERICAL), over)
-    source = Source(
-        source_code.of_equation(equation), lambda _, names: source_code.of_starts(names)
-    )
+    lines = source_code.of_equation(equation)
+    source = Source(lines, lambda _, names: source_code.of_starts(names))
     return Scene(quantities, systems, (), lambda _: problem, source, _is_symmetric(equation))
 
 
@@ -149,14 +144,8 @@ def scene_of_problem(problem: Any, over: Over) -> Scene:
             must = "give a number or a range (low, high) for every argument of `problem`"
             refuse("over", must, f"gives none for `{name}`")
     quantities = {name: _quantity(name, _plain(name), over[name]) for name in names}
-    scene = Scene(
-        quantities,
-        (names,),
-        (),
-        lambda _: problem,
-        Source(source_code.of_function(problem), lambda _, names: ()),
-        False,
-    )
+    source = Source(source_code.of_function(problem), lambda _, names: ())
+    scene = Scene(quantities, (names,), (), lambda _: problem, source, False)
     if len(scene.free) < 2:
         refuse("over", "give a range for at least two arguments", f"gives {len(scene.free)}")
     return scene
@@ -207,9 +196,7 @@ def _plain(name: str) -> Quantity:
 def _quantity(name: str, usual: Quantity, given: Any) -> Quantity:
     """Return a quantity with the given number as its value, or with the given range."""
     if isinstance(given, tuple | list) and len(given) == 2:
-        low, high = (checked(name, value, usual) for value in given)
-        if not low < high:
-            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
+        low, high = checked_range(name, given, usual)
         inside = low <= usual.default <= high
         default = usual.default if inside else (low + high) / 2
         return usual._replace(low=low, high=high, default=default)

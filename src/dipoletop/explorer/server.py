@@ -19,49 +19,30 @@ TITLE = "dipoletop explore"
 SIGNALS = signal.SIGINT, signal.SIGTERM
 
 
-def serve(
-    session: Callable[[dict[str, list[str]]], Any],
-    *,
-    address: str,
-    port: int,
-    origins: Sequence[str],
-    show: bool,
-    say: Callable[[str], None],
-) -> None:
-    """Serve a page for every session, until a signal ends it.
+def serve(server: Any, address: str, *, show: bool, say: Callable[[str], None]) -> None:
+    """Run a server until a signal ends it.
 
     Args:
-        session: function from the query of an address to the page of a new session.
-        address: the address to listen at.
-        port: the port to listen at; 0 means any free one.
-        origins: further hosts, with or without ":port", whose pages may open a session.
+        server: the server, from `made_server`.
+        address: the address it listens at.
         show: whether to open a browser.
         say: called with the address of the page.
-
-    Raises:
-        ValueError: bad arguments.
-        OSError: the address or the port cannot be used.
     """
-    server = made_server(session, address=address, port=port, origins=origins)
     url = f"http://{_host(address)}:{server.port}/"
     say(url)
-    before = {number: signal.getsignal(number) for number in SIGNALS}
+    loop, before = server.io_loop, {number: signal.getsignal(number) for number in SIGNALS}
     try:
         for number in SIGNALS:
-            signal.signal(number, lambda *_: server.io_loop.add_callback_from_signal(_stop, server))
+            signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
         if show:
-            server.io_loop.add_callback(webbrowser.open, url)
+            loop.add_callback(webbrowser.open, url)
         server.start()
-        server.io_loop.start()
+        loop.start()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
         with contextlib.suppress(AssertionError):  # if it has already stopped
             server.stop()
-
-
-def _stop(server: Any) -> None:
-    server.io_loop.stop()
 
 
 def made_server(
@@ -71,7 +52,13 @@ def made_server(
     port: int,
     origins: Sequence[str],
 ) -> Any:
-    """Return the server, not started yet; see `serve`.
+    """Return a server that makes a page for every session, not started yet.
+
+    Args:
+        session: function from the query of an address to the page of a new session.
+        address: the address to listen at.
+        port: the port to listen at; 0 means any free one.
+        origins: further hosts, with or without ":port", whose pages may open a session.
 
     Raises:
         ValueError: bad arguments.

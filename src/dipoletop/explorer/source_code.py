@@ -8,31 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ..equations.levels import Level
-
 PUBLIC = "dipoletop."
 
 
-def start_of(names: tuple[str, ...]) -> str:
-    """Return the expression of the start ω₀ in these quantities."""
+def of_starts(names: tuple[str, ...], equation: str = "equation") -> tuple[str, ...]:
+    """Return the lines that define the problem of an equation over these quantities."""
+    start = "dt.cylindrical(w_perp, w3, phi)"
     if "amplitude" in names:
-        return "dt.cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), phi)"
-    return "dt.cylindrical(w_perp, w3, phi)"
-
-
-def of_top(level: Level | None, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the lines that define the problem of the transverse top at a level."""
-    equation = f'dt.equation_at("{level}", delta)'
-    return _function("problem", names, f"return {equation}, {start_of(names)}")
-
-
-def of_starts(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the lines that define the problem of one equation, over its starts."""
-    return _function("problem", names, f"return equation, {start_of(names)}")
-
-
-def _function(name: str, arguments: tuple[str, ...], line: str) -> tuple[str, ...]:
-    return f"def {name}({', '.join(arguments)}):", f"    {line}"
+        start = "dt.cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), phi)"
+    return f"def problem({', '.join(names)}):", f"    return {equation}, {start}"
 
 
 def of_equation(equation: Any) -> tuple[str, ...]:

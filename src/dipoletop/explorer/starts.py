@@ -38,7 +38,7 @@ class StartVerdict(NamedTuple):
     level: str
     outcome: str
     omega_inf: float
-    error: float
+    omega_inf_error: float
     time: float
     steps: int
     certified: bool
@@ -78,17 +78,9 @@ def verdict_of(
     basin = drawing.sweep(level, Grid(**{name: [x] for name, x in values.items()}), rtol, True)
     outcome, stop = Outcome(basin.outcome.item()), Stop(basin.stop.item())
     words = outcome.name.lower() + ("" if stop is Stop.NONE else f", {stop.name.lower()}")
-    return StartVerdict(
-        basin.level,
-        words,
-        basin.omega_inf.item(),
-        basin.omega_inf_error.item(),
-        basin.time.item(),
-        basin.steps.item(),
-        basin.certified.item(),
-        Regime(basin.regime.item()),
-        basin.probability.item(),
-    )
+    names = "omega_inf", "omega_inf_error", "time", "steps", "certified", "probability"
+    numbers = {name: basin.column(name).item() for name in names}
+    return StartVerdict(basin.level, words, regime=Regime(basin.regime.item()), **numbers)
 
 
 def slopes_of(problem: Problem, values: Mapping[str, float], rtol: float) -> dict[str, float]:

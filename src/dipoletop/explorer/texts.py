@@ -109,7 +109,7 @@ def _verdict(verdict: StartVerdict) -> str:
         rows["probability of residual rotation"] = f"{verdict.probability:.4g}"
     if verdict.outcome.startswith("residual"):
         known = math.isfinite(verdict.omega_inf)
-        value = with_error(verdict.omega_inf, verdict.error) if known else "not known"
+        value = with_error(verdict.omega_inf, verdict.omega_inf_error) if known else "not known"
         rows["ω∞ (1/τ₀)"] = value
     if math.isfinite(verdict.time):
         rows["certain at τ"] = f"{verdict.time:.4g}, after {verdict.steps} steps"

@@ -1,24 +1,28 @@
 """The view of a page: two axes with their ranges, the other values, levels, tolerance, size."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+from urllib.parse import urlencode
 
 import numpy as np
 from jaxtyping import Float
 
 from .._base.checks import refuse
+from .._base.numerals import number_in
 from .._base.tolerances import tolerance
 from .._maps.grids import Grid
 from ..equations.levels import Level
-from .scenes import Scene, checked
+from .scenes import Scene, checked, checked_range
 
 SIZES = 64, 128, 256, 512, 1024
 FINEST = 4
 """Least distance of neighbouring values on an axis, in units of the last place."""
 SMALLEST = 1e-290
 """Least distance of neighbouring values near 0, so that they do not become subnormal."""
+RANGE = ".."
+"""The separator between the ends of a range in an address."""
 Range = tuple[float, float]
 
 
@@ -88,16 +92,11 @@ def first_view(
     Raises:
         ValueError: bad axes, levels, tolerance or size.
     """
-    named = [name for name in (x, y) if name is not None]
-    for argument, name in (("x", x), ("y", y)):
-        if name is not None and name not in scene.free:
-            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
-    system = scene.system_of(*named)
-    x, y = axes_in(scene, system, x, y)
+    named = {axis: name for axis, name in (("x", x), ("y", y)) if name is not None}
+    check_axes(scene, named)
     found = tuple(Level.named(level) for level in levels)
-    ranges = whole_ranges(scene, x, y)
-    values = {name: scene.quantities[name].default for name in system}
-    return checked_view(scene, View(x, y, ranges, values, found, rtol, size))
+    blank = View("", "", {}, {}, found, rtol, size)
+    return in_system(scene, blank, scene.system_of(*named.values()), **named)
 
 
 def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None) -> tuple[str, str]:
@@ -105,6 +104,13 @@ def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None)
     usual = [n for n in ("phi", "w3", "theta", *system) if n in system and n in scene.free]
     x = x or next(name for name in usual if name != y)
     return x, y or next(name for name in usual if name != x)
+
+
+def check_axes(scene: Scene, axes: Mapping[str, str]) -> None:
+    """Refuse axes, by their arguments, along which nothing may be varied."""
+    for argument, name in axes.items():
+        if name not in scene.free:
+            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
 
 
 def checked_view(scene: Scene, view: View) -> View:
@@ -115,17 +121,13 @@ def checked_view(scene: Scene, view: View) -> View:
     """
     if view.x == view.y:
         refuse("y", "be another axis than `x`", f"is {view.y!r} too")
-    for argument, name in (("x", view.x), ("y", view.y)):
-        if name not in scene.free:
-            refuse(argument, f"be one of {', '.join(scene.free)}", f"is {name!r}")
+    check_axes(scene, {"x": view.x, "y": view.y})
     scene.system_of(*view.values, view.x, view.y)
     values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
-    ranges = {}
-    for name, ends in view.ranges.items():
-        low, high = (checked(name, end, scene.quantities[name]) for end in ends)
-        if not low < high:
-            refuse(name, "have a range that increases", f"has {low:g} to {high:g}")
-        ranges[name] = low, high
+    ranges = {
+        name: checked_range(name, ends, scene.quantities[name])
+        for name, ends in view.ranges.items()
+    }
     allowed = (1, 2) if scene.levels else (0,)
     for level in view.levels:
         if level not in scene.levels:
@@ -146,11 +148,20 @@ def whole_ranges(scene: Scene, x: str, y: str) -> dict[str, Range]:
     return {name: scene.quantities[name][3:5] for name in (x, y)}
 
 
-def in_system(scene: Scene, view: View, x: str, y: str, system: tuple[str, ...]) -> View:
+def in_system(
+    scene: Scene,
+    view: View,
+    system: tuple[str, ...],
+    x: str | None = None,
+    y: str | None = None,
+) -> View:
     """Return the view over other axes, with starts given by a system of quantities.
 
-    New axes have their whole range, and new quantities their defaults.
+    An axis that is None stays if it is in the system. New axes have their whole range, and new
+    quantities their defaults.
     """
+    kept = (name if name in system else None for name in (x or view.x, y or view.y))
+    x, y = axes_in(scene, system, *kept)
     known = {name: view.values.get(name, scene.quantities[name].default) for name in system}
     ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
     return checked_view(scene, replace(view, x=x, y=y, ranges=ranges, values=known))
@@ -184,11 +195,6 @@ def middles(low: float, high: float, count: int) -> Float[np.ndarray, "n"]:
     return np.linspace(low + half, high - half, count)
 
 
-def least_width(low: float, high: float, size: int) -> float:
-    """Return the least width of a range with these ends whose neighbours differ after rounding."""
-    return size * max(FINEST * float(np.spacing(max(abs(low), abs(high)))), SMALLEST)
-
-
 def finest_step(view: View) -> float:
     """Return the least distance of neighbours on an axis, relative to the largest number there."""
     return min(
@@ -211,7 +217,8 @@ def zoomed(scene: Scene, view: View, ranges: Mapping[str, Range]) -> tuple[View,
         if not (math.isfinite(low) and math.isfinite(high)):
             refuse(name, "have a finite range", f"has {low} to {high}")
         low, high = min(low, high), max(low, high)
-        least = least_width(low, high, view.size)
+        rounding = float(np.spacing(max(abs(low), abs(high))))
+        least = view.size * max(FINEST * rounding, SMALLEST)
         if high - low < least:
             centre = low + (high - low) / 2
             low, high = centre - least / 2, centre + least / 2
@@ -227,3 +234,57 @@ def _inside(low: float, high: float, least: float, most: float) -> Range:
     if high > most:
         low, high = low - (high - most), most
     return max(low, least), high
+
+
+def address_of(view: View) -> str:
+    """Return the query that opens a page at this view, "?" included."""
+    pairs = [("level", level.value) for level in view.levels]
+    pairs += [("x", view.x), ("y", view.y)]
+    pairs += [(name, f"{low!r}{RANGE}{high!r}") for name, (low, high) in view.ranges.items()]
+    pairs += [(name, repr(value)) for name, value in view.fixed.items()]
+    return "?" + urlencode([*pairs, ("rtol", repr(view.rtol)), ("size", str(view.size))])
+
+
+def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> View:
+    """Return the view, changed as the query of an address asks.
+
+    Raises:
+        ValueError: a name or a value of the query is not allowed.
+    """
+    given = {name.replace("-", "_"): list(texts) for name, texts in query.items()}
+    known = "x", "y", "level", "rtol", "size", *scene.quantities
+    for name, texts in given.items():
+        if name not in known:
+            refuse("address", f"name only {', '.join(known)}", f"names {name!r}")
+        if len(texts) > 1 and name != "level":
+            refuse(name, "be given once", f"is given {len(texts)} times")
+    levels = tuple(Level.named(text) for text in given.pop("level", view.levels))
+    single = {name: texts[0] for name, texts in given.items()}
+    named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
+    rtol = _number("rtol", single.pop("rtol", view.rtol))
+    size: Any = single.pop("size", str(view.size))
+    size = int(size) if size.isdecimal() else size
+    check_axes(scene, named)
+    moved = in_system(scene, view, scene.system_of(*named.values(), *single), **named)
+    ranges, values = dict(moved.ranges), dict(moved.values)
+    for name, text in single.items():
+        if name in ranges:
+            ranges[name] = _range(name, text)
+        else:
+            values[name] = _number(name, text)
+    changed = replace(moved, ranges=ranges, values=values, levels=levels, rtol=rtol, size=size)
+    return checked_view(scene, changed)
+
+
+def _number(name: str, text: Any) -> float:
+    try:
+        return number_in(str(text))
+    except ValueError:
+        return refuse(name, "be a finite number", f"is {text!r}")
+
+
+def _range(name: str, text: str) -> Range:
+    low, found, high = text.partition(RANGE)
+    if not found:
+        refuse(name, f"be a range such as 0{RANGE}0.5, since it is an axis", f"is {text!r}")
+    return _number(name, low), _number(name, high)

@@ -173,14 +173,8 @@ def _climb(landscape: _Landscape, first: Point, worst: float, scale: float, gtol
             return -worst / scale, np.zeros_like(units)
         return -value[0] / scale, -gradient[0] / scale
 
-    return minimize(
-        loss,
-        first,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(0.0, 1.0)] * len(first),
-        options={"ftol": 0.0, "gtol": gtol / 10},
-    )
+    cube, options = [(0.0, 1.0)] * len(first), {"ftol": 0.0, "gtol": gtol / 10}
+    return minimize(loss, first, jac=True, method="L-BFGS-B", bounds=cube, options=options)
 
 
 def _design(landscape: _Landscape, top: Point, largest_defect: float, runs: int) -> Design:
@@ -189,13 +183,6 @@ def _design(landscape: _Landscape, top: Point, largest_defect: float, runs: int)
     closed = ((top <= 0) & (gradient < 0)) | ((top >= 1) & (gradient > 0))
     defect = float(np.max(np.where(closed, 0.0, np.abs(gradient))))
     end = DesignEnd.MAXIMUM if defect <= largest_defect else DesignEnd.SLOPE
-    return Design(
-        dict(zip(landscape.names, landscape.parameters(top).tolist(), strict=True)),
-        float(value),
-        float(omega_inf),
-        defect,
-        runs,
-        end is DesignEnd.MAXIMUM,
-        str(end),
-        end,
-    )
+    parameters = dict(zip(landscape.names, landscape.parameters(top).tolist(), strict=True))
+    good = end is DesignEnd.MAXIMUM
+    return Design(parameters, float(value), float(omega_inf), defect, runs, good, str(end), end)

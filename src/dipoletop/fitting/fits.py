@@ -270,13 +270,7 @@ def _fit(model: _Model, result: Any, estimate_sigma: bool) -> Fit:
     else:
         at_minimum = gain @ gain <= LEAST_GAIN * chi2 or small_step
         end = FitEnd.MINIMUM if at_minimum else FitEnd.REFUSED
-    return Fit(
-        dict(zip(model.names, result.x.tolist(), strict=True)),
-        root @ root.T * (chi2 / dof if estimate_sigma else 1.0),
-        chi2,
-        dof,
-        int(result.nfev),
-        end is FitEnd.MINIMUM,
-        end.format(result.nfev),
-        end,
-    )
+    parameters = dict(zip(model.names, result.x.tolist(), strict=True))
+    covariance = root @ root.T * (chi2 / dof if estimate_sigma else 1.0)
+    steps, good = int(result.nfev), end is FitEnd.MINIMUM
+    return Fit(parameters, covariance, chi2, dof, steps, good, end.format(steps), end)

@@ -11,7 +11,6 @@ import numpy as np
 from . import (
     ledger_averaged,
     ledger_claims,
-    ledger_conclusions,
     ledger_equation_of_motion,
     ledger_longitudinal,
     ledger_rotator,
@@ -32,7 +31,7 @@ PARTS = (
     ledger_claims.figures,
     ledger_claims.exceptions,
     ledger_claims.asymmetric,
-    ledger_conclusions.conclusions,
+    ledger_claims.conclusions,
     ledger_longitudinal.braking_time,
     ledger_rotator.phase_plane,
     ledger_rotator.manifold,

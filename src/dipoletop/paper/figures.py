@@ -4,7 +4,6 @@ Every function computes its data and returns a matplotlib `Figure`. `save` write
 fonts, each time with the same bytes.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -50,18 +49,7 @@ NEEDLE = 0.99
 STARTS, MAP_SIZE, MAP_STRIDE = 1024, 280, 9
 
 
-def _styled(draw: Callable[[], Figure]) -> Callable[[], Figure]:
-    """Return a function that draws in the common style, which other figures do not get."""
-
-    @functools.wraps(draw)
-    def styled() -> Figure:
-        with mpl.rc_context(STYLE):
-            return draw()
-
-    return styled
-
-
-@_styled
+@mpl.rc_context(STYLE)  # which other figures do not get
 def ends_order_1() -> Figure:
     """Draw shares of the outcomes against the shape δ, at order 1."""
     critical = threshold(TransverseReduced, 0.05, -0.9, 0.5)
@@ -75,7 +63,7 @@ def ends_order_1() -> Figure:
     return figure
 
 
-@_styled
+@mpl.rc_context(STYLE)
 def ends_full() -> Figure:
     """Draw shares of the outcomes by the semi-reduced equation, and dots by the full equation.
 
@@ -174,7 +162,7 @@ def _name_regimes(strip: Axes, limits: list[float], names: list[str]) -> None:
         strip.text((low + high) / 2, 0.05, name, ha="center", va="bottom")
 
 
-@_styled
+@mpl.rc_context(STYLE)
 def two_starts() -> Figure:
     """Plot ω₁, ω₂, ω₃ against τ from φ₀ = π/30 (residual) and π/3 (stop), order 1 and full."""
     times = np.concatenate([[0], np.geomspace(0.3, 3000, 500)])
@@ -216,7 +204,7 @@ def _draw_motion(ax: Axes, level: Level, trajectory: Trajectory) -> None:
         ax.annotate(text, (1, value), (-3, 2 if full else -3), **place)
 
 
-@_styled
+@mpl.rc_context(STYLE)
 def rotator_plane() -> Figure:
     """Draw the phase plane of the full plane rotator: separatrices, domains, runaways."""
     figure = Figure((NARROW, 88 * MM), layout="constrained")
@@ -280,7 +268,7 @@ def _draw_runaways(ax: Axes, right: float, top: float) -> None:
     ax.streamplot(xs, ys, u, v, start_points=starts, broken_streamlines=False, **style)
 
 
-@_styled
+@mpl.rc_context(STYLE)
 def spectra() -> Figure:
     """Plot λ/w² of slow perturbations of {w, 0, 0} against δ at each level, and the limit w → 0."""
     w, deltas = 0.05, np.linspace(-1, 0.99, 399)
@@ -319,7 +307,7 @@ def _mark_thresholds(ax: Axes, w: float) -> None:
         ax.annotate(text, (delta, 0), (20 if delta < 0 else -45, 8), **place)
 
 
-@_styled
+@mpl.rc_context(STYLE)
 def levels() -> Figure:
     """Draw where the outcome depends on the level: a map over φ and ω₃, δ = −0.2, ω⊥ = 0.2."""
     maps = figure_data.level_maps(MAP_SIZE, MAP_STRIDE, 0.4)

@@ -118,7 +118,7 @@ class Particle(eqx.Module):
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
         radius = positive_si("radius", radius)
-        return cls._of(shapes.spheroid(radius, radius, mass, density), dipole)
+        return cls(**shapes.spheroid(radius, radius, mass, density), dipole=dipole)
 
     @classmethod
     def spheroid(
@@ -137,7 +137,7 @@ class Particle(eqx.Module):
             ValueError: `a`, `c`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls._of(shapes.spheroid(a, c, mass, density), dipole)
+        return cls(**shapes.spheroid(a, c, mass, density), dipole=dipole)
 
     @classmethod
     def ellipsoid(
@@ -155,7 +155,7 @@ class Particle(eqx.Module):
             ValueError: `semi_axes`, or the one of `mass` and `density` that is given, not
                 positive; neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls._of(shapes.ellipsoid(semi_axes, mass, density), dipole)
+        return cls(**shapes.ellipsoid(semi_axes, mass, density), dipole=dipole)
 
     @classmethod
     def cuboid(
@@ -173,7 +173,7 @@ class Particle(eqx.Module):
             ValueError: `lengths`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls._of(shapes.cuboid(lengths, mass, density), dipole)
+        return cls(**shapes.cuboid(lengths, mass, density), dipole=dipole)
 
     @classmethod
     def rod(
@@ -192,11 +192,7 @@ class Particle(eqx.Module):
             ValueError: `length`, `radius`, or the one of `mass` and `density` that is given, not
                 positive; neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls._of(shapes.rod(length, radius, mass, density), dipole)
-
-    @classmethod
-    def _of(cls, solid: shapes.Solid, dipole: Any) -> "Particle":
-        return cls(solid.mass, solid.inertia, dipole, radius=solid.radius)
+        return cls(**shapes.rod(length, radius, mass, density), dipole=dipole)
 
     @classmethod
     def gaussian(cls, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> "Particle":

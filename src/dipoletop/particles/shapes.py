@@ -1,7 +1,7 @@
 """Homogeneous solids in SI units: their mass, inertia tensor and radius by formula."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from .. import bodies
 from .._base.checks import namespace, refuse
@@ -12,13 +12,8 @@ _ANY_DIPOLE = (1.0, 0.0, 0.0)
 """The dipole of a body from which only the inertia is taken."""
 
 
-class Solid(NamedTuple):
-    """A homogeneous body without its dipole."""
-
-    mass: Any
-    inertia: Any
-    radius: Any
-    """The largest distance of a point from the centre."""
+Solid = dict[str, Any]
+"""The `mass`, the `inertia` and the `radius`, the largest distance of a point from the centre."""
 
 
 def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
@@ -26,7 +21,7 @@ def spheroid(a: Any, c: Any, mass: Any, density: Any) -> Solid:
     a, c = positive_si("a", a), positive_si("c", c)
     mass = _mass(4 * math.pi / 3 * a**2 * c, mass, density)
     inertia = bodies.spheroid(mass, a, c, dipole=_ANY_DIPOLE).inertia
-    return Solid(mass, inertia, namespace(a, c).maximum(a, c))
+    return Solid(mass=mass, inertia=inertia, radius=namespace(a, c).maximum(a, c))
 
 
 def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
@@ -34,18 +29,15 @@ def ellipsoid(semi_axes: Any, mass: Any, density: Any) -> Solid:
     semi_axes = positive_si("semi_axes", semi_axes, (3,))
     mass = _mass(4 * math.pi / 3 * semi_axes.prod(), mass, density)
     a, b, c = mass * semi_axes**2 / 5
-    return Solid(mass, diagonal(b + c, c + a, a + b), semi_axes.max())
+    return Solid(mass=mass, inertia=diagonal(b + c, c + a, a + b), radius=semi_axes.max())
 
 
 def cuboid(lengths: Any, mass: Any, density: Any) -> Solid:
     """Return the cuboid with its edges along the body axes."""
     lengths = positive_si("lengths", lengths, (3,))
     mass = _mass(lengths.prod(), mass, density)
-    return Solid(
-        mass,
-        bodies.box(mass, lengths, _ANY_DIPOLE).inertia,
-        namespace(lengths).linalg.norm(lengths) / 2,
-    )
+    inertia = bodies.box(mass, lengths, _ANY_DIPOLE).inertia
+    return Solid(mass=mass, inertia=inertia, radius=namespace(lengths).linalg.norm(lengths) / 2)
 
 
 def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
@@ -53,7 +45,8 @@ def rod(length: Any, radius: Any, mass: Any, density: Any) -> Solid:
     length, radius = positive_si("length", length), positive_si("radius", radius)
     mass = _mass(math.pi * radius**2 * length, mass, density)
     inertia = bodies.rod(mass, length, radius, dipole=_ANY_DIPOLE).inertia
-    return Solid(mass, inertia, namespace(length, radius).hypot(length / 2, radius))
+    largest = namespace(length, radius).hypot(length / 2, radius)
+    return Solid(mass=mass, inertia=inertia, radius=largest)
 
 
 def _mass(volume: Any, mass: Any, density: Any) -> Any:

@@ -8,11 +8,10 @@ people, too. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
 from .._maps.unfolded_basins import unfold
 from .animations import animate
 from .atlases import atlas
-from .basins import basin, compare
+from .basins import basin, compare, shares
 from .continuations import continuation, diagram
 from .histograms import histogram
 from .histories import history
-from .residual_shares import shares
 from .single_starts import line, starts
 from .style import save
 from .trajectories import trajectory

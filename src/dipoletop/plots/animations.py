@@ -85,9 +85,6 @@ def _ellipsoid(body: Body) -> Float[np.ndarray, "3 a b"]:
     semi_axes = np.sqrt(squares / most) if most > 0 else np.ones(3)
     along = np.linspace(0, 2 * np.pi, MERIDIANS + 1)
     across = np.linspace(0, np.pi, PARALLELS)[:, None]
-    unit = np.stack(
-        np.broadcast_arrays(
-            np.sin(across) * np.cos(along), np.sin(across) * np.sin(along), np.cos(across)
-        )
-    )
+    x, y = np.sin(across) * np.cos(along), np.sin(across) * np.sin(along)
+    unit = np.stack(np.broadcast_arrays(x, y, np.cos(across)))
     return np.einsum("ij,jab->iab", axes, semi_axes[:, None, None] * unit)

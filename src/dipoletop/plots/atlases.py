@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
 
 from .._base.checks import flag, instance, refuse
-from ..atlases import BODY_CORNERS, Atlas, Ending, saddle_node_border, spin_border
+from ..atlases import BODY_CORNERS, STOPS_AT, Atlas, Ending, saddle_node_border, spin_border
 from ..particles import paper_particles
-from .axes import check_axes
+from .axes import several_axes
 from .style import BLACK, MM, STYLE, WIDE, percent
 
 DIPOLE_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -28,8 +28,6 @@ STOPS = {
     Ending.TUMBLING_HIGH: ("stop, tumbling about $J_1$", "#ebb97f"),
 }
 """Name and colour of every kind of stop."""
-PLACES = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
-"""The kinds of stop by their index in `prediction.ENDS`."""
 RATIOS = mpl.colormaps["YlGnBu"]
 """Colours of the mean L∞/L₀."""
 MOST = 0.75
@@ -75,7 +73,8 @@ def atlas(
     if not maps:
         refuse("atlases", must, "is empty")
     marked = flag("particles", particles)
-    given = None if axes is None else _given(axes, len(maps))
+    must = f"be {len(maps)}, one for each atlas"
+    given = None if axes is None else several_axes(axes, len(maps), must)
     with mpl.rc_context(STYLE):
         if given is None:
             size = (WIDE, HEIGHT) if len(maps) > 1 else ALONE
@@ -92,17 +91,6 @@ def atlas(
         columns = min(len(handles), 3 if len(maps) > 1 else 2)
         result.legend(handles=handles, loc="outside lower center", ncols=columns)
     return result
-
-
-def _given(axes: Any, count: int) -> list[Axes]:
-    """Return the given axes as a list, after checking that there is one for each atlas."""
-    given: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
-    if len(given) != count:
-        refuse("axes", f"be {count}, one for each atlas", f"has {len(given)}")
-    for ax in given:
-        instance("axes", ax, Axes, "be axes of matplotlib, or None")
-        check_axes(ax, "axes")
-    return given
 
 
 def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
@@ -127,9 +115,9 @@ def _draw(ax: Axes, atlas: Atlas, particles: bool, *, first: bool) -> None:
 
 def _colours(atlas: Atlas) -> Float[np.ndarray, "N 4"]:
     """Return the colour of every cell, from its mean L∞/L₀ or its most frequent kind of stop."""
-    places = list(PLACES)
+    places = list(STOPS_AT)
     most = np.argmax(atlas.probability[:, places], axis=1)
-    flat = np.array([(*to_rgb(STOPS[PLACES[place]][1]), 1.0) for place in places])
+    flat = np.array([(*to_rgb(STOPS[STOPS_AT[place]][1]), 1.0) for place in places])
     return np.where(
         (atlas.residual > 0)[:, None], RATIOS(np.clip(atlas.ratio / MOST, 0, 1)), flat[most]
     )
@@ -213,15 +201,10 @@ def _mark_particles(ax: Axes) -> None:
 
 def _finish_dipoles(ax: Axes, atlas: Atlas) -> None:
     """Draw labels and axes of a map over dipoles."""
-    for (x, y), name, offset, align in zip(
-        DIPOLE_CORNERS,
-        ("$J_1$", "$J_3$", "$J_2$"),
-        ((-4, -9), (4, -9), (0, 4)),
-        ("center", "center", "center"),
-        strict=True,
-    ):
-        place = {"xytext": offset, "textcoords": "offset points", "ha": align}
-        ax.annotate(f"dipole on {name}", (x, y), annotation_clip=False, **place)
+    offsets = {"$J_1$": (-4, -9), "$J_3$": (4, -9), "$J_2$": (0, 4)}
+    for corner, (name, offset) in zip(DIPOLE_CORNERS, offsets.items(), strict=True):
+        place = {"xytext": offset, "textcoords": "offset points", "ha": "center"}
+        ax.annotate(f"dipole on {name}", corner, annotation_clip=False, **place)
     j1, j2, _ = atlas.moments[0]
     body = f"$J_1/J_3 = {j1:.4g}$, $J_2/J_3 = {j2:.4g}$"
     ax.set_title(f"Dipoles by $n_1^2$, $n_2^2$, $n_3^2$; {body}", loc="center", pad=18)
@@ -232,16 +215,14 @@ def _finish_dipoles(ax: Axes, atlas: Atlas) -> None:
 def _legend(maps: list[Atlas]) -> list[Patch]:
     """Return legend entries of the classes that occur."""
     endings = np.concatenate([each.ending for each in maps])
-    stops = np.sum([np.sum(each.probability, axis=0) for each in maps], axis=0)
     handles = []
     if np.any(endings == Ending.RESIDUAL):
         handles.append(Patch(facecolor=RATIOS(0.6), label="residual, from every start"))
     if np.any(endings == Ending.BOTH):
         label = "residual or a stop, by the start"
         handles.append(Patch(fc=RATIOS(0.2), ec=BLACK, hatch=DENSE, lw=0, label=label))
-    for place, ending in sorted(PLACES.items(), key=lambda item: list(STOPS).index(item[1])):
-        alone = any(np.any(each.probability[each.residual == 0][:, place] > 0) for each in maps)
-        if stops[place] > 0 and alone:
+    for place, ending in sorted(STOPS_AT.items(), key=lambda item: list(STOPS).index(item[1])):
+        if any(np.any(each.probability[each.residual == 0][:, place] > 0) for each in maps):
             name, colour = STOPS[ending]
             handles.append(Patch(facecolor=colour, label=name))
     if np.any(endings == Ending.STOPS):

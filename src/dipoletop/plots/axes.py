@@ -2,13 +2,14 @@
 
 from typing import Any, Literal
 
+import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from .._base.checks import instance
+from .._base.checks import instance, refuse
 from .style import symbol
 
 Spacing = Literal["even", "log", "uneven"]
@@ -25,10 +26,23 @@ QUARTER_LABELS = {
 """Labels of the usual multiples of π/2."""
 
 
-def check_axes(ax: Any, argument: str = "ax") -> None:
-    """Refuse anything but axes of matplotlib or None."""
-    if ax is not None:
-        instance(argument, ax, Axes, "be axes of matplotlib, or None")
+def axes_or_new(ax: Axes | None, height: float = 4.2) -> Axes:
+    """Return given axes after checking them, or those of a new figure."""
+    if ax is None:
+        return plt.subplots(figsize=(7.0, height), layout="constrained")[1]
+    return _checked(ax, "ax")
+
+
+def several_axes(axes: Any, count: int, must: str) -> list[Axes]:
+    """Return given axes as a list, after checking that there are so many."""
+    given: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
+    if len(given) != count:
+        refuse("axes", must, f"has {len(given)}")
+    return [_checked(ax, "axes") for ax in given]
+
+
+def _checked(ax: Any, argument: str) -> Axes:
+    return instance(argument, ax, Axes, "be axes of matplotlib, or None")
 
 
 def spacing(values: Float[np.ndarray, "n"]) -> Spacing:
@@ -76,16 +90,11 @@ def show_cells(
 
 def name_axis(axis: Axis, name: str) -> None:
     """Label an axis with the symbol of a quantity; put ticks of φ at multiples of π/2."""
-    axis.set_label_text(symbol(name))
-    if name == "phi":
-        mark_quarter_turns(axis)
-
-
-def mark_quarter_turns(axis: Axis) -> None:
-    """Put the ticks of an angle at multiples of π/2."""
 
     def label(value: float, _: Any) -> str:
         return QUARTER_LABELS.get(round(value / QUARTER), rf"${value / np.pi:g}\pi$")
 
-    axis.set_major_locator(MultipleLocator(QUARTER))
-    axis.set_major_formatter(FuncFormatter(label))
+    axis.set_label_text(symbol(name))
+    if name == "phi":
+        axis.set_major_locator(MultipleLocator(QUARTER))
+        axis.set_major_formatter(FuncFormatter(label))

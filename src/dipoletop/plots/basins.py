@@ -14,8 +14,10 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from .._base.checks import flag, instance, refuse
+from .._base.types import Outcome
 from .._maps.basin import Basin
-from .axes import check_axes, name_axis, show_cells
+from .._maps.columns import MISSING
+from .axes import axes_or_new, name_axis, several_axes, show_cells
 from .column_shading import CERTIFIED, Shade
 from .map_layout import (
     CLASSES,
@@ -25,11 +27,13 @@ from .map_layout import (
     check_axis,
     classes_of,
     coloured,
+    fixed_values,
     legend_colours,
+    part_at,
     plane_of,
     shades_of,
 )
-from .style import hatch, percent
+from .style import capitalised, hatch, percent, symbol
 
 COLUMNS, MOST = 3, 12
 """Largest numbers of panels in a row, and in a picture."""
@@ -104,17 +108,11 @@ def basin(
         ValueError: not a basin over a grid; not exactly two axes longer than 1 besides the axes in
             `at` and `panels`; a name that is not an axis; an unknown `shade`.
     """
-    instance("basin", basin, Basin)
-    unfold = flag("unfold", unfold)
-    check_axes(ax)
-    if at is not None:
-        instance("at", at, Mapping, "be a dict from axes to their values, or None")
-        basin = basin.sel(method="nearest", **at)
+    basin, unfold = part_at(basin, at), flag("unfold", unfold)
     if panels is not None:
         return _panels(basin, panels, shade, unfold, (x, y), ax)
     plane = plane_of(basin, shade, unfold, (x, y))
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 5.4), layout="constrained")
+    ax = axes_or_new(ax, 5.4)
     _draw_all([ax], [plane], shade)
     return ax
 
@@ -180,16 +178,12 @@ def compare(
     instance("second", second, Basin)
     unfold = flag("unfold", unfold)
     _check_same_grid(first, second)
-    pair: list[Any] = [None, None] if axes is None else np.ravel(np.asarray(axes, object)).tolist()
-    if len(pair) != 2:
-        refuse("axes", "be a pair of axes, or None", f"has {len(pair)}")
-    for ax in pair:
-        check_axes(ax, "axes")
+    pair: Any = None if axes is None else several_axes(axes, 2, "be a pair of axes, or None")
     outcomes_differ = first.outcome != second.outcome
     line = f"outcome differs for {percent(float(np.mean(outcomes_differ)))} of the starts (hatched)"
     planes = [plane_of(basin, shade, unfold, (x, y)) for basin in (first, second)]
     planes = [plane._replace(title=f"{plane.title}\n{line}") for plane in planes]
-    if axes is None:
+    if pair is None:
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
     differs = planes[0].columns["outcome"] != planes[1].columns["outcome"]
     _draw_all(list(pair), planes, shade, {"outcome differs": differs})
@@ -204,6 +198,47 @@ def _check_same_grid(first: Basin, second: Basin) -> None:
     for name, values in first.coords.items():
         if not np.allclose(values, second.coords[name], rtol=1e-6, atol=1e-12):
             refuse("second", "be over the same grid as `first`", f"has other values of {name}")
+
+
+def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
+    """Draw the share of residual rotations over two axes, averaged over all other axes.
+
+    Args:
+        basin: a basin over a grid.
+        x: the horizontal axis.
+        y: the vertical axis.
+        ax: matplotlib axes to draw on; None makes a figure.
+
+    Returns:
+        The axes; the share is among the starts whose outcome is known.
+
+    Raises:
+        ValueError: there is no such axis.
+    """
+    instance("basin", basin, Basin)
+    for name, value in (("x", x), ("y", y)):
+        check_axis(basin, name, value)
+    if x == y:
+        refuse("y", "be another axis than `x`", f"is {y!r} too")
+    outcome, others = basin.outcome, tuple(k for k, d in enumerate(basin.dims) if d not in (x, y))
+    known = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
+    counts = np.sum(known, axis=others)
+    with np.errstate(invalid="ignore"):
+        share = np.sum(outcome == Outcome.RESIDUAL, axis=others) / counts
+    if basin.dims.index(x) < basin.dims.index(y):
+        share = share.T
+    ax = axes_or_new(ax, 5.4)
+    picture = ax.pcolormesh(basin.coords[x], basin.coords[y], share, vmin=0, vmax=1, cmap="cividis")
+    ax.figure.colorbar(picture, ax=ax, label="share of residual rotations")
+    name_axis(ax.xaxis, x)
+    name_axis(ax.yaxis, y)
+    averaged = [symbol(basin.dims[k]) for k in others if basin.shape[k] > 1]
+    missing = np.mean(outcome == MISSING["int8"])
+    said = [f"averaged over {', '.join(averaged)}"] * bool(averaged)
+    said += fixed_values(basin)
+    said += [f"{percent(float(missing))} of the starts not computed yet"] * bool(missing)
+    ax.set_title("\n".join([capitalised(basin.level), ", ".join(said)]), fontsize="medium")
+    return ax
 
 
 def _draw_all(

@@ -1,6 +1,6 @@
 """Shading of the starts of an outcome by a column: colour scales, labels, legend entries."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +25,10 @@ others for normal and colour-blind eyes."""
 CERTIFIED = "certified"
 """The column that is shown by hatching the starts that are not certified, not by shades."""
 
+OF_RUNS = {"time": r"$\tau$ when {} is certain", "steps": "steps of runs that end with {}"}
+"""Labels of the columns that shade both outcomes."""
+SHADES = "omega_inf", "omega_inf_error", *OF_RUNS, "probability"
+"""The columns that shade starts, beside derivatives."""
 Values = Mapping[Outcome, Float[np.ndarray, "n"]]
 """The finite values of a column for the starts with each outcome."""
 
@@ -54,72 +58,64 @@ def check_shade(shade: str | None, columns: Iterable[str], argument: str = "shad
 
 def shades_by(column: str, values: Values) -> list[Shade]:
     """Return the shading by a column of every outcome that has values."""
-    if column.startswith(DERIVATIVE_PREFIX):
-        return _derivative(column, values)
-    return SHADES[column](values) if column in SHADES else []
-
-
-def _omega_inf(values: Values) -> list[Shade]:
-    """Shade residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
     residual = values[Outcome.RESIDUAL]
+    if column == CERTIFIED:
+        return []
+    if column in OF_RUNS:
+        return _both(column, values)
+    if column == "probability":
+        return [_probability()] if values[Outcome.UNDECIDED].size else []
     if not residual.size:
         return []
+    if column.startswith(DERIVATIVE_PREFIX):
+        return [_derivative(column, residual)]
+    return [_omega_inf(residual) if column == "omega_inf" else _error(residual)]
+
+
+def _omega_inf(residual: Float[np.ndarray, "n"]) -> Shade:
+    """Shade residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
     most = float(np.max(np.abs(residual))) or 1.0
     signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
     unknown = r"residual, $\omega_\infty$ not known"
     norm, label = Normalize(-most, most), symbol("omega_inf")
-    return [Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, norm, label, signs, unknown)]
+    return Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, norm, label, signs, unknown)
 
 
-def _derivative(column: str, values: Values) -> list[Shade]:
+def _derivative(column: str, residual: Float[np.ndarray, "n"]) -> Shade:
     """Shade residual rotation by a derivative of ω∞, linear near 0 and logarithmic beyond."""
-    residual = values[Outcome.RESIDUAL]
-    if not residual.size:
-        return []
     # The derivative is unbounded next to the boundary.
     most = float(np.percentile(np.abs(residual), 99.5)) or 1.0
     norm = SymLogNorm(most / 100, vmin=-most, vmax=most, clip=True)
     label = symbol(column)
     signs = {rf"residual, {label} $> 0$": 0.85, rf"residual, {label} $< 0$": 0.15}
     unknown = "residual, no derivative"
-    return [Shade(Outcome.RESIDUAL, column, SIGNED, norm, label, signs, unknown)]
+    return Shade(Outcome.RESIDUAL, column, SIGNED, norm, label, signs, unknown)
 
 
-def _error(values: Values) -> list[Shade]:
+def _error(residual: Float[np.ndarray, "n"]) -> Shade:
     """Shade residual rotation by the estimated error of ω∞."""
-    residual = values[Outcome.RESIDUAL]
-    if not residual.size:
-        return []
     label = symbol("omega_inf_error")
     legend, unknown = {"residual rotation": 0.6}, "residual, no estimate of the error"
     norm = _logarithmic(residual)
-    return [Shade(Outcome.RESIDUAL, "omega_inf_error", BLUES, norm, label, legend, unknown)]
+    return Shade(Outcome.RESIDUAL, "omega_inf_error", BLUES, norm, label, legend, unknown)
 
 
-def _probability(values: Values) -> list[Shade]:
+def _probability() -> Shade:
     """Shade starts that chance decides, by the probability of residual rotation."""
-    if not values[Outcome.UNDECIDED].size:
-        return []
     label, legend = "probability of residual rotation", {"undecided, a matter of chance": 0.6}
     norm = Normalize(0, 1)
-    return [Shade(Outcome.UNDECIDED, "probability", GREENS, norm, label, legend)]
+    return Shade(Outcome.UNDECIDED, "probability", GREENS, norm, label, legend)
 
 
-def _both(column: str, label: str) -> Callable[[Values], list[Shade]]:
-    """Return a function that shades residual rotation and stop on one logarithmic scale."""
-
-    def shades(values: Values) -> list[Shade]:
-        norm = _logarithmic(np.concatenate([values[Outcome.RESIDUAL], values[Outcome.STOP]]))
-        return [
-            Shade(outcome, column, colours, norm, label.format(name), {name: 0.6})
-            for outcome, colours, name in (
-                (Outcome.RESIDUAL, BLUES, "residual rotation"),
-                (Outcome.STOP, OLIVES, "stop"),
-            )
-            if values[outcome].size
-        ]
-
-    return shades
+def _both(column: str, values: Values) -> list[Shade]:
+    """Shade residual rotation and stop on one logarithmic scale."""
+    norm = _logarithmic(np.concatenate([values[Outcome.RESIDUAL], values[Outcome.STOP]]))
+    kinds = {Outcome.RESIDUAL: (BLUES, "residual rotation"), Outcome.STOP: (OLIVES, "stop")}
+    return [
+        Shade(outcome, column, colours, norm, OF_RUNS[column].format(name), {name: 0.6})
+        for outcome, (colours, name) in kinds.items()
+        if values[outcome].size
+    ]
 
 
 def _logarithmic(values: Float[np.ndarray, "n"]) -> LogNorm:
@@ -134,14 +130,4 @@ def _logarithmic(values: Float[np.ndarray, "n"]) -> LogNorm:
 
 def scale_of(column: str) -> Literal["linear", "log"]:
     """Return the scale on which a column is shown."""
-    return "log" if column in ("omega_inf_error", "time", "steps") else "linear"
-
-
-SHADES: dict[str, Callable[[Values], list[Shade]]] = {
-    "omega_inf": _omega_inf,
-    "omega_inf_error": _error,
-    "time": _both("time", r"$\tau$ when {} is certain"),
-    "steps": _both("steps", "steps of runs that end with {}"),
-    "probability": _probability,
-}
-"""The shading by each column except derivatives."""
+    return "log" if column in ("omega_inf_error", *OF_RUNS) else "linear"

@@ -1,7 +1,6 @@
 """Continuations: shares of residual rotation, and growth rates, against δ or |ω₀|."""
 
 import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.axes import Axes
@@ -10,7 +9,7 @@ from matplotlib.figure import Figure
 from .._base.checks import instance
 from .._base.types import Outcome
 from ..continuation import DEFAULT_W, Continuation, Threshold, follow_spectrum, thresholds
-from .axes import check_axes, spacing
+from .axes import axes_or_new, spacing
 from .style import HATCH, MM, STYLE, SYMBOLS, WIDE, capitalised, level_line
 
 
@@ -31,10 +30,7 @@ def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
         ValueError: an argument that is not a continuation, or not axes.
     """
     instance("continuation", continuation, Continuation)
-    check_axes(ax)
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-    return _draw_shares(continuation, ax)
+    return _draw_shares(continuation, axes_or_new(ax))
 
 
 def diagram(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> Figure:

@@ -1,6 +1,5 @@
 """Histograms of the values of a sweep: from the starts of a basin, or from the bins of a tally."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -12,7 +11,7 @@ from .._maps.basin import Basin
 from .._maps.grids import counted
 from .._maps.tally_counts import MOTION
 from .._maps.tally_results import Tally
-from .axes import check_axes
+from .axes import axes_or_new
 from .column_shading import CERTIFIED, check_shade, scale_of
 from .map_layout import CLASSES, fixed_values
 from .style import capitalised, percent, symbol
@@ -42,14 +41,12 @@ def histogram(
         ValueError: a column without numbers, or without a value for any start.
     """
     instance("found", found, Basin | Tally, "be a Basin or a Tally")
-    check_axes(ax)
     if isinstance(found, Tally):
         edges, counts = found.edges(column), {"": found.merged.histogram(column).ravel()}
     else:
         check_shade(column, found.columns, "column")
         edges, counts = _counted(found, column, budget("bins", bins))
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    ax = axes_or_new(ax)
     below = np.zeros(len(edges) - 1)
     for name, count in counts.items():
         colour = COLOURS[Outcome.STOP] if name == SHOWN[Outcome.STOP] else COLOURS[Outcome.RESIDUAL]

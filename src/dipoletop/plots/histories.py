@@ -1,9 +1,10 @@
 """The history of a prediction: E, L and the shape of the rotation against time."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +14,7 @@ from matplotlib.figure import Figure
 from .._base.checks import ArrayLike, finite, instance, refuse
 from .._base.types import Outcome
 from ..prediction import Prediction
-from .axes import check_axes
-from .history_curves import Curves, curves_of
+from .axes import several_axes
 from .style import BLACK, BLUE, GREEN, MM, ORANGE, STYLE, percent
 
 YEAR = 365.25 * 24 * 3600
@@ -26,6 +26,82 @@ KNOWN = 0.95
 """Least share of starts with a known value at the times where quantiles are drawn."""
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The quantiles over many starts: two bands and the median."""
+POINTS = 241
+"""Number of times at which a history is computed."""
+BEFORE, AFTER = 1e-3, 1e2
+"""The first time over the half time, and the last one over the half time or the lifetime."""
+WIDEST = 1e15
+"""Largest ratio of the last time to the first one."""
+
+
+class Curves(NamedTuple):
+    """The histories of N rotations, relative to their starts, at T common times."""
+
+    times: Float[np.ndarray, "T"]
+    energy: Float[np.ndarray, "N T"]
+    """E/E₀."""
+    momentum: Float[np.ndarray, "N T"]
+    """|L|/L₀."""
+    shape: Float[np.ndarray, "N T"]
+    """hJ₃ = 2EJ₃/L², between 1 and J₃/J₁."""
+    ratios: Float[np.ndarray, "3"]
+    """J₃/J₃, J₃/J₂ and J₃/J₁: the values of hJ₃ about the principal axes."""
+    half_time: float
+    """The median of the known half times."""
+
+
+def curves_of(predictions: Prediction, times: Float[np.ndarray, "T"] | None) -> Curves:
+    """Return the histories of a batch of predictions for one body; None chooses the times."""
+    given = np.asarray(predictions.variables)
+    inertia = given[0, :9].reshape(3, 3)
+    moments = np.linalg.eigvalsh(inertia / np.trace(inertia)) * np.trace(inertia)
+    if times is None:
+        times = times_for(predictions)
+    histories = [_one(predictions, k).history(jnp.asarray(times)) for k in range(len(given))]
+    energy, momentum, shape = (
+        np.stack([np.asarray(getattr(history, name)) for history in histories])
+        for name in ("energy", "momentum", "shape")
+    )
+    omega = given[:, 12:]
+    start = omega @ inertia
+    size = np.linalg.norm(start, axis=1, keepdims=True)
+    half_times = np.asarray(predictions.half_time)
+    known = half_times[half_times > 0]
+    return Curves(
+        times,
+        energy * (2 / np.sum(start * omega, axis=1, keepdims=True)),
+        momentum / size,
+        shape * moments[2],
+        moments[2] / moments[::-1],
+        float(np.median(known)) if known.size else np.nan,
+    )
+
+
+def _one(predictions: Prediction, k: int) -> Prediction:
+    return jax.tree.map(lambda leaf: leaf[k], predictions)
+
+
+def times_for(predictions: Prediction) -> Float[np.ndarray, "T"]:
+    """Return times from long before the first change to long after the last one."""
+    half_times, lifetimes = np.asarray(predictions.half_time), np.asarray(predictions.lifetime)
+    known = half_times[np.isfinite(half_times) & (half_times > 0)]
+    if not known.size:
+        # For a rotation that never changes, or is captured first, use the time scale of braking.
+        scale = _scale(predictions)
+        known = np.array([scale])
+    first, last = BEFORE * np.min(known), AFTER * np.max(known)
+    decays = lifetimes[np.isfinite(lifetimes) & (lifetimes > 0)]
+    if decays.size:
+        last = max(last, AFTER * np.max(decays))
+    return np.geomspace(first, min(last, WIDEST * first), POINTS)
+
+
+def _scale(predictions: Prediction) -> float:
+    """Return I/(κΩ²), the time scale of braking, with the trace of the inertia tensor for I."""
+    given = np.asarray(predictions.variables)[0]
+    dipole, omega = given[9:12], given[12:]
+    kappa = predictions.strength * (dipole @ dipole)
+    return float(np.trace(given[:9].reshape(3, 3)) / kappa / (omega @ omega))
 
 
 def history(
@@ -74,7 +150,7 @@ def history(
         given = np.asarray(finite("times", times, (-1,), batch=False))
         if given.size < 2 or not (np.all(np.diff(given) > 0) and given[0] > 0):
             refuse("times", "be positive and rising", "are not")
-    panels = _panels(axes)
+    panels = None if axes is None else several_axes(axes, 3, "be three axes, or None")
     curves = curves_of(batch, given)
     with mpl.rc_context(STYLE):
         if panels is None:
@@ -84,19 +160,6 @@ def history(
         panels[0].set_title(_title(batch))
     figure: Any = panels[0].figure
     return figure
-
-
-def _panels(axes: Any) -> list[Axes] | None:
-    """Return the given axes as a list, after checking that they are three."""
-    if axes is None:
-        return None
-    panels: list[Any] = np.ravel(np.asarray(axes, object)).tolist()
-    if len(panels) != 3:
-        refuse("axes", "be three axes, or None", f"has {len(panels)}")
-    for ax in panels:
-        instance("axes", ax, Axes, "be axes of matplotlib, or None")
-        check_axes(ax, "axes")
-    return panels
 
 
 def _draw(panels: list[Axes], curves: Curves, in_seconds: bool) -> None:
@@ -124,7 +187,8 @@ def _draw(panels: list[Axes], curves: Curves, in_seconds: bool) -> None:
         )
     panels[2].set_xlabel("time $t$ (s)" if in_seconds else r"time $\tau = t/\tau_0$")
     if in_seconds:
-        years = panels[0].secondary_xaxis("top", functions=(_to_years, _from_years))
+        in_years: Any = (lambda t: t / YEAR, lambda t: t * YEAR)
+        years = panels[0].secondary_xaxis("top", functions=in_years)
         years.set_xlabel("time (years)")
 
 
@@ -211,11 +275,3 @@ def _number(value: float) -> str:
         return f"{value:.3g}"
     mantissa, exponent = f"{value:.2e}".split("e")
     return rf"{mantissa}\times 10^{{{int(exponent)}}}"
-
-
-def _to_years(seconds: Any) -> Any:
-    return seconds / YEAR
-
-
-def _from_years(years: Any) -> Any:
-    return years * YEAR

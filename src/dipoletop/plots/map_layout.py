@@ -1,19 +1,21 @@
 """The content of a map of outcomes, before it is drawn: two axes, classes, colours, title."""
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import to_rgb
 
-from .._base.checks import refuse
+from .._base.checks import instance, refuse
+from .._base.numerals import as_text
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
 from .._maps.unfolded_basins import unfold
 from .column_shading import UNKNOWN, Shade, check_shade, shades_by
-from .style import capitalised, number, percent, symbol
+from .style import capitalised, percent, symbol
 
 Colour = str | tuple[float, float, float, float]
 """A hexadecimal colour, or RGBA."""
@@ -86,6 +88,15 @@ def plane_of(
     return Plane(x, y, xs, ys, columns, title_of(basin))
 
 
+def part_at(basin: Basin, at: Mapping[str, Any] | None) -> Basin:
+    """Return the part of a basin nearest to these values on its axes, after checking both."""
+    instance("basin", basin, Basin)
+    if at is None:
+        return basin
+    instance("at", at, Mapping, "be a dict from axes to their values, or None")
+    return basin.sel(method="nearest", **at)
+
+
 def check_axis(basin: Basin, argument: str, name: str) -> None:
     """Refuse a name that is not an axis of the basin."""
     if name not in basin.dims or name not in basin.coords:
@@ -129,7 +140,7 @@ def fixed_values(basin: Basin) -> list[str]:
         if (len(values) == 1 if name in basin.dims else not of_points)
     }
     return [
-        f"{symbol(name)} = {', '.join(number(value) for value in np.ravel(values).tolist())}"
+        f"{symbol(name)} = {', '.join(map(as_text, np.ravel(values).tolist())).replace('-', '−')}"
         for name, values in fixed.items()
     ]
 
@@ -138,15 +149,11 @@ def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
     """Return the shading of every outcome that occurs, with colour scales common to all planes."""
     if shading is None:
         return []
-    outcomes = (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED)
-    return shades_by(shading, {x: _shaded_values(planes, shading, x) for x in outcomes})
-
-
-def _shaded_values(planes: list[Plane], shading: str, outcome: Outcome) -> Float[np.ndarray, "n"]:
-    """Return the values of a column for the starts with an outcome, on all planes."""
-    columns = [plane.columns for plane in planes]
-    values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
-    return values[np.isfinite(values)].astype(float)
+    found, columns = {}, [plane.columns for plane in planes]
+    for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED):
+        values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
+        found[outcome] = values[np.isfinite(values)].astype(float)
+    return shades_by(shading, found)
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:

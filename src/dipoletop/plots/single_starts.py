@@ -3,19 +3,27 @@
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from .._base.checks import instance, refuse
 from .._maps.basin import Basin
 from .._maps.columns import START, is_result
-from .axes import check_axes, name_axis, spacing
+from .axes import axes_or_new, name_axis, spacing
 from .basins import draw_colourbars, put_legend_below
 from .column_shading import CERTIFIED, check_shade, scale_of
-from .map_layout import CLASSES, Plane, classes_of, coloured, legend_colours, shades_of, title_of
+from .map_layout import (
+    CLASSES,
+    Plane,
+    classes_of,
+    coloured,
+    legend_colours,
+    part_at,
+    shades_of,
+    title_of,
+)
 from .style import symbol
 
 
@@ -41,25 +49,24 @@ def line(
         ValueError: not a basin over a grid; not exactly one axis longer than 1 besides the axes in
             `at`; a column without numbers to draw.
     """
-    instance("basin", basin, Basin)
-    check_axes(ax)
+    basin = part_at(basin, at)
     check_shade(column, basin.columns, "column")
     if column in (None, CERTIFIED):
         refuse("column", "name a column of numbers", f"is {column!r}")
-    if at is not None:
-        instance("at", at, Mapping, "be a dict from axes to their values, or None")
-        basin = basin.sel(method="nearest", **at)
     long = [name for name in basin.dims if len(basin.coords.get(name, ())) > 1]
     if len(long) != 1 or basin.coords[long[0]].ndim > 1:
         must = "have one axis of numbers that is longer than 1 (`at` fixes others)"
         refuse("basin", must, f"has {', '.join(basin.dims)} of lengths {basin.shape}")
     (x,) = long
     xs, values = basin.coords[x], np.asarray(basin.column(column), float).ravel()
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    ax = axes_or_new(ax)
     shown = _flat(basin)
     handles = []
-    for label, colour, members in _classes(shown, classes_of(shown)):
+    (classes,) = classes_of(shown)
+    for k, (label, colour) in enumerate(CLASSES.values()):
+        members = classes == k
+        if not members.any():
+            continue
         known = members & np.isfinite(values)
         ax.plot(xs[known], values[known], "o", ms=3, color=colour)
         unknown = members & ~np.isfinite(values)
@@ -104,7 +111,6 @@ def starts(
         ValueError: a basin over a grid, a quantity that it does not have, or an unknown `shade`.
     """
     instance("basin", basin, Basin)
-    check_axes(ax)
     check_shade(shade, basin.columns)
     if len(basin.dims) != 1 or basin.dims[0] in basin.coords:
         must = "be over a `Sample` or `Points` (`plots.basin` and `plots.line` draw grids)"
@@ -116,8 +122,7 @@ def starts(
     shown = _flat(basin, shade)
     classes, shades = classes_of(shown), shades_of([shown], shade)
     colours = coloured(shown, classes, shades)[0] / 255
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
+    ax = axes_or_new(ax, 5.0)
     faces = colours.copy()
     if shade == CERTIFIED:
         faces[~basin.certified] = 0.0
@@ -141,14 +146,6 @@ def _flat(basin: Basin, shade: str | None = None) -> Plane:
     names = [x for x in ("outcome", "stop", "probability", shade) if x and x in basin.columns]
     columns = {name: basin.column(name).reshape(1, -1) for name in names}
     return Plane("", "", np.zeros(0), np.zeros(0), columns, "")
-
-
-def _classes(shown: Plane, classes: Int[np.ndarray, "1 N"]) -> Any:
-    """Yield name, colour and members of every class that occurs."""
-    for k, (label, colour) in enumerate(CLASSES.values()):
-        members = classes[0] == k
-        if members.any():
-            yield label, colour, members
 
 
 def _quantities(basin: Basin) -> dict[str, Float[np.ndarray, "N"]]:

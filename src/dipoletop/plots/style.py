@@ -12,7 +12,6 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from .._base.numerals import as_text
 from .._maps.columns import DERIVATIVE_PREFIX
 from ..equations.levels import Level
 
@@ -123,11 +122,6 @@ def symbol(name: str) -> str:
 def capitalised(text: str) -> str:
     """Return the text with a capital first letter; the rest stays as it is."""
     return text[:1].upper() + text[1:]
-
-
-def number(value: float) -> str:
-    """Return a number with at most six digits, or as a multiple of π, with a minus sign "−"."""
-    return as_text(value).replace("-", "−")
 
 
 def percent(share: float) -> str:

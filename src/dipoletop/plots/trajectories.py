@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -12,7 +11,7 @@ from matplotlib.lines import Line2D
 from .._base.checks import instance, refuse
 from .._base.types import DecidingEquation, Outcome
 from .._runs.trajectory import BranchSolution, Trajectory
-from .axes import check_axes
+from .axes import axes_or_new
 from .style import BLACK, BLUE, COMPONENTS, capitalised
 
 CURVES = {"size": (r"$|\omega|$", BLACK)} | {
@@ -55,7 +54,6 @@ def trajectory(
         ValueError: a batch of trajectories, more than four of them, or an unknown curve.
     """
     instance("trajectory", trajectory, Trajectory | Mapping, "be a Trajectory, or a dict of them")
-    check_axes(ax)
     several = isinstance(trajectory, Mapping)
     runs: dict[str, Trajectory] = dict(trajectory) if several else {"": trajectory}
     if not 1 <= len(runs) <= len(RUNS):
@@ -64,9 +62,11 @@ def trajectory(
         instance("trajectory", run, Trajectory)
         if np.ndim(run.ts) != 1:
             refuse("trajectory", "describe one top", f"has times of shape {run.ts.shape}")
-    wanted = _wanted(curves)
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    names = [curves] if isinstance(curves, str) else list(curves)
+    if not names or any(name not in CURVES for name in names):
+        refuse("curves", f"be among {', '.join(CURVES)}", f"is {curves!r}")
+    wanted = [name for name in CURVES if name in names]
+    ax = axes_or_new(ax)
     ax.axhline(0.0, color="0.8", linewidth=0.8)
     for run, dashes in zip(runs.values(), RUNS, strict=False):
         _draw(ax, run, wanted, None if not several else dashes)
@@ -82,13 +82,6 @@ def trajectory(
         handles += [Line2D([], [], color="0.3", ls=dashes, label=name) for name, dashes in lines]
     ax.legend(handles=handles, frameon=False, ncols=2)
     return ax
-
-
-def _wanted(curves: Sequence[str]) -> list[str]:
-    names = [curves] if isinstance(curves, str) else list(curves)
-    if not names or any(name not in CURVES for name in names):
-        refuse("curves", f"be among {', '.join(CURVES)}", f"is {curves!r}")
-    return [name for name in CURVES if name in names]
 
 
 def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
@@ -107,6 +100,8 @@ def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
 
 def _smooth(run: Trajectory) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t 3"]]:
     """Return times close enough for a smooth curve, the run's own among them, and ω there."""
+    from scipy.interpolate import CubicHermiteSpline
+
     times, omega = np.asarray(run.ts), np.asarray(run.omega)
     known = np.isfinite(times) & np.isfinite(omega).all(axis=1)
     times, omega = times[known], omega[known]
@@ -121,23 +116,11 @@ def _smooth(run: Trajectory) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, 
     rates = np.asarray(run.omega_dot)[known]
     every_other = slice(0, len(times) - 1 + len(times) % 2, 2)
     between = slice(1, len(times) - 1, 2)
-    parts_of_test = times[every_other], omega[every_other], rates[every_other]
-    errors = np.abs(_cubic(*parts_of_test, times[between]) - omega[between])
+    cubic = CubicHermiteSpline(times[every_other], omega[every_other], rates[every_other])
+    errors = np.abs(cubic(times[between]) - omega[between])
     if np.max(errors) > ROUGH * np.max(np.abs(omega)):
         return times, omega
-    return finer, _cubic(times, omega, rates, finer)
-
-
-def _cubic(
-    times: Float[np.ndarray, "T"],
-    values: Float[np.ndarray, "T 3"],
-    rates: Float[np.ndarray, "T 3"],
-    wanted: Float[np.ndarray, "t"],
-) -> Float[np.ndarray, "t 3"]:
-    """Return the cubic Hermite interpolant of values and rates at the wanted times."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    return CubicHermiteSpline(times, values, rates)(wanted)
+    return finer, CubicHermiteSpline(times, omega, rates)(finer)
 
 
 def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:

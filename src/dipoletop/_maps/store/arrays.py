@@ -81,8 +81,7 @@ class StoredArray:
     @property
     def metadata(self) -> dict[str, Any]:
         """The metadata that are written beside the chunks."""
-        plain = {"name": "bytes"}
-        first = LITTLE if self.dtype.itemsize > 1 else plain
+        first = LITTLE if self.dtype.itemsize > 1 else {"name": "bytes"}
         fill = self.dtype.type(self.fill).item()
         return {
             "shape": list(self.shape),

@@ -55,15 +55,10 @@ class Claims:
         """Claim a tile; False if another process has it."""
         return self._lock(1, tile) is not False
 
-    @property
-    def works(self) -> bool:
-        """Whether file locks are available."""
-        return fcntl is not None and self._file is not None
-
     @contextlib.contextmanager
-    def everything(self) -> Iterator[bool]:
-        """Claim the whole store for a moment; False if others have, or may have, a claim."""
-        free = self._lock(0, 0) is True
+    def everything(self) -> Iterator[bool | None]:
+        """Claim the whole store for a moment; False if others have a claim, None without locks."""
+        free = self._lock(0, 0)
         try:
             yield free
         finally:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..._base.digests import SIZE, digest
 from ..columns import (
-    CONVENTIONS,
     MISSING,
     column_spec,
     component_dims,
@@ -44,21 +43,16 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
         arrays[name] = _coordinates(folder / name, array, dims)
     shown = {name: array.metadata for name, array in arrays.items()}
     shape = tiling_of(header).count, SIZE * (3 + len(names))
-    arrays[RECORDS] = StoredArray(
-        folder / RECORDS,
-        shape,
-        (1, shape[1]),
-        np.dtype("uint8"),
-        packed=False,  # a record contains its own checksum
-    )
+    records, numbers = folder / RECORDS, np.dtype("uint8")
+    # Not packed, since a record contains its own checksum.
+    arrays[RECORDS] = StoredArray(records, shape, (1, shape[1]), numbers, packed=False)
     for array in arrays.values():
         array.create()
-    for name, numbers in values.items():
-        arrays[name].write_all(numbers)
+    for name, swept in values.items():
+        arrays[name].write_all(swept)
     (folder / CLAIMS).touch()
     others = [name for name in (*values, *drawn) if name not in dims]
     attributes = {
-        "Conventions": CONVENTIONS,
         **plain_attributes(header["attrs"]),
         **({"problem_digest": header["programs"]["problem"]} if "programs" in header else {}),
         **({"coordinates": " ".join(others)} if others else {}),
@@ -114,8 +108,7 @@ def tiling_of(header: Header) -> Tiling:
 
 def tiling_of_starts(header: Header) -> Tiling:
     """Return the tiling of the starts of the sweep, which for a tally differs from the columns'."""
-    tally = header.get("tally")
-    return Tiling(tuple(tally["shape"]), tuple(tally["chunk"])) if tally else tiling_of(header)
+    return tiling_of(header.get("tally", header))
 
 
 def metadata_digest(folder: Path, array: str) -> str:

@@ -1,7 +1,8 @@
-"""Basins on disk: saved, loaded, verified."""
+"""Basins on disk: of a sweep, begun or resumed; saved, loaded, verified."""
 
 import contextlib
-from collections.abc import Iterator
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,11 +11,14 @@ import numpy as np
 from ..._base.digests import SIZE
 from ..columns import BasinParts, is_result
 from ..tiling import TILE, Tiling
+from .arrays import METADATA
 from .errors import StoreDamaged, StoreMismatch
-from .folders import absolute_path, atomic_folder, exists
-from .headers import with_value_digests
-from .layout import create_arrays, tiling_of_starts
-from .tiles import open_store, open_tiles
+from .folders import absolute_path, atomic_folder, exists, hidden_folder
+from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
+from .layout import GROUP, create_arrays, tiling_of, tiling_of_starts
+from .tiles import TileRecord, Tiles, open_store, open_tiles
+
+THIS_SWEEP = "be new or hold this very sweep"
 
 
 class Verification(NamedTuple):
@@ -26,6 +30,64 @@ class Verification(NamedTuple):
     """Numbers of the tiles that are not computed yet."""
     damaged: dict[int, str]
     """Descriptions of the damage, by number of the tile."""
+
+
+def begin_or_resume(
+    path: Any, header: Header, values: Mapping[str, np.ndarray], repair: bool = False
+) -> Tiles:
+    """Return a new store at `path`, or the existing one if it belongs to the same sweep.
+
+    Args:
+        path: a folder.
+        header: the data that identify this sweep; see `headers`.
+        values: the swept values by name.
+        repair: whether to write damaged metadata again.
+
+    Raises:
+        StoreMismatch: the path cannot be used, or holds something else.
+        StoreDamaged: its metadata are damaged, and are not to be repaired.
+    """
+    folder = absolute_path("store", path)
+    header = with_value_digests(header, values)
+    if not exists("store", folder):
+        # Another process may begin the same sweep at this moment.
+        with contextlib.suppress(FileExistsError), atomic_folder("store", folder) as fresh:
+            create_arrays(fresh, header, values)
+    try:
+        tiles = open_tiles("store", folder)
+        different = differences(
+            tiles.header, header, lambda x: first_difference(x, tiles.values(x), values[x])
+        )
+        for name in tiles.header["values"]:
+            tiles.values(name)
+    except StoreDamaged:
+        if not repair:
+            raise
+        return _with_new_metadata(folder, header, values)
+    if different:
+        reason = f"{folder} holds another sweep: {different}"
+        raise StoreMismatch("store", folder, THIS_SWEEP, reason)
+    return tiles
+
+
+def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.ndarray]) -> Tiles:
+    """Write a store's metadata again if its records belong to this sweep; return the store."""
+    every = (TileRecord(folder, tile) for tile in range(tiling_of(header).count))
+    records = [record for record in every if record.is_sound]
+    if not records or any(record.sweep != sweep_digest(header) for record in records):
+        reason = f"the metadata of {folder} are damaged, and it has no tiles of this sweep"
+        raise StoreMismatch("store", folder, THIS_SWEEP, reason)
+    with hidden_folder(folder.parent) as hidden:
+        fresh = Path(hidden)
+        create_arrays(fresh, header, values)
+        # The header is written last; until then the store counts as damaged.
+        header_file = fresh / GROUP / METADATA
+        for file in sorted(fresh.rglob("*"), key=lambda file: file == header_file):
+            if file.is_file():
+                target = folder / file.relative_to(fresh)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, target)
+    return open_tiles("store", folder)
 
 
 def save(parts: BasinParts, path: Any) -> None:
@@ -44,19 +106,13 @@ def save(parts: BasinParts, path: Any) -> None:
         "attrs": parts.attrs,
         "axes": list(parts.coords),
     }
-    with _new_folder(folder) as fresh:
-        create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
-        tiles = open_tiles("path", fresh)
-        for tile in range(tiling.count):
-            span = tiling.span(tile)
-            tiles.write(tile, {name: x[span] for name, x in columns.items()}, bytes(SIZE))
-
-
-@contextlib.contextmanager
-def _new_folder(folder: Path) -> Iterator[Path]:
     try:
         with atomic_folder("path", folder) as fresh:
-            yield fresh
+            create_arrays(fresh, with_value_digests(header, parts.coords), parts.coords)
+            tiles = open_tiles("path", fresh)
+            for tile in range(tiling.count):
+                span = tiling.span(tile)
+                tiles.write(tile, {name: x[span] for name, x in columns.items()}, bytes(SIZE))
     except FileExistsError:
         raise StoreMismatch("path", folder, "not exist yet", f"{folder} does") from None
 
@@ -74,12 +130,7 @@ def load(path: Any, partial: bool = False) -> BasinParts:
     if partial:
         return tiles.contents(partial=True)
     parts = tiles.contents()
-    if left := len(tiles.unfinished()):
-        reason = (
-            f"{tiles.folder} is missing {left} of {tiles.tiling.count} tiles; "
-            "run the sweep again with this store"
-        )
-        raise StoreMismatch("path", tiles.folder, "hold a finished sweep", reason)
+    tiles.refuse_unfinished("sweep")
     tiles.refuse_damaged(tiles.damaged(range(tiles.tiling.count)))
     return parts
 

@@ -156,7 +156,7 @@ class Tiles:
             return True
         try:
             with claims.everything() as alone:
-                return claims.works and not alone
+                return alone is False
         finally:
             claims.close()
 
@@ -180,6 +180,10 @@ class Tiles:
     def unfinished(self) -> list[int]:
         """Return the tiles that have to be computed."""
         return [tile for tile in range(self.tiling.count) if not self.is_finished(tile)]
+
+    def finished(self) -> list[int]:
+        """Return the tiles that have been computed."""
+        return [tile for tile in range(self.tiling.count) if self.is_finished(tile)]
 
     def record(self, tile: int) -> TileRecord:
         """Return the record of a finished tile."""
@@ -231,7 +235,7 @@ class Tiles:
         With `partial` it contains only the tiles that are finished now.
         """
         header = self.header
-        finished = frozenset(self.tiling.others(self.unfinished())) if partial else None
+        finished = frozenset(self.finished()) if partial else None
         coords = {name: self.values(name) for name in header["axes"]}
         columns = {name: StoredColumn(self, name, finished) for name in self.names}
         dims, shape = tuple(header["dims"]), tuple(header["shape"])
@@ -247,6 +251,15 @@ class Tiles:
             except StoreDamaged as error:
                 reasons[tile] = error.reason
         return reasons
+
+    def refuse_unfinished(self, what: str) -> None:
+        """Raise `StoreMismatch` if the sweep or tally is unfinished."""
+        if left := len(self.unfinished()):
+            reason = (
+                f"{self.folder} is missing {left} of {self.tiling.count} tiles; "
+                f"run the {what} again with this store"
+            )
+            raise StoreMismatch("path", self.folder, f"hold a finished {what}", reason)
 
     def refuse_damaged(self, damaged: dict[int, str], way_out: str = "") -> None:
         """Raise `StoreDamaged` if there are damaged tiles."""
