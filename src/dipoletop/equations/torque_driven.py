@@ -24,6 +24,7 @@ from ..bodies import Body
 from ..radiation import gyroscopic_torque
 from ._common import omega_scale_of
 from ._families import LONGITUDINAL, RIGID, TRANSVERSE
+from ._members import OmegaFirst
 from .levels import WITH_TORQUE, Level
 from .rigid import (
     across_dipole,
@@ -103,7 +104,7 @@ class Loaded(eqx.Module):
         return self.with_attitude(rate, slow)
 
 
-class DrivenEquation(eqx.Module):
+class DrivenEquation(OmegaFirst):
     """The members that equations with torques from outside share.
 
     With an attitude the state begins with (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
@@ -123,10 +124,6 @@ class DrivenEquation(eqx.Module):
     @abc.abstractmethod
     def lift(self, omega0: Vector) -> State:
         """Return the state at the start."""
-
-    def omega(self, y: State) -> Vector:
-        """Return the first three components."""
-        return y[:3]
 
     def attitude(self, y: State) -> Quaternion | None:
         """Return the unit quaternion of a state; None if the attitude is not followed."""
