@@ -19,6 +19,7 @@ from ._averaging.slow_flow import Side, from_logit
 from ._base.bisection import bisect
 from ._base.checks import instance, refuse
 from ._base.summaries import span
+from ._base.tolerances import whole
 from .bodies import Body
 from .particles import Particle
 
@@ -143,9 +144,7 @@ def atlas(
     """
     if (dipole is None) == (body is None):
         refuse("dipole", "be given or else `body`", "neither is" if dipole is None else "both are")
-    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        refuse("n", "be an integer of at least 2", f"is {n!r}")
-    corners = cells(n)
+    corners = cells(whole("n", n, 2, "be an integer of at least 2"))
     middles = np.mean(corners, axis=1)
     if dipole is not None:
         if isinstance(dipole, bool) or dipole not in (1, 2, 3):

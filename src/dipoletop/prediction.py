@@ -34,7 +34,7 @@ from ._averaging.ends import QUANTILES as QUANTILES
 from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_forecast
 from ._averaging.histories import Values, best_history
 from ._averaging.principal_axes import free_rotation
-from ._base.checks import ArrayLike, concrete, described, finite, refuse, where_valid
+from ._base.checks import ArrayLike, concrete, finite, instance, refuse, where_valid
 from ._base.summaries import duration, with_error
 from ._base.types import Outcome, Real, Regime
 from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
@@ -213,8 +213,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         >>> dt.Outcome(int(prediction.outcome)).name, f"{prediction.ratio:.6f}"
         ('RESIDUAL', '0.912825')
     """
-    if not isinstance(body, Body | Particle):
-        refuse("body", "be a Body or a Particle", described(body))
+    instance("body", body, Body | Particle, "be a Body or a Particle")
     if body.inertia.ndim != 2:
         refuse("body", "be a single one (`jax.vmap` takes a batch)", "is a batch of them")
     omega = finite("omega0", omega0, (3,), batch=False)
@@ -231,7 +230,10 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     numbers = averages.forecast(variables, coupling)
     if concrete(variables) and numbers.error > HANDOVER:
         numbers = resolved_forecast(variables, coupling, averages, numbers.ratio) or numbers
-        _check_error(float(numbers.error))
+        if numbers.error > LARGEST_ERROR:
+            must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
+            was = f"makes it {float(numbers.error):.2g} (`classify` follows every turn)"
+            refuse("omega0", must, was)
     return Prediction(*numbers, variables=variables, strength=strength)
 
 
@@ -257,13 +259,6 @@ def _check_rim(body: Body | Particle, omega: Array) -> None:
     if rim > FASTEST_RIM:
         must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
         refuse("omega0", must, f"makes it {rim:.2g} c")
-
-
-def _check_error(error: float) -> None:
-    """Refuse a concrete rotation for which no law is accurate enough."""
-    if error > LARGEST_ERROR:
-        must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
-        refuse("omega0", must, f"makes it {error:.2g} (`classify` follows every turn)")
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:

@@ -168,7 +168,7 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
     return SlowEnd(
         probability,
         log_ratio,
-        end.capture.log_quantiles_of_all(jnp.array(QUANTILES)) + shift,
+        end.capture.log_quantiles_of_all() + shift,
         energy,
         last_energy,
         half_time,

@@ -11,30 +11,24 @@ with a logarithmic singularity at the separatrix, x = 1. The integral over x is 
 share of this side, a pair of lunes.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
 from .free_rotation import quarter_period
 
 
-class Shapes(NamedTuple):
-    """Nodes and weights of the mean over isotropic directions, for B bodies, on one side."""
-
-    nodes: Float[np.ndarray, "K"]
-    """The x of the nodes, rising; dense near the axis and the separatrix, where L∞/L₀ has powers
-    and logarithms of x."""
-    weights: Float[np.ndarray, "B K"]
-    """Their sum is the share of directions on this side."""
-
-
-def isotropic_shapes(moments: Float[np.ndarray, "B 3"], count: int) -> Shapes:
-    """Return nodes and weights on the side round the last axis.
+def isotropic_shapes(
+    moments: Float[np.ndarray, "B 3"], count: int
+) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "B K"]]:
+    """Return nodes and weights of the mean over isotropic directions round the last axis.
 
     Args:
-        moments: J_a, J_b and J_c, with b the middle one.
+        moments: J_a, J_b and J_c of B bodies, with b the middle one.
         count: the number of nodes.
+
+    Returns:
+        The x of the nodes, rising; dense near the axis and the separatrix, where L∞/L₀ has powers
+        and logarithms of x. And the weights, whose sum is the share of directions on this side.
     """
     nodes, rule = np.polynomial.legendre.leggauss(count)
     v, rule = (1 + nodes) / 2, rule / 2
@@ -45,7 +39,7 @@ def isotropic_shapes(moments: Float[np.ndarray, "B 3"], count: int) -> Shapes:
     density = np.sqrt(square / left) * quarter_period(rest / left, np) / np.pi
     weights = density * (rule * 30 * (v * (1 - v)) ** 2)
     whole = share_of_side(moments)[:, None]
-    return Shapes(x, weights * (whole / np.sum(weights, axis=1, keepdims=True)))
+    return x, weights * (whole / np.sum(weights, axis=1, keepdims=True))
 
 
 def momentum_at(moments: Float[np.ndarray, "B 3"], x: Float[np.ndarray, "B"]) -> np.ndarray:

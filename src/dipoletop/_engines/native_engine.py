@@ -115,14 +115,13 @@ class _Functions(NamedTuple):
         advanced = step.advance(whole, *shared, self.solver, self.until)
         return eqx.filter(advanced, eqx.is_array)
 
-    def result(self, lanes: step.LaneState, omegas: Any, shared: tuple[Array, Array]) -> Any:
-        ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
-        if self.apply is None:
-            return ends
-        return self.apply(self.equation(lanes), omegas, ends, Tolerances(shared[0], lanes.atol))
-
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
-        return table._replace(result=self.result(table.lanes, table.omegas, shared))
+        lanes, omegas, _ = table
+        result: Any = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
+        if self.apply is not None:
+            tolerances = Tolerances(shared[0], lanes.atol)
+            result = self.apply(self.equation(lanes), omegas, result, tolerances)
+        return table._replace(result=result)
 
 
 def _without_subnormal(x: Array) -> Array:
@@ -168,8 +167,9 @@ class _Program:
             )
             shared = jnp.zeros(()), jnp.zeros((), int)
             omegas = None if finish is None else jnp.zeros((3, 1))
-            result = functions.result(lanes, omegas, shared)
-            return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
+            table = functions.finish(_Table(lanes, omegas, None), shared)
+            result = jax.tree.map(one_lane, table.result)
+            return table._replace(result=result), shared, table.result
 
         # Shapes and types only: JAX would compile programs that make zeros.
         table, shared, result = jax.eval_shape(blank)

@@ -6,7 +6,6 @@ rotation is integrated until it is constant, a stop until averages hold and desc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._averaging.ends import QUANTILES
-from .._averaging.forecast import Forecast, Variables, decided_outcome, scaled_rotation
+from .._averaging.forecast import Forecast, Variables, decided, scaled_rotation
 from .._averaging.free_rotation import mean_square_speed
 from .._averaging.histories import Values, in_units
 from .._averaging.slow_flow import from_logit
@@ -45,28 +44,19 @@ class RunAverages(NamedTuple):
     history: Callable[[Variables, tuple[Float[Array, "T"], Real]], Values]
 
 
-@dataclass(frozen=True)
 class _Course:
     """A rotation integrated stretch by stretch, in units of J₃ and κ/J₃."""
 
-    start: Variables
-    strength: Real
-    unit: float
-    """κ/J₃, the unit of time."""
-    equation: SemiReduced
-    times: list[float]
-    """The ends of the stretches; 0 is the first."""
-    omegas: list[Vector]
-    """ω at these times."""
-
-    @staticmethod
-    def of(start: Variables, strength: Real) -> "_Course":
-        """Return a course at its start."""
+    def __init__(self, start: Variables, strength: Real) -> None:
         inertia, dipole, omega = start[:9].reshape(3, 3), start[9:12], start[12:]
         moment, size = jnp.linalg.eigvalsh(inertia)[2], jnp.linalg.norm(dipole)
         unit = strength * size**2 / moment
-        equation = SemiReduced(Body(inertia / moment, dipole / size))
-        return _Course(start, strength, float(unit), equation, [0.0], [omega * unit])
+        self.start, self.strength = start, strength
+        self.unit = float(unit)  # of time, κ/J₃
+        self.equation = SemiReduced(Body(inertia / moment, dipole / size))
+        # The ends of the stretches, and ω there.
+        self.times: list[float] = [0.0]
+        self.omegas: list[Vector] = [omega * unit]
 
     @property
     def variables(self) -> Variables:
@@ -138,7 +128,7 @@ def resolved_forecast(
         averages: the laws that hold where little is radiated within one period.
         ratio: an estimate of L∞/L₀, which gives the number of steps.
     """
-    course = _Course.of(start, strength)
+    course = _Course(start, strength)
     if course.is_long(ratio):
         return None
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
@@ -157,10 +147,11 @@ def resolved_forecast(
         return None
     stops = stops / jnp.sum(stops)
     zero = jnp.zeros_like(late.ratio)
+    outcome, _ = decided(stops, zero, late.error)
     # The late law, with t counted from the start; a rotation that falls at once has no plateau.
     lifetime = late.lifetime - course.times[-1] * course.unit
     return late._replace(
-        outcome=decided_outcome(stops, late.error),
+        outcome=outcome,
         probability=stops,
         omega_inf=zero,
         ratio=zero,
@@ -177,7 +168,7 @@ def resolved_history(
 ) -> Values:
     """Return E, |L|, h and √⟨Ω²⟩ of a rotation with a resolved forecast at given times."""
     times, strength = np.asarray(constants[0]), constants[1]
-    course = _Course.of(start, strength)
+    course = _Course(start, strength)
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
     if residual := _is_residual(run):
         least = course.energy(course.residual_state(run))

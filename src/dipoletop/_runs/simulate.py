@@ -54,7 +54,7 @@ from ..equations._common import (
     physical,
     twist_axis,
 )
-from ..equations.plain_functions import PlainFunction
+from ..equations._members import OfOmega
 from .solver_options import (
     Options,
     check_branch_options,
@@ -137,7 +137,7 @@ def simulate(
         >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
         True
     """
-    motion: Any = PlainFunction(equation) if inspect.isroutine(equation) else equation
+    motion: Any = _PlainFunction(equation) if inspect.isroutine(equation) else equation
     check_single(motion)
     check_options(options)
     if options.get("balance"):
@@ -164,6 +164,21 @@ def simulate(
         if options.get("saveat") is not None:
             run = _without_unused(run)
     return _raised(run, failures) if options.get("throw", True) else run
+
+
+class _PlainFunction(OfOmega):
+    """A function as an equation dω/dτ = f(τ, ω, args) without a body and without a verdict."""
+
+    function: Callable[..., Any] = eqx.field(static=True)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """Return the function's value."""
+        return self.function(t, y, args)
+
+    @property
+    def level(self) -> str:
+        """The name of the function."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
 
 
 def _without_unused(run: Trajectory) -> Trajectory:
@@ -284,22 +299,14 @@ def _sizes_with_turn(equation: Equation, y: State) -> State:
 
 def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
     """Return the initial state, with energy integrals and a turn behind it, if wanted."""
-    if not (flows or turns):
-        return y0
-    parts = [y0, jnp.zeros(flows)]
-    if turns:
-        parts.append(no_turn(y0))
-    return jnp.concatenate(parts)
+    return jnp.concatenate([y0, jnp.zeros(flows), *([no_turn(y0)] if turns else [])])
 
 
 def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
     """Return the rates of n numbers of the state, and of energy integrals and turn, if wanted."""
 
     def field(t: Any, y: State, args: Any) -> State:
-        rate = equation(t, y[:n], args)
-        if not (balance or turns):
-            return rate
-        rates = [rate]
+        rates = [equation(t, y[:n], args)]
         if balance:
             rates.append(energy_flows(equation, t, y[:n]))
         if turns:
