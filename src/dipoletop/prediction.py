@@ -31,13 +31,13 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_forecast
-from ._averaging.histories import Values, best_history
+from ._averaging.forecast import LARGEST_ERROR, best_forecast
+from ._averaging.histories import best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import ArrayLike, concrete, finite, instance, refuse, where_valid
 from ._base.summaries import duration, with_error
-from ._base.types import Outcome, Real, Regime
-from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
+from ._base.types import Outcome, Regime
+from ._runs.resolved_forecast import HANDOVER, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
 
@@ -121,8 +121,8 @@ class Prediction(eqx.Module):
         strength = jnp.asarray(self.strength, given.dtype)
         variables, regime = jnp.asarray(self.variables), jnp.asarray(self.regime)
         if concrete(variables, regime) and regime == Regime.RESOLVED:
-            averages = _averages(variables[:9].reshape(3, 3), variables[9:12])
-            values = resolved_history(variables, (given, strength), averages)
+            is_needle = _is_needle(variables[:9].reshape(3, 3), variables[9:12])
+            values = resolved_history(variables, (given, strength), is_needle)
         else:
             values = best_history(variables, (given, strength), regime)
         return History(given, *values)
@@ -226,29 +226,15 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, omega])
     if concrete(variables):
         _check_rim(body, omega)
-    averages = _averages(body.inertia, body.dipole)
-    numbers = averages.forecast(variables, coupling)
+    is_needle = _is_needle(body.inertia, body.dipole)
+    numbers = best_forecast(variables, coupling, is_needle)
     if concrete(variables) and numbers.error > HANDOVER:
-        numbers = resolved_forecast(variables, coupling, averages, numbers.ratio) or numbers
+        numbers = resolved_forecast(variables, coupling, is_needle, numbers.ratio) or numbers
         if numbers.error > LARGEST_ERROR:
             must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
             was = f"makes it {float(numbers.error):.2g} (`classify` follows every turn)"
             refuse("omega0", must, was)
     return Prediction(*numbers, variables=variables, strength=strength)
-
-
-def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> RunAverages:
-    """Return the predictions by averages over free rotation of a body."""
-    is_needle = _is_needle(inertia, dipole)
-
-    def forecast(variables: Variables, strength: Real) -> Forecast:
-        return best_forecast(variables, strength, is_needle)
-
-    def history(variables: Variables, constants: tuple[Array, Real]) -> Values:
-        regime = forecast(variables, constants[1]).regime
-        return best_history(variables, constants, regime)
-
-    return RunAverages(forecast, history)
 
 
 def _check_rim(body: Body | Particle, omega: Array) -> None:

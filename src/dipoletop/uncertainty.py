@@ -17,8 +17,7 @@ from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
 from ._base.statistics import Share, mean_and_error, share_of
 from ._base.summaries import summary, with_error
 from ._base.tolerances import check_settings, whole
-from ._base.types import Outcome
-from ._maps.basin import Basin
+from ._base.types import Outcome, implied_probability
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
@@ -264,26 +263,23 @@ def sobol(
     """
     check_settings(settings, STORED)
     low, high = corners_of_box("bounds", bounds)
-    n, seed = _power_of_two(n), whole("seed", seed, 0)
+    n, seed = whole("n", n, 2, "be a power of two"), whole("seed", seed, 0)
+    if n & (n - 1):
+        refuse("n", "be a power of two", f"is {n}")
     if target not in ("omega_inf", "residual"):
         refuse("target", "be 'omega_inf' or 'residual'", f"is {target!r}")
     most_unknown = float(finite("most_unknown", most_unknown, batch=False))
     points = low + (high - low) * _saltelli_points(n, len(low), seed)
     columns = dict(zip(bounds, points.reshape(-1, len(low)).T, strict=True))
     basin = sweep(problem, Points(**columns), **{"value": UNCHECKED, **settings})
-    values = _target_values(basin, target).reshape(points.shape[:2])
+    found = basin.omega_inf if target == "omega_inf" else implied_probability(basin.outcome)
+    values = found.reshape(points.shape[:2])  # NaN where unknown
     unknown = float(np.mean(np.isnan(values)))
     generator = np.random.default_rng([seed, 1])
     _replace_unknown(values, most_unknown, generator)
     first, total = _with_intervals(values, tuple(bounds), generator)
     mean, variance = float(values[:2].mean()), float(values[:2].var())
     return SobolIndices(target, first, total, mean, variance, values.size, unknown)
-
-
-def _power_of_two(n: Any) -> int:
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 2 or n & (n - 1):
-        refuse("n", "be a power of two", f"is {n!r}")
-    return int(n)
 
 
 def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"]:
@@ -295,14 +291,6 @@ def _saltelli_points(n: int, m: int, seed: int) -> Float[np.ndarray, "pages n m"
     a, b = both[:, :m], both[:, m:]
     mixed = np.where(np.eye(m, dtype=bool)[:, None], b, a)
     return np.concatenate([a[None], b[None], mixed])
-
-
-def _target_values(basin: Basin, target: str) -> Float[np.ndarray, "n"]:
-    """Return the target of every run; NaN where unknown."""
-    if target == "omega_inf":
-        return basin.omega_inf
-    known = np.isin(basin.outcome, (Outcome.RESIDUAL, Outcome.STOP))
-    return np.where(known, (basin.outcome == Outcome.RESIDUAL) * 1.0, np.nan)
 
 
 def _replace_unknown(

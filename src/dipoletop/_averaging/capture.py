@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.chebyshev import collocation_rule
 from .._base.checks import or_nan
 from .._base.integration import integrated
+from .._base.linalg import running_sums
 from .._base.types import Outcome, Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
@@ -149,7 +150,7 @@ def capture(delta: Scalar) -> Capture:
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
     # X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
     # parts have this derivative; single values in the parts do not.
-    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, _from_zero(part), _from_zero(part * x))
+    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, running_sums(part), running_sums(part * x))
     table = jnp.log(PARTS * jnp.diff(sums))
     return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
 
@@ -347,11 +348,6 @@ def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> 
 def _share(certain: Bool[Array, ""]) -> Scalar:
     """Return 1 where the event is certain, else 0."""
     return jnp.where(certain, 1.0, 0.0)
-
-
-def _from_zero(values: Float[Array, "n"]) -> Float[Array, "m"]:
-    """Return the sums of the first 0, 1, 2, … values."""
-    return jnp.append(jnp.zeros(1, values.dtype), jnp.cumsum(values))
 
 
 def _middles(n: int) -> np.ndarray:

@@ -177,7 +177,11 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
     The unfolded system takes many steps, so it is considered for concrete values only.
     """
     slow = forecast(variables, strength, is_needle)
-    if not concrete(slow) or _least_gap(variables) > slow.error:
+    if not concrete(slow):
+        return slow
+    moments = np.linalg.eigvalsh(np.asarray(variables[:9]).reshape(3, 3))
+    # The smallest relative gap of moments is below any error of the unfolded system.
+    if np.min(np.diff(moments)) / moments[2] > slow.error:
         return slow
     turns, errors = coverage(variables, strength)
     place = int(jnp.argmin(errors))
@@ -189,12 +193,6 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
         return slow
     unfolded = unfolded_forecast(variables, strength, axial, turning)
     return unfolded if unfolded.error < slow.error else slow
-
-
-def _least_gap(variables: Variables) -> float:
-    """Return the smallest relative gap of moments, below any error of the unfolded system."""
-    moments = np.linalg.eigvalsh(np.asarray(variables[:9]).reshape(3, 3))
-    return float(np.min(np.diff(moments)) / moments[2])
 
 
 @compiled_soon

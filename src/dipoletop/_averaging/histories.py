@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.checks import concrete, or_nan
 from .._base.compiling import compiled_soon
+from .._base.guards import safe_divisor
 from .._base.types import Real, Regime
 from .ends import shape, turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
@@ -68,9 +69,7 @@ def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) 
 
     def of_sphere(time: Real) -> Float[Array, "3"]:
         square = (rotation.dipole @ rotation.momentum) ** 2
-        lost = jnp.where(
-            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
-        )
+        lost = jnp.where(square > 0, -jnp.expm1(-square * time) / safe_divisor(square), time)
         across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
         one = jnp.ones(())
         return jnp.stack([jnp.log(square + across), one, one])

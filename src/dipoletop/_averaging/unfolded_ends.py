@@ -181,7 +181,6 @@ def _end_of(
         unknown,
         top.moment,
         jnp.where(residual == 1, 0.0, jnp.nan),
-        jnp.zeros((), bool),
     )
 
 

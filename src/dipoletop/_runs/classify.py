@@ -24,14 +24,7 @@ from .._base.compiling import compiled_soon
 from .._base.integration import integrated
 from .._base.parallel import worker_devices
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
-from .._base.tolerances import (
-    MAX_STEPS,
-    Tolerances,
-    absolute,
-    budget,
-    step_tolerances,
-    tolerance,
-)
+from .._base.tolerances import MAX_STEPS, Tolerances, absolute, budget, step_tolerances, tolerance
 from .._base.types import DecidingEquation, Equation, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits

@@ -7,15 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import (
-    ArrayLike,
-    NumberLike,
-    check_verdict,
-    concrete,
-    is_single,
-    real,
-    refuse,
-)
+from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real, refuse
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation

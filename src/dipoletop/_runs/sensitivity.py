@@ -285,11 +285,7 @@ def decay_time(
 
 @compiled_soon
 def _time_of_energy(
-    equation: Any,
-    start: Array,
-    target: tuple[Array, Array],
-    tolerances: Tolerances,
-    max_steps: int,
+    equation: Any, start: Array, target: tuple[Array, Array], tolerances: Tolerances, max_steps: int
 ) -> Float[Array, ""]:
     """Compute τ at which the energy has fallen far enough, target = (ω∞, share)."""
     omega_inf, share = target

@@ -55,13 +55,7 @@ from ..equations._common import (
     twist_axis,
 )
 from ..equations._members import OfOmega
-from .solver_options import (
-    Options,
-    check_branch_options,
-    check_options,
-    event_of,
-    saved_at,
-)
+from .solver_options import Options, check_branch_options, check_options, event_of, saved_at
 from .trajectory import BranchSolution, Trajectory
 
 BRANCH_LOST = (
@@ -297,11 +291,6 @@ def _sizes_with_turn(equation: Equation, y: State) -> State:
     return jnp.concatenate([_sizes_with_energy(equation, y[:-5]), jnp.ones_like(y[-5:])])
 
 
-def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
-    """Return the initial state, with energy integrals and a turn behind it, if wanted."""
-    return jnp.concatenate([y0, jnp.zeros(flows), *([no_turn(y0)] if turns else [])])
-
-
 def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
     """Return the rates of n numbers of the state, and of energy integrals and turn, if wanted."""
 
@@ -314,12 +303,6 @@ def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
         return jnp.concatenate(rates)
 
     return field
-
-
-def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
-    """Return the attitudes of states that end with a turn, relative to the first."""
-    axis = twist_axis(equation)
-    return jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys)
 
 
 def _up_to_event(
@@ -362,7 +345,7 @@ def _solve(
         times[0],
         times[-1],
         options.get("dt0"),
-        _with_integrals(y0, flows, turns),
+        jnp.concatenate([y0, jnp.zeros(flows), *([no_turn(y0)] if turns else [])]),
         saveat=saved_at(options, times),
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
@@ -382,6 +365,8 @@ def _solve(
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
     ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
     states, (emitted, work) = ys[:, :n], (*ys[:, n : n + flows].T, None, None)[:2]
-    attitude = None if q0 is None else _from_start(q0, _attitudes(equation, ys))
+    attitude, axis = None, twist_axis(equation)
+    if q0 is not None:
+        attitude = _from_start(q0, jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys))
     run = Trajectory(equation, times, states, emitted, solution, work, attitude)
     return run, solution.result

@@ -1,6 +1,9 @@
 """Members that several equations share: by the kind of their states, and of the body that moves."""
 
+from typing import Any
+
 import equinox as eqx
+import jax.numpy as jnp
 
 from .._base.types import Real, State, Vector
 from ..bodies import Body, axisymmetric
@@ -38,6 +41,14 @@ class OmegaFirst(eqx.Module):
     def omega(self, y: State) -> Vector:
         """Return the first three components."""
         return y[:3]
+
+
+class OfFull(OmegaFirst):
+    """A full equation of a body, with the state (ω, a)."""
+
+    def lift(self: Any, omega0: Vector) -> State:
+        """Return the state near the physical branch, by the reduction of order 3."""
+        return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
 
 class Cylindrical(eqx.Module):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ._common import one_order_up
-from ._members import LongitudinalTop, OfOmega, OfOrder, OmegaFirst
+from ._members import LongitudinalTop, OfFull, OfOmega, OfOrder
 from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]
@@ -117,7 +117,7 @@ class LongitudinalSemi(OfOmega, LongitudinalTop):
         return verdict._replace(equation=LongitudinalSemi)
 
 
-class LongitudinalFull(OmegaFirst, LongitudinalTop):
+class LongitudinalFull(OfFull, LongitudinalTop):
     """Full equations (3.6)–(3.8): the balance of torques, state (ω₁, ω₂, ω₃, ω₁′, ω₂′).
 
     From a start ω₀ of shape (3,), `simulate` and `classify` follow the physical branch. Distances
@@ -137,10 +137,6 @@ class LongitudinalFull(OmegaFirst, LongitudinalTop):
         rate = jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
         balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
         return jnp.concatenate([rate, (rate - balance)[:2]])
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3."""
-        return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
     def verdict(self, y: FullState) -> Verdict:
         """Return RESIDUAL, uncertified, for a state on the physical branch.

@@ -16,7 +16,7 @@ from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
 from ._common import one_order_up
-from ._members import OfBody, OfOmega, OfOrder, OmegaFirst
+from ._members import OfBody, OfFull, OfOmega, OfOrder
 from ._verdicts import any_body
 from .levels import Level
 
@@ -153,7 +153,7 @@ class SemiReduced(OfOmega, OfBody):
         return any_body.seen(self.body)
 
 
-class Full(OmegaFirst, OfBody):
+class Full(OfFull, OfBody):
     """Full equation (3.3), IΩ̇ + N = T(Ω, Ω̇, Ω̈), state (Ω, a) with a = PΩ̇, P = 1 − nnᵀ.
 
         Ω̇ = a + s n,   s = −[n·N + n·(I a)]/(n·I n)   (no torque along the dipole d = |d| n)
@@ -205,8 +205,3 @@ class Full(OmegaFirst, OfBody):
         rates are the eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|².
         """
         return runaway_rate(self.body)
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3."""
-        rate = Reduced(self.body, 3)(0.0, omega0)
-        return jnp.concatenate([omega0, self.fast(rate)])

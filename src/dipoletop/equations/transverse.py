@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._base.types import Real, Vector, Verdict
 from ._common import one_order_up, reciprocal
-from ._members import OfOmega, OfOrder, OmegaFirst, TransverseTop
+from ._members import OfFull, OfOmega, OfOrder, TransverseTop
 from ._verdicts import transverse as regions
 from .levels import Level
 
@@ -119,7 +119,7 @@ class TransverseSemi(OfOmega, TransverseTop):
         return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
 
-class TransverseFull(OmegaFirst, TransverseTop):
+class TransverseFull(OfFull, TransverseTop):
     """Full equation: the balance of torques itself, state (ω₁, ω₂, ω₃, ω₂′, ω₃′).
 
     Physical motions lie on a slow manifold that repels forwards in time, at the rates 1 and 1 − δ
@@ -141,11 +141,6 @@ class TransverseFull(OmegaFirst, TransverseTop):
         rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
         balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3: error O(ω⁹)."""
-        rate = TransverseReduced(self.delta, 3)(0.0, omega0)
-        return jnp.concatenate([omega0, rate[1:]])
 
     def verdict(self, y: FullState) -> Verdict:
         """Return the verdict on a state of the physical branch, uncertified."""

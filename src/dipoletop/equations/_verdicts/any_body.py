@@ -126,11 +126,7 @@ def verdict(body: SeenBody, y: Vector, level: Level) -> Verdict:
 
 
 def _of_general_body(
-    frame: DipoleFrame,
-    level: Level,
-    excess: Real,
-    flags: tuple[Flag, Flag],
-    attraction: Attraction,
+    frame: DipoleFrame, level: Level, excess: Real, flags: tuple[Flag, Flag], attraction: Attraction
 ) -> Verdict:
     """Return the verdict except for an axisymmetric body with its dipole across the axis.
 
