@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._averaging.isotropic import (
+from dipoletop._averaging.isotropic_ends import (
+    isotropic_ends,
     isotropic_shapes,
     momentum_at,
     share_below,
     share_of_side,
 )
-from dipoletop._averaging.isotropic_ends import isotropic_ends
 from dipoletop._base.directions import spread_directions
 from dipoletop.atlases import Ending, cells, saddle_node_border, spin_border
 

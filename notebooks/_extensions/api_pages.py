@@ -13,6 +13,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import equinox as eqx
+
 import dipoletop
 
 SUBJECTS = {
@@ -74,6 +76,8 @@ def entry(full: str, value: Any) -> str:
     if inspect.isclass(value):
         # Members of an enumeration without a text of their own are members all the same.
         more = "\n   :undoc-members:" if issubclass(value, Enum) else ""
+        # Members that equations share are members of each of them.
+        more += "\n   :inherited-members: Module" if issubclass(value, eqx.Module) else ""
         return f".. autoclass:: {full}{more}\n"
     return f".. auto{'function' if callable(value) else 'data'}:: {full}\n"
 

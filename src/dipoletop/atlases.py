@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ._averaging.isotropic_ends import isotropic_ends
-from ._averaging.slow_flow import Side, from_logit
+from ._averaging.slow_flow import Side
 from ._base.bisection import bisect
 from ._base.checks import instance, refuse
 from ._base.summaries import span
+from ._base.tolerances import whole
 from .bodies import Body
 from .particles import Particle
 
@@ -146,9 +147,7 @@ def atlas(
     """
     if (dipole is None) == (body is None):
         refuse("dipole", "be given or else `body`", "neither is" if dipole is None else "both are")
-    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        refuse("n", "be an integer of at least 2", f"is {n!r}")
-    corners = cells(n)
+    corners = cells(whole("n", n, 2, "be an integer of at least 2"))
     middles = np.mean(corners, axis=1)
     if dipole is not None:
         if isinstance(dipole, bool) or dipole not in (1, 2, 3):
@@ -221,7 +220,7 @@ def _saddle_nodes(ratios: Float[Array, "K"]) -> Float[Array, "K"]:
     def positive(j1: Float[Array, ""], j2: Float[Array, ""]) -> Array:
         one = jnp.ones(())
         side = Side(jnp.stack([j1, j2, one]), jnp.array([1.0, 0.0, 0.0]))
-        return jnp.all(jax.vmap(lambda z: side.rates(*from_logit(z))[1])(positions) > 0)
+        return jnp.all(jax.vmap(side.growth)(positions) > 0)
 
     low, high = jnp.maximum(ratios, 1 - ratios) + 1e-10, jnp.full_like(ratios, 1 - 1e-10)
     both = bisect(lambda j2: jax.vmap(positive)(ratios, j2), low, high, 40)

@@ -220,11 +220,16 @@ def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
     size = abs(inertia).max(axis=(-1, -2), keepdims=True)
     symmetric = abs(inertia - transposed) <= _tolerance() * size
     inertia = where_valid("inertia", inertia, symmetric, "be symmetric")
-    mean = (inertia + transposed) / 2
+    sums = inertia.trace(axis1=-2, axis2=-1)
+    isotropic = diagonal(sums, sums, sums)
+    positive = _positive_definite(inertia - _rounding() * isotropic)  # beyond rounding
+    inertia = (inertia + transposed) / 2
     must = "be positive definite (masses on one line have a principal moment of zero)"
-    inertia = _where_moments(mean, _positive_moments(inertia), must)
+    inertia = _where_moments(inertia, positive, must)
+    # J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue.
+    triangle = _positive_definite((0.5 + _tolerance()) * isotropic - inertia)
     must = "have principal moments with J1 + J2 >= J3"
-    return on_device(_where_moments(inertia, _triangle_inequality(inertia), must))
+    return on_device(_where_moments(inertia, triangle, must))
 
 
 def _where_moments(inertia: Inertia, valid: Any, must: str) -> Inertia:
@@ -243,26 +248,6 @@ def _rounding() -> float:
 def _tolerance() -> float:
     """Return the relative error that a symmetry or an equality of the user's numbers may have."""
     return max(1e-12, _rounding())
-
-
-def _positive_moments(inertia: Inertia) -> Any:
-    """Return whether every principal moment is positive beyond rounding."""
-    return _positive_definite(inertia - _rounding() * _isotropic(_trace(inertia)))
-
-
-def _triangle_inequality(inertia: Inertia) -> Any:
-    """Return whether J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue."""
-    return _positive_definite((0.5 + _tolerance()) * _isotropic(_trace(inertia)) - inertia)
-
-
-def _trace(inertia: Inertia) -> Any:
-    """Return the trace of every tensor."""
-    return inertia.trace(axis1=-2, axis2=-1)
-
-
-def _isotropic(moments: Any) -> Any:
-    """Return tensors with three equal moments."""
-    return diagonal(moments, moments, moments)
 
 
 def _positive_definite(matrices: Any) -> Any:

@@ -175,15 +175,9 @@ def _of_unit_dipole(
     along, across = series(orbit, steps, n)
     single = jnp.where(jnp.arange(-n, n + 1) == 0, spin.across, 0.0)
     single = jax.lax.complex(single, jnp.zeros_like(single))
-    return (
-        jnp.where(spin.holds, spin.rate, precession),
-        jnp.where(spin.holds, 0.0, libration),
-        jnp.where(spin.holds, spin.rate**4 * spin.across**2, orbit.power()),
-        Series(
-            jnp.where(spin.holds, jnp.zeros_like(along), along),
-            jnp.where(spin.holds, single, across),
-        ),
-    )
+    spinning = spin.rate, 0.0, spin.rate**4 * spin.across**2, Series(jnp.zeros_like(along), single)
+    moving = precession, libration, orbit.power(), Series(along, across)
+    return jax.tree.map(lambda a, b: jnp.where(spin.holds, a, b), spinning, moving)
 
 
 def _from_now(terms: Series, phase: Real) -> Series:

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._base.bisection import bisect
 from ._base.checks import finite, instance, or_nan, refuse
+from ._base.integration import integrated
 from ._base.types import Real
 from .equations._common import planar_rates, shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM
@@ -220,18 +221,8 @@ def _solve(rate: Any, span: tuple[Any, Any], step: float, y0: Array, *, dense: b
     """Integrate a curve as precisely as its type allows; `step` is the first step."""
     eps = float(jnp.finfo(y0.dtype).eps)
     controller = diffrax.PIDController(PRECISION * eps, PRECISION * eps, dtmin=eps)
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(rate),
-        diffrax.Dopri8(),
-        *span,
-        step,
-        y0,
-        saveat=diffrax.SaveAt(t1=True, dense=dense),
-        stepsize_controller=controller,
-        max_steps=4096,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )
+    saveat = diffrax.SaveAt(t1=True, dense=dense)
+    return integrated(rate, span, y0, controller, 4096, step, saveat=saveat)
 
 
 class Wobble(NamedTuple):

@@ -31,14 +31,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, Forecast, Variables, best_forecast
-from ._averaging.histories import Values, best_history
+from ._averaging.forecast import LARGEST_ERROR, best_forecast
+from ._averaging.histories import best_history
 from ._averaging.principal_axes import free_rotation
 from ._base.checks import (
     ArrayLike,
     concrete,
-    described,
     finite,
+    instance,
     namespace,
     on_device,
     on_host,
@@ -47,8 +47,8 @@ from ._base.checks import (
 )
 from ._base.compiling import compiled_soon
 from ._base.summaries import duration, with_error
-from ._base.types import Outcome, Real, Regime
-from ._runs.resolved_forecast import HANDOVER, RunAverages, resolved_forecast, resolved_history
+from ._base.types import Outcome, Regime
+from ._runs.resolved_forecast import HANDOVER, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
 
@@ -132,8 +132,8 @@ class Prediction(eqx.Module):
         strength = jnp.asarray(self.strength, given.dtype)
         variables, regime = jnp.asarray(self.variables), jnp.asarray(self.regime)
         if concrete(variables, regime) and regime == Regime.RESOLVED:
-            averages = _averages(variables[:9].reshape(3, 3), variables[9:12])
-            values = resolved_history(variables, (given, strength), averages)
+            is_needle = _is_needle(variables[:9].reshape(3, 3), variables[9:12])
+            values = resolved_history(variables, (given, strength), is_needle)
         else:
             values = best_history(variables, (given, strength), regime)
         return History(given, *values)
@@ -224,8 +224,7 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         >>> dt.Outcome(int(prediction.outcome)).name, f"{prediction.ratio:.6f}"
         ('RESIDUAL', '0.912825')
     """
-    if not isinstance(body, Body | Particle):
-        refuse("body", "be a Body or a Particle", described(body))
+    instance("body", body, Body | Particle, "be a Body or a Particle")
     if body.inertia.ndim != 2:
         refuse("body", "be a single one (`jax.vmap` takes a batch)", "is a batch of them")
     omega = finite("omega0", omega0, (3,), batch=False)
@@ -239,26 +238,15 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     variables = on_device(namespace(*parts).concatenate(parts))
     if concrete(variables):
         _check_rim(body, omega)
-    averages = _averages(body.inertia, body.dipole)
-    numbers = averages.forecast(variables, coupling)
+    is_needle = _is_needle(body.inertia, body.dipole)
+    numbers = best_forecast(variables, coupling, is_needle)
     if concrete(variables) and float(numbers.error) > HANDOVER:
-        numbers = resolved_forecast(variables, coupling, averages, numbers.ratio) or numbers
-        _check_error(float(numbers.error))
+        numbers = resolved_forecast(variables, coupling, is_needle, numbers.ratio) or numbers
+        if numbers.error > LARGEST_ERROR:
+            must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
+            was = f"makes it {float(numbers.error):.2g} (`classify` follows every turn)"
+            refuse("omega0", must, was)
     return Prediction(*numbers, variables=variables, strength=strength)
-
-
-def _averages(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> RunAverages:
-    """Return the predictions by averages over free rotation of a body."""
-    is_needle = _is_needle(inertia, dipole)
-
-    def forecast(variables: Variables, strength: Real) -> Forecast:
-        return best_forecast(variables, strength, is_needle)
-
-    def history(variables: Variables, constants: tuple[Array, Real]) -> Values:
-        regime = forecast(variables, constants[1]).regime
-        return best_history(variables, constants, regime)
-
-    return RunAverages(forecast, history)
 
 
 def _check_rim(body: Body | Particle, omega: Array) -> None:
@@ -269,13 +257,6 @@ def _check_rim(body: Body | Particle, omega: Array) -> None:
     if rim > FASTEST_RIM:
         must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
         refuse("omega0", must, f"makes it {rim:.2g} c")
-
-
-def _check_error(error: float) -> None:
-    """Refuse a concrete rotation for which no law is accurate enough."""
-    if error > LARGEST_ERROR:
-        must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
-        refuse("omega0", must, f"makes it {error:.2g} (`classify` follows every turn)")
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:

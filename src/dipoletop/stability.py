@@ -33,7 +33,7 @@ from ._base.guards import safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
 from ._base.types import Equation
 from .bodies import Body
-from .equations._common import is_full
+from .equations._common import is_full, rate_of_omega
 from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
 from .equations.torque_driven import DrivenEquation
 from .equations.transverse_approximations import TransverseAveraged
@@ -242,12 +242,12 @@ def threshold(family: Callable[[float], Any], w: float, lower: float, upper: flo
 
 def _body_on_line(equation: Any) -> Body:
     """Return the body of an equation that can stay on the line along its dipole."""
-    check_body(equation)
+    body = check_body(equation)
     spatial = jax.eval_shape(equation.lift, jax.ShapeDtypeStruct((3,), float)).shape[0] >= 3
     if isinstance(equation, TransverseAveraged | DrivenEquation) or not spatial:
         kind = type(equation).__name__
         refuse("equation", "keep rotation along the dipole among its motions", f"is {kind}")
-    return equation.body
+    return body
 
 
 @eqx.filter_jit
@@ -295,7 +295,7 @@ def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
 
     def rate(x: Across) -> Across:
         y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
-        return _components_across(axes, jax.jvp(equation.omega, (y,), (equation(0.0, y),))[1])
+        return _components_across(axes, rate_of_omega(equation, 0.0, y))
 
     return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
 

@@ -14,7 +14,7 @@ import scipy.constants
 from jaxtyping import Array, Float
 
 from ._base.attitudes import Quaternion, rotate, unit_quaternion
-from ._base.checks import ArrayLike, NumberLike, finite, instance, positive, refuse
+from ._base.checks import ArrayLike, NumberLike, check_body, finite, instance, positive, refuse
 from ._base.linalg import cross, matvec
 from ._base.types import Equation, State, Vector
 from .equations.torque_driven import Driven, DrivenFull, Torque, driven
@@ -136,10 +136,7 @@ def field_on_dipole(equation: Equation, field: ArrayLike) -> FieldOnDipole:
         >>> [float(f"{x:.2e}") for x in run.omega[-1]]  # I₃ω₃′ = E at first, I₃ = 1 − δ
         [0.0, 0.0, 0.00143]
     """
-    body = getattr(equation, "body", None)
-    if body is None:
-        refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
-    return FieldOnDipole(body.dipole, finite("field", field, (3,)))
+    return FieldOnDipole(check_body(equation).dipole, finite("field", field, (3,)))
 
 
 def gas_drag(

@@ -263,7 +263,7 @@ def sobol(
     columns = dict(zip(bounds, points.reshape(-1, len(low)).T, strict=True))
     basin = sweep(problem, Points(**columns), **{"value": UNCHECKED, **settings})
     found = basin.omega_inf if target == "omega_inf" else implied_probability(basin.outcome)
-    values = found.reshape(points.shape[:2])
+    values = found.reshape(points.shape[:2])  # NaN where unknown
     unknown = float(np.mean(np.isnan(values)))
     generator = np.random.default_rng([seed, 1])
     _replace_unknown(values, most_unknown, generator)

@@ -1,7 +1,6 @@
 """All engines: they agree with diffrax, and no lane disturbs another."""
 
 import functools
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -240,24 +239,9 @@ def test_a_second_call_with_other_values_compiles_nothing():
 
     run(0.0)
     with jax.log_compiles(), jax.checking_leaks():
-        before = jax_engine._jitted("integrate", "cpu")._cached._cache_size()
+        before = jax_engine._INTEGRATE[True]._cached._cache_size()
         run(0.01)
-        assert jax_engine._jitted("integrate", "cpu")._cached._cache_size() == before
-
-
-def test_threads_share_one_wrapper(monkeypatch):
-    """Every wrapper compiles the program anew, so threads that start together must not make two."""
-    made = []
-
-    def slowly(function):
-        time.sleep(0.05)
-        made.append(function)
-        return function
-
-    monkeypatch.setattr(eqx, "filter_jit", slowly)
-    with ThreadPoolExecutor(4) as threads:
-        wrappers = list(threads.map(jax_engine._jitted, ["classify"] * 4, ["no platform"] * 4))
-    assert len(set(map(id, wrappers))) == len(made) == 1
+        assert jax_engine._INTEGRATE[True]._cached._cache_size() == before
 
 
 @pytest.mark.slow

@@ -16,8 +16,8 @@ BODY = dt.axisymmetric(-0.2)
 CLASSES = [getattr(equations, name) for name in equations.__all__]
 EQUATIONS = [
     kind(BODY)
-    if "body" in kind.__annotations__
-    else kind(*[0.1] * sum(name != "order" for name in kind.__annotations__))
+    if "body" in kind.__dataclass_fields__
+    else kind(*[0.1] * sum(name != "order" for name in kind.__dataclass_fields__))
     for kind in CLASSES
     if isinstance(kind, type) and kind is not dt.Level
 ]

@@ -54,7 +54,9 @@ def of_module(module, known):
         elif isinstance(node, ast.ClassDef):
             bases = ", ".join(map(written, node.bases))
             yield f"class {name}({bases}):  # {first_line(ast.get_docstring(node))}"
-            yield from (f"    {line}" for line in [*fields(node), *sorted(methods(node, value))])
+            ours = [(n, base) for base in reversed(value.__mro__) if (n := definition(base))]
+            yield from (f"    {line}" for n, _ in ours for line in fields(n))
+            yield from (f"    {x}" for x in sorted({x for pair in ours for x in methods(*pair)}))
         elif isinstance(node, Function):
             yield function(node, value, name)
         else:

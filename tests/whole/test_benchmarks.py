@@ -78,8 +78,8 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     run = blocks.RunBlock.run
 
     def without_doubt(block, limits):
-        runs, doubt = run(block, limits)
-        return blocks.Ended(runs, np.where(runs.outcome > 0, 0.0, doubt))
+        ended = run(block, limits)
+        return ended._replace(doubt=np.where(ended.runs.outcome > 0, 0.0, ended.doubt))
 
     monkeypatch.setattr(blocks.RunBlock, "run", without_doubt)
     doubtless = label_doubt.judged(middles, truth)

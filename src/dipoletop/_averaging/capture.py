@@ -37,6 +37,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.chebyshev import collocation_rule
 from .._base.checks import or_nan
+from .._base.integration import integrated
+from .._base.linalg import running_sums
 from .._base.types import Outcome, Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
@@ -69,13 +71,14 @@ class Capture(NamedTuple):
 
     def log_quantiles(self, levels: Any = LEVELS) -> Float[Array, "l"]:
         """Return the logarithms of the quantiles of X over residual rotations."""
-        return _quantiles(self.log_table, jnp.asarray(levels))
+        table = self.log_table
+        return jnp.interp(jnp.asarray(levels), _middles(table.size), table)
 
     def log_quantiles_of_all(self, levels: Any = LEVELS) -> Float[Array, "l"]:
         """Return the logarithms of the quantiles of X, where a stop counts as X = 0."""
         stop = 1 - self.residual
         within = (jnp.asarray(levels) - stop) / jnp.where(self.residual > 0, self.residual, 1.0)
-        return jnp.where(within > 0, _quantiles(self.log_table, within), -jnp.inf)
+        return jnp.where(within > 0, self.log_quantiles(within), -jnp.inf)
 
 
 class TopEnd(NamedTuple):
@@ -95,8 +98,6 @@ class TopEnd(NamedTuple):
     """ln W/|ω₀|."""
     capture: Capture
     """The distribution of |ω∞|/|ω₀|; a single value where the phase at capture is known."""
-    log_time: Real
-    """ln τ of the capture, τ = 1/W² up to a factor of order 1; −∞ where the start is captured."""
     random: Bool[Array, "*any"]
     """Whether the start turns many times before it is captured, so that chance decides."""
 
@@ -105,11 +106,13 @@ class Settled(NamedTuple):
     """The end of an orbit of the plane."""
 
     residual: Bool[Array, "*any"]
-    wobbling: Bool[Array, "*any"]
-    log_ratio: Real
-    """ln |ω∞|/ω⊥ if it is residual."""
+    stops: Bool[Array, "*any"]
     along: Bool[Array, "*any"]
     """Whether ω∞ > 0."""
+    log_ratio: Real
+    """ln |ω∞|/ω⊥ if it is residual, with ω⊥ at the start."""
+    state: Float[Array, "*any 3"]
+    """The last state."""
 
 
 def capture(delta: Scalar) -> Capture:
@@ -147,7 +150,7 @@ def capture(delta: Scalar) -> Capture:
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
     # X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
     # parts have this derivative; single values in the parts do not.
-    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, _from_zero(part), _from_zero(part * x))
+    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, running_sums(part), running_sums(part * x))
     table = jnp.log(PARTS * jnp.diff(sums))
     return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
 
@@ -185,8 +188,8 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
     decided = _share(known.residual)
     residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, decided))
     along = jnp.where(random, 0.5, _share(known.along))
-    wobbling = jnp.where(random, 1 - chance.residual, jnp.where(stops, 0.0, _share(known.wobbling)))
-    lost = ~random & ~stops & ~(known.residual | known.wobbling) | jnp.isnan(chance.residual)
+    wobbling = jnp.where(random, 1 - chance.residual, jnp.where(stops, 0.0, _share(known.stops)))
+    lost = ~random & ~stops & ~(known.residual | known.stops) | jnp.isnan(chance.residual)
     log_ratio = jnp.where(residual > 0, log_perp - log_all + known.log_ratio, jnp.nan)
 
     def either(chance: Array) -> Array:
@@ -203,7 +206,6 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
         _share(across),
         log_scale,
         distribution,
-        jnp.where(random, -2 * log_w, -jnp.inf),
         random,
     )
 
@@ -220,12 +222,13 @@ def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
         known = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
         return known | (at.outcome == Outcome.STOP)
 
-    y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends)
+    y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends).ys[-1]
     at = _verdict(delta, y)
     residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
     last = jnp.where(residual, at.omega_inf, AMPLITUDE) / AMPLITUDE
     log_ratio = or_nan(jnp.log(jnp.abs(last)) + y[2] / 2, residual)
-    return Settled(residual, at.outcome == Outcome.STOP, log_ratio, residual & (last > 0))
+    stops = at.outcome == Outcome.STOP
+    return Settled(residual, stops, residual & (last > 0), log_ratio, y)
 
 
 def _verdict(delta: Scalar, y: Array) -> Any:
@@ -234,30 +237,19 @@ def _verdict(delta: Scalar, y: Array) -> Any:
     return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
 
 
-def follow(field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS) -> Array:
-    """Return the state of an autonomous system at the first step after which `ends` holds."""
-    ys: Any = solution_until(field, y0, ends, max_steps).ys
-    return ys[-1]
+def follow(
+    field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS, *, dense: bool = False
+) -> Any:
+    """Return the solution of an autonomous system up to the first step after which `ends` holds."""
+    pid, saveat = diffrax.PIDController(RTOL, RTOL), diffrax.SaveAt(t1=True, dense=dense)
+    options = {"saveat": saveat, "event": diffrax.Event(ends)}
+    return integrated(field, (0.0, jnp.inf), y0, pid, max_steps, 0.01, **options)
 
 
-def solution_until(
-    field: Any, y0: Array, ends: Any, max_steps: int, *, dense: bool = False
-) -> diffrax.Solution:
-    """Return the solution up to the first step after which `ends` holds."""
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        jnp.inf,
-        0.01,
-        y0,
-        stepsize_controller=diffrax.PIDController(RTOL, RTOL),
-        saveat=diffrax.SaveAt(t1=True, dense=dense),
-        event=diffrax.Event(ends),
-        max_steps=max_steps,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )
+def at_angle(slope: Any, span: tuple[Scalar, Scalar], y0: Array, max_steps: int) -> Array:
+    """Return the state after φ has gone through a span, with given slopes dy/dφ."""
+    pid = diffrax.PIDController(RTOL, RTOL)
+    return integrated(slope, span, y0, pid, max_steps).ys[-1]
 
 
 class Expansion(NamedTuple):
@@ -313,28 +305,16 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
             lambda t, y, args: -plane(t, y),
             start,
             lambda t, y, args, **_: (y[1] > height) | (y[1] < -height),
-        )
+        ).ys[-1]
         arrives = z > height
-        z = jnp.where(arrives, z, height)
 
         def slope(phi: Any, z: Scalar, args: Any) -> Scalar:
             phi_rate, z_rate = plane(phi, jnp.stack([phi, z]))
             return z_rate / phi_rate
 
-        section = diffrax.diffeqsolve(
-            diffrax.ODETerm(slope),
-            diffrax.Dopri8(),
-            phi,
-            jnp.ceil(phi / jnp.pi) * jnp.pi,
-            None,
-            z,
-            stepsize_controller=diffrax.PIDController(RTOL, RTOL),
-            max_steps=MAX_STEPS,
-            adjoint=diffrax.ForwardMode(),
-            throw=False,
-        )
-        ys: Any = section.ys
-        return expansion.turns(2 * delta * ys[-1]), arrives
+        span = phi, jnp.ceil(phi / jnp.pi) * jnp.pi
+        z = at_angle(slope, span, jnp.where(arrives, z, height), MAX_STEPS)
+        return expansion.turns(2 * delta * z), arrives
 
     wobbles = delta > transverse.WOBBLING_FROM
     sides = jnp.stack([jnp.ones_like(delta), jnp.where(wobbles, -1.0, 1.0)])
@@ -368,15 +348,6 @@ def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> 
 def _share(certain: Bool[Array, ""]) -> Scalar:
     """Return 1 where the event is certain, else 0."""
     return jnp.where(certain, 1.0, 0.0)
-
-
-def _quantiles(table: Float[Array, "k"], levels: Float[Array, "l"]) -> Float[Array, "l"]:
-    return jnp.interp(levels, _middles(table.size), table)
-
-
-def _from_zero(values: Float[Array, "n"]) -> Float[Array, "m"]:
-    """Return the sums of the first 0, 1, 2, … values."""
-    return jnp.append(jnp.zeros(1, values.dtype), jnp.cumsum(values))
 
 
 def _middles(n: int) -> np.ndarray:

@@ -43,19 +43,6 @@ class Series(NamedTuple):
     """The component across L is e^{iΦ̇t} Σ wⱼe^{ijθ}, j = −n … n."""
 
 
-class _Factors(NamedTuple):
-    """E and G without the factors that vanish on the axis and for equal moments."""
-
-    e: Real
-    """E/√x."""
-    g: Real
-    """G √(q/Dab)."""
-    one_minus_e2: Real
-    """1 − E²."""
-    one_minus_g2: Real
-    """1 − G²."""
-
-
 def series(orbit: MomentumOrbit, steps: Descent, n: int) -> Series:
     """Return the Fourier coefficients up to the n-th harmonic."""
     return Series(_along(orbit, steps, n), _across(orbit, steps, n))
@@ -90,8 +77,12 @@ def _along(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "n"]:
     return jax.lax.complex(steps.mean * real, steps.mean * imaginary)
 
 
-def _factors(orbit: MomentumOrbit, steps: Descent) -> _Factors:
-    """Compute E and G from the one of α and η that is smaller at m = 0, where w is infinite."""
+def _factors(orbit: MomentumOrbit, steps: Descent) -> tuple[Real, Real, Real, Real]:
+    """Compute E/√x, G √(q/Dab), 1 − E² and 1 − G².
+
+    E and G follow from the one of α and η that is smaller at m = 0, where w is infinite. They come
+    without the factors that vanish on the axis and for equal moments.
+    """
     x, q, g, root = orbit.x, orbit.q, orbit.g, steps.root
     c = jnp.sqrt(q / orbit.gaps[0])
     by_eta = g < 0.5
@@ -104,7 +95,7 @@ def _factors(orbit: MomentumOrbit, steps: Descent) -> _Factors:
     # 1 − e^{−2ψ}, where e^{−ψ} = √s/(1 + t) e^{total}; neither term is small beside the result.
     one_minus_near = (2 * t - s / (1 + t) * jnp.expm1(2 * total)) / (1 + t)
     one_minus_far = 1 - far**2 * jnp.where(by_eta, x, orbit.gaps[2] / q)
-    return _Factors(
+    return (
         jnp.where(by_eta, far, near),
         jnp.where(by_eta, near, far),
         jnp.where(by_eta, one_minus_far, one_minus_near),
@@ -113,19 +104,19 @@ def _factors(orbit: MomentumOrbit, steps: Descent) -> _Factors:
 
 
 def _across(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "m"]:
-    factors = _factors(orbit, steps)
+    e, g, one_minus_e2, one_minus_g2 = _factors(orbit, steps)
     root, sx, k = steps.root, safe_sqrt(orbit.x), safe_sqrt(orbit.gaps[2] / orbit.q)
     q = orbit.x * k**2 * root**2
-    e2, g2 = orbit.x * factors.e**2, k**2 * factors.g**2
+    e2, g2 = orbit.x * e**2, k**2 * g**2
     na, nb, nc = orbit.dipole
     na, nc = na * jnp.sqrt(orbit.g), nc * jnp.sqrt(orbit.q / orbit.gaps[0]) * sx
     powers = _powers(q, n // 2 + 1)
     squares, first = powers**2, jnp.arange(powers.size) == 0
     # j = 1, 3, …; j = 0, 2, …; j = −1, −3, …; j = −2, −4, …
-    odd, down = orbit.x * root * factors.e * powers, factors.g * powers
+    odd, down = orbit.x * root * e * powers, g * powers
     up_a, up_b = na * odd / (1 - squares * q * e2), nb * odd / (1 + squares * q * e2)
-    up_c = nc * factors.e * powers / jnp.where(first, factors.one_minus_e2, 1 - squares * e2)
-    down_a = na * down / jnp.where(first, factors.one_minus_g2, 1 - squares * g2)
+    up_c = nc * e * powers / jnp.where(first, one_minus_e2, 1 - squares * e2)
+    down_a = na * down / jnp.where(first, one_minus_g2, 1 - squares * g2)
     down_b, down_c = (
         nb * down / (1 + squares * g2),
         nc * k**2 * root * down / (1 - squares * q * g2),

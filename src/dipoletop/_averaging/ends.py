@@ -54,7 +54,7 @@ class SlowEnd(NamedTuple):
     decay: Real
     """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual, NaN
     if chance decides that."""
-    known_phase: Bool[Array, ""]
+    known_phase: Bool[Array, ""] | bool = False
     """Whether the body is captured at once, from its own phase, so that nothing is averaged."""
 
 
@@ -78,7 +78,6 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
         time_at(motion, (energy + last_energy) / 2),
         rotation.moments[axis],
         r * jnp.exp(end.log + r * end.s),
-        jnp.zeros((), bool),
     )
 
 
@@ -114,9 +113,7 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     log_ratio = jnp.where(residual, 0.0, -jnp.inf)
     last_energy = jnp.where(residual, energy, 0.0)
     half_time = jnp.where(residual, 0.0, 1 / safe_divisor(r))
-    certain = _certain(log_ratio)
-    captured = jnp.zeros((), bool)
-    return SlowEnd(probability, *certain, energy, last_energy, half_time, moment, r, captured)
+    return SlowEnd(probability, *_certain(log_ratio), energy, last_energy, half_time, moment, r)
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
@@ -139,7 +136,6 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
         jnp.where(stops, 1.0, jnp.log1p(square) / divisor),
         jnp.ones_like(square),
         jnp.where(stops, 1.0, 0.0),
-        jnp.zeros((), bool),
     )
 
 
@@ -168,7 +164,7 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
     return SlowEnd(
         probability,
         log_ratio,
-        end.capture.log_quantiles_of_all(jnp.array(QUANTILES)) + shift,
+        end.capture.log_quantiles_of_all() + shift,
         energy,
         last_energy,
         half_time,

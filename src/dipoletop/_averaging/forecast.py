@@ -64,22 +64,23 @@ def _fields(values: Float[Array, "20"]) -> Forecast:
     """Return a forecast from its numbers in one vector."""
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
-    outcome = decided_outcome(probability, error)
-    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
-    omega_inf = jnp.where(decided, omega_inf, jnp.nan)
+    outcome, omega_inf = decided(probability, omega_inf, error)
     times = half_time, radiated, lifetime
     return Forecast(
         outcome, probability, omega_inf, ratio, quantiles, *times, regime.astype(int), error
     )
 
 
-def decided_outcome(probability: Float[Array, "*n 8"], error: Real) -> Int[Array, "*n"]:
-    """Return the outcome with a probability above `CERTAIN`, if the error is not too large."""
-    residual, stop = jnp.sum(probability[..., :2], -1), jnp.sum(probability[..., 2:], -1)
+def decided(
+    probability: Float[Array, "8"], omega_inf: Real, error: Real
+) -> tuple[Int[Array, ""], Real]:
+    """Return the outcome with a probability above `CERTAIN`, unless the error is large, and ω∞."""
+    residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
     outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
     outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
     outcome = jnp.where(error > LARGEST_ERROR, Outcome.UNDECIDED, outcome)
-    return jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED).astype(int)
+    outcome = jnp.where(jnp.isfinite(residual), outcome, Outcome.FAILED).astype(int)
+    return outcome, jnp.where(outcome > Outcome.UNDECIDED, omega_inf, jnp.nan)
 
 
 class Units(NamedTuple):
@@ -120,13 +121,8 @@ def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Flo
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
     motion = slow_motion(apart)
-
-    def needle() -> SlowEnd:
-        return needle_end(apart, motion, units.weakness)
-
-    def other() -> SlowEnd:
-        return slow_end(apart, motion)
-
+    needle = functools.partial(needle_end, apart, motion, units.weakness)
+    other = functools.partial(slow_end, apart, motion)
     if is_needle is None:
         end = jax.lax.cond(apart.is_needle, needle, other)
     else:
@@ -181,7 +177,11 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
     The unfolded system takes many steps, so it is considered for concrete values only.
     """
     slow = forecast(variables, strength, is_needle)
-    if not concrete(slow) or _least_gap(variables) > float(slow.error):
+    if not concrete(slow):
+        return slow
+    moments = np.linalg.eigvalsh(np.asarray(variables)[:9].reshape(3, 3))
+    # The smallest relative gap of moments is below any error of the unfolded system.
+    if np.min(np.diff(moments)) / moments[2] > float(slow.error):
         return slow
     turns, errors = coverage(variables, strength)
     place = int(jnp.argmin(errors))
@@ -193,12 +193,6 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
         return slow
     unfolded = unfolded_forecast(variables, strength, axial, turning)
     return unfolded if unfolded.error < slow.error else slow
-
-
-def _least_gap(variables: Variables) -> float:
-    """Return the smallest relative gap of moments, below any error of the unfolded system."""
-    moments = np.linalg.eigvalsh(np.asarray(variables)[:9].reshape(3, 3))
-    return float(np.min(np.diff(moments)) / moments[2])
 
 
 @compiled_soon

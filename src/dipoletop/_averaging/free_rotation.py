@@ -48,29 +48,17 @@ from .._base.types import Real
 AGM_STEPS = 9  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-30
 
 
-class Path(NamedTuple):
-    """The path of L in the body: differences of a, b, c, and what follows from them."""
-
-    to_a: Real
-    """Da = a − c."""
-    to_b: Real
-    """Db = b − c."""
-    a_to_b: Real
-    """Dab = a − b."""
-    q: Real
-    """Dab + (1 − x)Db."""
-    m: Real
-    """The parameter of the elliptic functions."""
-    m1: Real
-    """1 − m, to its own relative accuracy."""
-
-
-def path(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Path:
-    """Return the path of L; for the arguments see `averages`."""
+def gaps_of(moments: Float[Array, "3 *#lanes"]) -> tuple[Real, Real, Real]:
+    """Compute the differences a − c, b − c and a − b of the reciprocals a, b, c of moments."""
     ja, jb, jc = moments
-    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+    return (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+
+
+def path(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> tuple[Real, ...]:
+    """Return Da, Db, Dab, q, m and 1 − m, the path of L; for the arguments see `averages`."""
+    to_a, to_b, a_to_b = gaps_of(moments)
     q = a_to_b + rest * to_b
-    return Path(to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q)
+    return to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q
 
 
 class Averages(NamedTuple):

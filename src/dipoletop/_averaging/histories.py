@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.checks import concrete, or_nan
 from .._base.compiling import compiled_soon
+from .._base.guards import safe_divisor
 from .._base.types import Real, Regime
 from .ends import shape, turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
@@ -29,22 +30,19 @@ def best_history(
     size = times.size
     # Few programs are compiled: for numbers of times that are powers of 2.
     more = max(FEWEST, 1 << (size - 1).bit_length()) - size
-    padded = jnp.pad(times, (0, more), constant_values=1.0)
-    values = _history(variables, (padded, strength), regime)
-    return tuple(x[:size] for x in values)
-
-
-def _history(
-    variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
-) -> Values:
+    constants = jnp.pad(times, (0, more), constant_values=1.0), strength
     if not concrete(variables, regime) or regime != Regime.UNFOLDED:
-        return history_at(variables, constants)
-    turns, errors = coverage(variables, constants[1])
-    place = int(jnp.argmin(errors))
-    if not turns[place]:
-        return orbit_history(variables, constants, 2 * place)
-    captured = capture_follows(variables, constants, 2 * place)
-    return tuple(jnp.where(captured, jnp.nan, x) for x in history_at(variables, constants))
+        values = history_at(variables, constants)
+    else:
+        turns, errors = coverage(variables, strength)
+        place = int(jnp.argmin(errors))
+        if turns[place]:
+            captured = capture_follows(variables, constants, 2 * place)
+            slow = history_at(variables, constants)
+            values = tuple(jnp.where(captured, jnp.nan, x) for x in slow)
+        else:
+            values = orbit_history(variables, constants, 2 * place)
+    return tuple(x[:size] for x in values)
 
 
 @compiled_soon
@@ -71,9 +69,7 @@ def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) 
 
     def of_sphere(time: Real) -> Float[Array, "3"]:
         square = (rotation.dipole @ rotation.momentum) ** 2
-        lost = jnp.where(
-            square > 0, -jnp.expm1(-square * time) / jnp.where(square > 0, square, 1.0), time
-        )
+        lost = jnp.where(square > 0, -jnp.expm1(-square * time) / safe_divisor(square), time)
         across = (1 - square) * jnp.exp(-square * time) / (1 + (1 - square) * lost)
         one = jnp.ones(())
         return jnp.stack([jnp.log(square + across), one, one])
@@ -122,7 +118,7 @@ def orbit_history(
         sigma = root(early, jnp.full_like(time, 1e-300), orbit.last, HALVINGS)
         state, _ = orbit.at(sigma)
         omega = orbit.top.omega_at(state, orbit.top.log_u)
-        momentum = jnp.linalg.norm(orbit.moments * omega)
+        momentum = jnp.linalg.norm(orbit.top.moments * omega)
         known = orbit.settled | (early(orbit.last) >= 0)
         values = momentum, jnp.linalg.norm(omega), orbit.energy(state)
         return tuple(or_nan(x, known) for x in values)

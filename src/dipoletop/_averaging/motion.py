@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
+from .._base.integration import integrated
 from .._base.types import Real
 from .slow_flow import FARTHEST, SMALLEST, Bound, Interval, Side, interval_of
 
@@ -78,8 +79,8 @@ class Stage(eqx.Module):
     def limit(self) -> Bound:
         """The end of the interval to which the motion leads."""
         rises = self.knots[self.last] > 0
-        pairs = zip(self.interval.low, self.interval.high, strict=True)
-        return Bound(*(jnp.where(rises, high, low) for low, high in pairs))
+        ends = self.interval.low, self.interval.high
+        return jax.tree.map(lambda low, high: jnp.where(rises, high, low), *ends)
 
     @property
     def reaches_separatrix(self) -> Bool[Array, ""]:
@@ -137,23 +138,17 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         counts = log > jnp.log(jnp.maximum(u, SMALLEST)) - LATEST
         return pace * jnp.stack([jnp.ones_like(r), -r, jnp.where(counts, 1 - r * u, 0.0)])
 
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        start,
-        jnp.where(moves, end, start),
-        None,
+    solution = integrated(
+        field,
+        (start, jnp.where(moves, end, start)),
         jnp.stack(initial),
-        stepsize_controller=FromFirstStep(RTOL, RTOL),
+        FromFirstStep(RTOL, RTOL),
+        MAX_STEPS,
         saveat=diffrax.SaveAt(t0=True, steps=True),
-        adjoint=diffrax.ForwardMode(),
-        max_steps=MAX_STEPS,
-        throw=False,
     )
-    ys: Any = solution.ys
     last = solution.stats["num_accepted_steps"]
     failed = ~diffrax.is_successful(solution.result)
-    return Stage(interval, solution.ts, State(*ys.T), last, failed)  # pyright: ignore
+    return Stage(interval, solution.ts, State(*solution.ys.T), last, failed)
 
 
 class Point(NamedTuple):

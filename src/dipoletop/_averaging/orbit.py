@@ -19,9 +19,9 @@ from jaxtyping import Array, Bool, Float
 from .._base.guards import safe_sqrt
 from .._base.linalg import cross, dot
 from .._base.types import Real
-from .free_rotation import averages
+from .free_rotation import averages, gaps_of
 from .landen import Descent, descent, mean_of_ratio, uniform_phase
-from .principal_axes import ROUNDING, free_rotation, gaps_of
+from .principal_axes import ROUNDING, free_rotation
 
 Triple = Float[Array, "3"]
 
@@ -128,7 +128,7 @@ def _spin(
 
 
 def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) -> MomentumOrbit:
-    p12, p23, p13 = gaps_of(moments)
+    p13, p23, p12 = gaps_of(moments)
     to_b, a_to_b = jnp.where(high, p12, p23), jnp.where(high, p23, p12)
 
     def axes(values: Triple, sign: Real | float = -1.0) -> Triple:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.types import Real
+from .free_rotation import gaps_of
 from .slow_flow import Side
 
 OUTERMOST = 600.0  # |logit x| of a start on an axis or on the separatrix
@@ -32,7 +33,8 @@ class FreeRotation(eqx.Module):
     @property
     def gaps(self) -> Float[Array, "3"]:
         """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ of reciprocal moments, not negative."""
-        return gaps_of(self.moments)
+        p13, p23, p12 = gaps_of(self.moments)
+        return jnp.stack([p12, p23, p13])
 
     @property
     def is_sphere(self) -> Bool[Array, ""]:
@@ -74,12 +76,6 @@ class FreeRotation(eqx.Module):
         inside = jnp.where(high, p13 * y3 + p12 * y2, p13 * y1 + p23 * y2)
         z = jnp.log(inside) - jnp.log(jnp.abs(above))
         return high, jnp.clip(z, -OUTERMOST, OUTERMOST)
-
-
-def gaps_of(moments: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Compute the differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ with p = 1/J."""
-    j1, j2, j3 = moments
-    return jnp.stack([(j2 - j1) / (j1 * j2), (j3 - j2) / (j2 * j3), (j3 - j1) / (j1 * j3)])
 
 
 def free_rotation(

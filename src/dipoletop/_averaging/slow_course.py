@@ -58,7 +58,8 @@ def outline(rotation: FreeRotation) -> Outline:
     axis = jnp.where(ends_high, 0, 2)
     residual = spins & (rotation.spin_decay(axis) == 0)
     first = _way(_interval(side, z, rises, (behind, nearest)), z, rises)
-    second = _way(_whole(side.other), jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
+    whole = Interval(side.other, *(bound(side.other, jnp.full((), x)) for x in (-jnp.inf, jnp.inf)))
+    second = _way(whole, jnp.full_like(z, FARTHEST), jnp.zeros_like(rises))
     log = jnp.where(residual, first.log + jnp.where(crosses, second.log, 0.0), -jnp.inf)
     error = jnp.where(residual, first.error + jnp.where(crosses, second.error, 0.0), 0.0)
     # If a zero of F lies beyond the separatrix, `first.loss` also stands for the way to that zero.
@@ -92,12 +93,6 @@ def _interval(
     after = jnp.where(jnp.isfinite(reversals[1]), after, sign * jnp.inf)
     low, high = jnp.minimum(before, after), jnp.maximum(before, after)
     return Interval(side, bound(side, low), bound(side, high))
-
-
-def _whole(side: Side) -> Interval:
-    """Return the interval from the axis to the separatrix."""
-    infinite = jnp.full((), jnp.inf)
-    return Interval(side, bound(side, -infinite), bound(side, infinite))
 
 
 class _Course(NamedTuple):

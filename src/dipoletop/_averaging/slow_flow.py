@@ -74,15 +74,13 @@ class Side(eqx.Module):
 
     def _folds(self, growth: Float[Array, "G"]) -> Float[Array, "m"]:
         """Return extrema of F next to 0, by parabolas through three points."""
-        size, sign = jnp.abs(growth), jnp.sign(growth)
-        far, near, inner = (
-            (slice(0, -4), slice(4, None)),
-            (slice(1, -3), slice(3, -1)),
-            slice(2, -2),
-        )
-        low = size[inner] < 0.5 * jnp.maximum(*(size[part] for part in far))
-        for part in near:
-            low &= (size[inner] <= size[part]) & (sign[inner] == sign[part])
+        # At each inner point and at its two neighbours on either side.
+        around = [growth[k : growth.size - 4 + k] for k in range(5)]
+        size, sign = map(jnp.abs, around), list(map(jnp.sign, around))
+        before, previous, here, following, after = size
+        low = here < 0.5 * jnp.maximum(before, after)
+        low &= (here <= previous) & (sign[2] == sign[1])
+        low &= (here <= following) & (sign[2] == sign[3])
         (index,) = jnp.nonzero(low, size=MOST_FOLDS, fill_value=-1)
 
         def nearer(_: Any, at: tuple[Array, Array]) -> tuple[Array, Array]:

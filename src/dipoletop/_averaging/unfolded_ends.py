@@ -6,7 +6,7 @@ by the error of the unfolded system. These show how certain the end is.
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -18,25 +18,17 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import LEVELS, solution_until
+from .capture import LEVELS, Settled, follow
 from .ends import SlowEnd, slow_end, time_at
 from .motion import HALVINGS, SlowMotion, motion_from
 from .principal_axes import FreeRotation
-from .unfolding import LARGEST, PHASES, PlanarMotion, SettledAngle, Top, entry_of, phases, settle
+from .unfolding import LARGEST, PHASES, PlanarMotion, Top, entry_of, phases, settle
 
 TURNING = 2.0  # value of q above which no phase is captured
 SHIFT = 3.0  # distance of neighbours, in units of the error
 UNCERTAIN = 0.5  # the error where a neighbour ends in another way
 ORBIT_STEPS = 16_384
 TIGHT = 1e-12  # the loss ln u that an orbit leaves out
-
-
-class UnfoldedEnd(NamedTuple):
-    """How a nearly axisymmetric body ends."""
-
-    end: SlowEnd
-    error: Real
-    """Estimated relative error of the ratio."""
 
 
 def order_error(top: Top, log_u: Real) -> Real:
@@ -46,8 +38,8 @@ def order_error(top: Top, log_u: Real) -> Real:
     return (jnp.exp(log_u) * far + jnp.abs(top.eta)) * far / (1 - top.delta)
 
 
-def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> UnfoldedEnd:
-    """Return the end of a needle that is captured at a random phase."""
+def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[SlowEnd, Real]:
+    """Return the end of a needle that is captured at a random phase, and its relative error."""
     entry = entry_of(rotation, motion, top)
     plane = PlanarMotion(top.delta, top.eta * jnp.exp(-entry.log_u))
     lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, entry.q))
@@ -66,7 +58,7 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> Unfold
     half_time = jnp.where(jnp.log(half) < entry.log_time, half, jnp.nan)
     error = order_error(top, entry.log_u) + _sampling_error(logs)
     error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
-    return UnfoldedEnd(end._replace(half_time=half_time), error)
+    return end._replace(half_time=half_time), error
 
 
 def _sampling_error(logs: Float[Array, "n"]) -> Real:
@@ -77,8 +69,8 @@ def _sampling_error(logs: Float[Array, "n"]) -> Real:
     return jnp.abs(odd - even) / safe_divisor(odd + even)
 
 
-def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
-    """Return the end of a start whose phase is known."""
+def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
+    """Return the end of a start whose phase is known, and its relative error."""
     log_u = top.log_u
     error = order_error(top, log_u)
     start, ratio = top.start, top.ratio
@@ -99,7 +91,7 @@ def known_end(rotation: FreeRotation, top: Top) -> UnfoldedEnd:
     probability = jnp.where(alike, each[0], jnp.mean(each, axis=0))
     end = _end_of(rotation, top, probability, jnp.where(alike, logs[:1], logs))
     half_time = half_time_of(top, end.last_energy / end.energy)
-    return UnfoldedEnd(end._replace(half_time=half_time), error)
+    return end._replace(half_time=half_time), error
 
 
 def half_time_of(top: Top, last_part: Real) -> Real:
@@ -126,7 +118,6 @@ class PlaneOrbit(eqx.Module):
     """An orbit of the unfolded system in time."""
 
     top: Top
-    plane: PlanarMotion
     path: diffrax.DenseInterpolation
     last: Real
     """The last σ."""
@@ -145,13 +136,7 @@ class PlaneOrbit(eqx.Module):
 
     def energy(self, state: Float[Array, "3"]) -> Real:
         """Return the energy of a state over J₁u₀/2."""
-        return self.moments @ self.top.omega_at(state, self.top.log_u) ** 2
-
-    @property
-    def moments(self) -> Float[Array, "3"]:
-        """The moments in the frame of the body, over J₁."""
-        top = self.top
-        return jnp.stack([jnp.ones_like(top.eta), 1 - top.eta, 1 - top.delta])
+        return self.top.moments @ self.top.omega_at(state, self.top.log_u) ** 2
 
 
 def orbit_of(top: Top) -> PlaneOrbit:
@@ -166,11 +151,9 @@ def orbit_of(top: Top) -> PlaneOrbit:
         return plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
 
     y0 = jnp.append(top.start, 0.0)
-    solution = solution_until(field, y0, ends, ORBIT_STEPS, dense=True)
-    ts: Any = solution.ts
-    ys: Any = solution.ys
-    path: Any = solution.interpolation
-    return PlaneOrbit(top, plane, path, ts[-1], plane.settles(ys[-1], TIGHT))
+    orbit = follow(field, y0, ends, ORBIT_STEPS, dense=True)
+    settled = plane.settles(orbit.ys[-1], TIGHT)
+    return PlaneOrbit(top, orbit.interpolation, orbit.ts[-1], settled)
 
 
 def _log_momentum(top: Top, log_u: Real) -> Real:
@@ -198,7 +181,6 @@ def _end_of(
         unknown,
         top.moment,
         jnp.where(residual == 1, 0.0, jnp.nan),
-        jnp.zeros((), bool),
     )
 
 
@@ -217,7 +199,7 @@ def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
 
 
 def _stops(
-    rotation: FreeRotation, top: Top, plane: PlanarMotion, at: SettledAngle
+    rotation: FreeRotation, top: Top, plane: PlanarMotion, at: Settled
 ) -> tuple[Float[Array, "8"], Real]:
     """Return the probabilities and ln L∞/L₀ of a start that is not captured.
 
@@ -228,8 +210,7 @@ def _stops(
     turning = plane.turns(at.state) & (top.delta < 0)
     y = plane.section(jnp.where(turning, at.state, jnp.array([0.3, 5.0, 0.0])), jnp.zeros(()))
     omega = top.omega_at(y, top.log_u)
-    scale = jnp.stack([jnp.ones_like(top.eta), 1 - top.eta, 1 - top.delta])
-    momentum = top.frame.T @ (scale * omega)
+    momentum = top.frame.T @ (top.moments * omega)
     size = jnp.linalg.norm(momentum)
     handed = FreeRotation(rotation.moments, rotation.dipole, momentum / size)
     high, z = handed.place

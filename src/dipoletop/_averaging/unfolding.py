@@ -23,7 +23,6 @@ from then on.
 
 from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,14 +32,14 @@ from .._base.bisection import root
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
 from ..equations._common import planar_rates
-from .capture import ENTRY, Expansion, follow, log_scale_of
+from .capture import ENTRY, Expansion, Settled, at_angle, follow, log_scale_of
+from .free_rotation import gaps_of
 from .motion import HALVINGS, SlowMotion
 from .principal_axes import FreeRotation
 
 PHASES = 256  # phases that sample a random start
 NEAR = 1e-5  # the loss ln u at the residual line that is left to the linear law
 MAX_STEPS = 60_000
-RTOL = 1e-10
 FAST = 4.0  # q/√|η/u| above which a body rotates all the way round in spite of the asymmetry
 HALF = 2.0  # ln u₀/u after which the energy has halved, if it falls to zero
 ON_AXIS = 1e-13
@@ -74,6 +73,11 @@ class Top(NamedTuple):
     def ratio(self) -> Real:
         """The asymmetry η/u."""
         return jnp.where(self.eta == 0, 0.0, self.eta * jnp.exp(-self.log_u))
+
+    @property
+    def moments(self) -> Float[Array, "3"]:
+        """The moments about axes 1, 2, 3, over J₁."""
+        return jnp.stack([jnp.ones_like(self.eta), 1 - self.eta, 1 - self.delta])
 
     @property
     def start(self) -> Float[Array, "3"]:
@@ -167,43 +171,17 @@ class PlanarMotion(NamedTuple):
             phi_rate, *others = self(phi, jnp.stack([phi, *rest]))
             return jnp.stack(others) / phi_rate
 
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(slope),
-            diffrax.Dopri8(),
-            y[0],
-            target,
-            None,
-            y[1:],
-            stepsize_controller=diffrax.PIDController(RTOL, RTOL),
-            max_steps=MAX_STEPS,
-            adjoint=diffrax.ForwardMode(),
-            throw=False,
-        )
-        ys: Any = solution.ys
-        return jnp.append(target, ys[-1])
+        return jnp.append(target, at_angle(slope, (y[0], target), y[1:], MAX_STEPS))
 
 
-class SettledAngle(NamedTuple):
-    """The end of an orbit of the unfolded system."""
-
-    residual: Bool[Array, "*any"]
-    stops: Bool[Array, "*any"]
-    along: Bool[Array, "*any"]
-    """Whether ω∞ > 0."""
-    log_ratio: Real
-    """The logarithm of |ω∞|/√u₀, if residual."""
-    state: Float[Array, "*any 3"]
-    """The last state."""
-
-
-def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> SettledAngle:
+def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> Settled:
     """Return the end of the orbit from a state."""
-    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), MAX_STEPS)
+    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), MAX_STEPS).ys[-1]
     residual = plane.settles(y)
     _, left = plane.line(y)
     along = jnp.cos(y[0]) > 0
     log_ratio = jnp.where(residual, (y[2] - left) / 2, -jnp.inf)
-    return SettledAngle(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
+    return Settled(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
 
 
 def entry_q(delta: Real, asymmetry: Real) -> Real:
@@ -253,8 +231,8 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEnt
     flow, which includes corrections of that order, and u in the plane follows from W.
     """
     stage = motion.stage(0)
-    ja, jb, jc = stage.interval.side.moments
-    to_a, to_b, a_to_b = (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
+    moments = stage.interval.side.moments
+    to_a, to_b, a_to_b = gaps_of(moments)
     on_middle = rotation.dipole[1] ** 2 > 0.5
 
     def place(y: Real, log: Real) -> tuple[Real, Real, Real]:
@@ -263,7 +241,7 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEnt
         first = jnp.where(on_middle, x, x * to_b / to_a)
         third = jnp.where(on_middle, rest, (a_to_b + rest * to_b) / to_a)
         log_w1 = (log + jnp.log(first)) / 2 - jnp.log(top.moment) + top.log_unit
-        log_w3 = (log + jnp.log(third)) / 2 - jnp.log(jc) + top.log_unit
+        log_w3 = (log + jnp.log(third)) / 2 - jnp.log(moments[2]) + top.log_unit
         log_q = jnp.log(2 * jnp.abs(top.delta)) + log_w3 - 2 * log_w1
         size = top.eta * jnp.exp(-2 * log_w1)
         return log_w1, log_w3, log_q - jnp.log(entry_q(top.delta, size))

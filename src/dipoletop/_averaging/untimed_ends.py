@@ -11,20 +11,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from .._base.types import Outcome, Real
+from .._base.types import Real
 from .capture import Capture, capture, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
 from .estimates import error_of_phase, estimated_error, start_error
 from .forecast import (
+    Units,
     Variables,
-    decided_outcome,
+    decided,
     forecast,
     regime_of,
     scaled_rotation,
     speed_about_dipole,
 )
+from .principal_axes import FreeRotation
 from .slow_course import outline
 
 CHUNKS = 64, 1024  # starts computed at once; only two sizes, since each needs a compilation
@@ -32,24 +34,14 @@ DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted o
 
 
 class ManyEnds(NamedTuple):
-    """How N motions end; the fields are explained at `Prediction`."""
+    """How N motions end, in NumPy; in a trace, one motion. For the fields see `Prediction`."""
 
-    outcome: Int[np.ndarray, "N"]
-    probability: Float[np.ndarray, "N 8"]
-    omega_inf: Float[np.ndarray, "N"]
-    ratio: Float[np.ndarray, "N"]
-    regime: Int[np.ndarray, "N"]
-    error: Float[np.ndarray, "N"]
-
-
-class _UntimedEnd(NamedTuple):
-    """How one motion ends."""
-
-    probability: Float[Array, "8"]
-    omega_inf: Real
-    ratio: Real
-    regime: Int[Array, ""]
-    error: Real
+    outcome: Any
+    probability: Any
+    omega_inf: Any
+    ratio: Any
+    regime: Any
+    error: Any
 
 
 def ends_of_many(
@@ -78,11 +70,8 @@ def ends_of_many(
         _put(ends, lanes, captured)
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
         alone = forecast(jnp.asarray(variables[lane]), coupling, False)
-        _put(ends, lane, _UntimedEnd(*(getattr(alone, name) for name in _UntimedEnd._fields)))
-    outcome = np.asarray(decided_outcome(jnp.asarray(ends.probability), jnp.asarray(ends.error)))
-    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
-    omega_inf = np.where(decided, ends.omega_inf, np.nan)
-    return ManyEnds(outcome, ends.probability, omega_inf, ends.ratio, ends.regime, ends.error)
+        _put(ends, lane, ManyEnds(*(getattr(alone, name) for name in ManyEnds._fields)))
+    return ends
 
 
 def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: Any) -> Any:
@@ -95,7 +84,7 @@ def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: A
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(variables)], *parts)
 
 
-def _put(ends: _UntimedEnd, lanes: Any, values: _UntimedEnd) -> None:
+def _put(ends: ManyEnds, lanes: Any, values: ManyEnds) -> None:
     """Replace the ends of some starts."""
     for array, value in zip(ends, values, strict=True):
         array[lanes] = value
@@ -103,7 +92,7 @@ def _put(ends: _UntimedEnd, lanes: Any, values: _UntimedEnd) -> None:
 
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
-def _slow_ends(variables: Variables, strength: Real) -> tuple[_UntimedEnd, Real, Bool[Array, ""]]:
+def _slow_ends(variables: Variables, strength: Real) -> tuple[ManyEnds, Real, Bool[Array, ""]]:
     """Return the end by the slow flow, δ of a needle or 0, and whether the error is too large."""
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
@@ -118,31 +107,35 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[_UntimedEnd, Real,
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         exact = known.probability, known.log_ratio, known.last_moment
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
-    probability, log_ratio, last_moment = end
-    ratio = jnp.exp(log_ratio)
     error = estimated_error(apart, leads.loss, units.weakness)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
-    omega_inf = speed_about_dipole(probability, ratio, last_moment, units)
     delta, _ = needle_start(apart, units.weakness)
     doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
-    end = _UntimedEnd(probability, omega_inf, ratio, regime_of(rotation), error)
-    return end, jnp.where(apart.is_needle, delta, 0.0), doubtful
+    return _untimed(rotation, units, end, error), jnp.where(apart.is_needle, delta, 0.0), doubtful
 
 
 @eqx.filter_jit
 @functools.partial(jax.vmap, in_axes=(0, None))
-def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> _UntimedEnd:
+def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> ManyEnds:
     """Return the end of a needle, given the distribution of its capture."""
     strength, chance = constants
     rotation, units = scaled_rotation(variables, strength)
     delta, omega = needle_start(rotation, units.weakness)
     end = end_of_top(delta, omega, chance)
-    probability, log_ratio = needle_chances(rotation, end)
-    ratio = jnp.exp(log_ratio)
-    omega_inf = speed_about_dipole(probability, ratio, rotation.moments[2], units)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
-    return _UntimedEnd(probability, omega_inf, ratio, regime_of(rotation), error)
+    return _untimed(rotation, units, (*needle_chances(rotation, end), rotation.moments[2]), error)
+
+
+def _untimed(
+    rotation: FreeRotation, units: Units, end: tuple[Array, Real, Real], error: Real
+) -> ManyEnds:
+    """Return an end, given its probabilities, ln L∞/L₀ and the last moment."""
+    probability, log_ratio, last_moment = end
+    ratio = jnp.exp(log_ratio)
+    omega_inf = speed_about_dipole(probability, ratio, last_moment, units)
+    outcome, omega_inf = decided(probability, omega_inf, error)
+    return ManyEnds(outcome, probability, omega_inf, ratio, regime_of(rotation), error)
 
 
 _capture = eqx.filter_jit(capture)

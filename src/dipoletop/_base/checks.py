@@ -215,10 +215,12 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
         )
 
 
-def check_body(equation: Any) -> None:
-    """Refuse an equation without a `body`."""
-    if getattr(equation, "body", None) is None:
+def check_body(equation: Any) -> Any:
+    """Return the `body` of an equation; refuse an equation without one."""
+    body = getattr(equation, "body", None)
+    if body is None:
         refuse("equation", "have a body", f"is of type {type(equation).__name__}, which has none")
+    return body
 
 
 def is_single(equation: Any) -> bool:

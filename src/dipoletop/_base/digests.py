@@ -41,17 +41,11 @@ def _parts(array: Any) -> tuple[bytes, bytes]:
 def program_digest(function: Callable[..., Any], *arguments: Any) -> bytes:
     """Return the digest of the computation of a function of arrays, or of shapes and types.
 
-    See `lowered_digest`.
-    """
-    return lowered_digest(jax.jit(lambda *given: function(*given)).lower(*arguments))
-
-
-def lowered_digest(lowered: jax.stages.Lowered) -> bytes:
-    """Return the digest of the text into which JAX translates a traced program, without names.
-
-    It covers operations, shapes, types and constants, but not the code of callbacks to Python.
+    It is the digest of the text into which JAX translates the traced program, without names. It
+    covers operations, shapes, types and constants, but not the code of callbacks to Python.
     Other versions of JAX may give another translation.
     """
+    lowered = jax.jit(lambda *given: function(*given)).lower(*arguments)
     numbers: dict[str, int] = {}
 
     def number(name: re.Match[str]) -> str:

@@ -9,7 +9,7 @@ import functools
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from .checks import namespace
 from .types import Matrix, Real, Vector
@@ -77,3 +77,8 @@ def diagonal(*entries: Any) -> Any:
     xp, zero = namespace(*entries), 0 * entries[0]
     rows = [[entry if i == j else zero for j in range(3)] for i, entry in enumerate(entries)]
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def running_sums(values: Float[Array, "n"]) -> Float[Array, "n+1"]:
+    """Return the sums of the first 0, 1, 2, … values."""
+    return jnp.append(jnp.zeros(1, values.dtype), jnp.cumsum(values))

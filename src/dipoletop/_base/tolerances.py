@@ -68,11 +68,10 @@ def absolute(
     If motions need not be exact once they are slow, None means rtol·|ω₀|. `exact_when_slow` is one
     boolean, or one for each start.
     """
-    if atol is None and isinstance(omega0, np.ndarray) and concrete(rtol, exact_when_slow):
-        return _default_atol_in_numpy(rtol, omega0, np.asarray(exact_when_slow))
     if atol is None and concrete(rtol, omega0, exact_when_slow):
         known = np.asarray(omega0), np.asarray(exact_when_slow)
-        return on_device(_default_atol_in_numpy(rtol, *known))
+        found = _default_atol_in_numpy(rtol, *known)
+        return found if isinstance(omega0, np.ndarray) else on_device(found)
     if atol is None:
         return _default_atol(jnp.asarray(rtol), jnp.asarray(omega0), jnp.asarray(exact_when_slow))
     given, shape = check_atol(atol, omega0.shape[1:]), omega0.shape[1:]

@@ -73,8 +73,8 @@ def implied_probability(outcome: Any, xp: ModuleType = np) -> Any:
 
     `xp` is NumPy or its counterpart in JAX.
     """
-    decided = (outcome == Outcome.RESIDUAL) | (outcome == Outcome.STOP)
-    return xp.where(decided, xp.where(outcome == Outcome.RESIDUAL, 1.0, 0.0), xp.nan)
+    residual = xp.where(outcome == Outcome.RESIDUAL, 1.0, 0.0)
+    return xp.where(outcome > Outcome.UNDECIDED, residual, xp.nan)
 
 
 class Verdict(NamedTuple):

@@ -6,10 +6,8 @@ take the next runs from the queue. So no lane waits long for a slower one, and o
 stored.
 """
 
-import functools
-import threading
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
 import equinox as eqx
@@ -55,12 +53,12 @@ class JaxEngine:
         """Integrate from the states `y0`, on their device."""
         platform = next(iter(y0.devices())).platform
         method = _Method(self.solver, self.width, platform)
-        return _jitted("integrate", platform)(equation, y0, limits, until, method)
+        return _INTEGRATE[platform == "cpu"](equation, y0, limits, until, method)
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """Lift, integrate and finish the runs in one program."""
         method = _Method(self.solver, self.width, device.platform)
-        return _jitted("classify", device.platform)(finish, on_device(queue, device), method)
+        return _CLASSIFY[device.platform == "cpu"](finish, on_device(queue, device), method)
 
 
 class _Method(NamedTuple):
@@ -74,26 +72,6 @@ class _Method(NamedTuple):
         """Return the number of lanes of a block."""
         width = ON_PROCESSOR if self.platform == "cpu" else ON_ACCELERATOR
         return min(self.width or width, runs)
-
-
-_wrapper_lock = threading.Lock()
-
-
-def _jitted(what: Literal["integrate", "classify"], platform: str) -> Any:
-    """Return `_integrate` or `_classify` under `jit`, the same wrapper for all threads.
-
-    JAX compiles the program of one wrapper once, even if several threads call it at once. Without
-    the lock `functools.cache` could make a wrapper for each of two threads, and two compilations.
-    """
-    with _wrapper_lock:
-        return _make_wrapper(what, platform)
-
-
-@functools.cache
-def _make_wrapper(what: str, platform: str) -> Any:
-    jit: Any = eqx.filter_jit
-    function = _integrate if what == "integrate" else _classify
-    return jit(function, compiler_options=LANE_OPTIONS) if platform == "cpu" else jit(function)
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
@@ -179,8 +157,12 @@ def _busy(least: Any) -> Any:
 
 def _queue(begun: LaneState, width: int) -> tuple[_Lanes, Array]:
     """Return the runs, first those that need steps, idle lanes last; the number of the first."""
-    front, count = _partition_order(begun.status == RUNNING)
-    size = front.size
+    chosen = begun.status == RUNNING
+    size, every, so_far = chosen.size, jnp.arange(chosen.size), jnp.cumsum(chosen)
+    count = so_far[-1]
+    place = jnp.where(chosen, so_far - 1, count + every - so_far)
+    # A scatter: XLA:CPU takes thirty times as long to sort.
+    front = jnp.zeros(size, int).at[place].set(every, unique_indices=True)
     padded = jnp.concatenate([front, jnp.zeros(width, int)])
     lanes = jax.tree.map(lambda x: x[..., padded], begun)
     idle = jnp.arange(padded.size) >= size
@@ -204,16 +186,6 @@ def _in_front(block: _Lanes, rank: Int[Array, "B"]) -> _Lanes:
     return _Lanes(jnp.where(wanted <= rank[-1], moved.slot, nowhere), moved.lanes)
 
 
-def _partition_order(chosen: Bool[Array, "B"]) -> tuple[Int[Array, "B"], Array]:
-    """Return the stable order that puts the chosen in front, and the number of the chosen."""
-    every, so_far = jnp.arange(chosen.size), jnp.cumsum(chosen)
-    count = so_far[-1]
-    place = jnp.where(chosen, so_far - 1, count + every - so_far)
-    # A scatter: XLA:CPU takes thirty times as long to sort.
-    order = jnp.zeros(chosen.size, int).at[place].set(every, unique_indices=True)
-    return order, count
-
-
 def _result(block: _Lanes) -> tuple[Array, ...]:
     """Return the slots and end states of runs."""
     lanes = block.lanes
@@ -227,3 +199,15 @@ def _write(out: Any, block: _Lanes, written: Array) -> Any:
         out,
         _result(block),
     )
+
+
+def _jitted(function: Any) -> tuple[Any, Any]:
+    """Return a function under `jit`: for accelerators, and with `LANE_OPTIONS` for processors.
+
+    JAX compiles the program of one wrapper once, even if several threads call it at once.
+    """
+    jit: Any = eqx.filter_jit
+    return jit(function), jit(function, compiler_options=LANE_OPTIONS)
+
+
+_INTEGRATE, _CLASSIFY = _jitted(_integrate), _jitted(_classify)

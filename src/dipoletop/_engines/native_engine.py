@@ -29,7 +29,7 @@ from . import step
 from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
 from .machine_code import MachineCode
-from .native_queue import KINDS, WIDTH, Job, Loop, loop
+from .native_queue import KINDS, WIDTH, Job, loop
 
 SHARE = 256  # number of runs from which another thread pays
 LINE = 64  # bytes of a line of memory
@@ -104,7 +104,10 @@ class _Functions(NamedTuple):
 
     def begin(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
         lanes, omegas, _ = table
-        y = lanes.y if omegas is None else self.equation(lanes).lift(_without_subnormal(omegas))
+        y = lanes.y
+        if omegas is not None:  # a subnormal number counts as NaN, as in the other engines
+            lost = (omegas != 0) & (jnp.abs(omegas) < jnp.finfo(omegas.dtype).tiny)
+            y = self.equation(lanes).lift(jnp.where(lost, jnp.nan, omegas))
         limits = Limits(shared[0], lanes.atol, lanes.t1, shared[1])
         order = int(self.solver.order(None) or 0)
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
@@ -115,19 +118,13 @@ class _Functions(NamedTuple):
         advanced = step.advance(whole, *shared, self.solver, self.until)
         return eqx.filter(advanced, eqx.is_array)
 
-    def result(self, lanes: step.LaneState, omegas: Any, shared: tuple[Array, Array]) -> Any:
-        ends = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
-        if self.apply is None:
-            return ends
-        return self.apply(self.equation(lanes), omegas, ends, Tolerances(shared[0], lanes.atol))
-
     def finish(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
-        return table._replace(result=self.result(table.lanes, table.omegas, shared))
-
-
-def _without_subnormal(x: Array) -> Array:
-    """Replace subnormal numbers by NaN, as the other engines do on processors."""
-    return jnp.where((x != 0) & (jnp.abs(x) < jnp.finfo(x.dtype).tiny), jnp.nan, x)
+        lanes, omegas, _ = table
+        result: Any = EndStates(lanes.y, lanes.t, lanes.steps, lanes.status)
+        if self.apply is not None:
+            tolerances = Tolerances(shared[0], lanes.atol)
+            result = self.apply(self.equation(lanes), omegas, result, tolerances)
+        return table._replace(result=result)
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,6 @@ class _Program:
 
     kernels: tuple[MachineCode, MachineCode, MachineCode]
     """Machine code that begins, advances and finishes the runs of a block of lanes."""
-    loop: Loop
     rows: Any
     """A `_Table` in which a slice of rows replaces every array."""
     sizes: tuple[int, int, int]
@@ -168,9 +164,11 @@ class _Program:
             )
             shared = jnp.zeros(()), jnp.zeros((), int)
             omegas = None if finish is None else jnp.zeros((3, 1))
-            result = functions.result(lanes, omegas, shared)
-            return _Table(lanes, omegas, jax.tree.map(one_lane, result)), shared, result
+            table = functions.finish(_Table(lanes, omegas, None), shared)
+            result = jax.tree.map(one_lane, table.result)
+            return table._replace(result=result), shared, table.result
 
+        loop()  # is compiled here, where no other thread compiles
         # Shapes and types only: JAX would compile programs that make zeros.
         table, shared, result = jax.eval_shape(blank)
         kernels = (
@@ -182,7 +180,7 @@ class _Program:
         ends = np.cumsum([0, *(leaf.size for leaf in leaves)]).tolist()
         rows = jax.tree.unflatten(structure, map(slice, ends[:-1], ends[1:]))
         at_work = jax.tree.leaves((rows.lanes, rows.omegas))[-1].stop
-        return cls(kernels, loop(), rows, (ends[-1], at_work, rows.lanes.status.start), result)
+        return cls(kernels, rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
     def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
         """Integrate N runs.
@@ -210,11 +208,14 @@ class _Program:
         kernels = (kernel.address for kernel in self.kernels)
         known = *kernels, size, *places, queue.ctypes.data, *tables, shared.ctypes.data
 
+        call, _ = loop()
+
         # An address does not keep its array: every thread holds the arrays until it ends.
         def work(_arrays: Any = (given, out, inputs, outputs)) -> int:
             blocks = np.zeros((3, rows, WIDTH))
             own = (block.ctypes.data for block in blocks)
-            return self.loop.work_off(Job._make([*known, *own]))
+            job = np.array(Job._make([*known, *own]), np.int64)
+            return call(job.ctypes.data)  # without the lock of the interpreter
 
         threads = min(threads, -(-size // SHARE))
         steps = _in_threads(work, threads, queue, size) if threads > 1 else work()

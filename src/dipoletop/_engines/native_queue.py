@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import numpy as np
 from llvmlite import ir
 
 from .._base.stopping import RUNNING
@@ -56,28 +55,17 @@ class Job(NamedTuple):
     """The last runs that have ended."""
 
 
-class Loop(NamedTuple):
-    """The loop as machine code."""
-
-    call: Callable[[int], int]
-    code: MachineCode
-    """The owner of the code, kept alive with it."""
-
-    def work_off(self, job: Job) -> int:
-        """Work off a queue of runs; other threads may do so at the same time.
-
-        Returns:
-            The number of steps of this thread's block of lanes.
-        """
-        arguments = np.array(job, np.int64)
-        return self.call(arguments.ctypes.data)  # without the lock of the interpreter
-
-
 @functools.cache
-def loop() -> Loop:
-    """Return the loop, compiled once; two threads must not call this at the same time."""
+def loop() -> tuple[Callable[[int], int], MachineCode]:
+    """Return the loop, compiled once; two threads must not call this at the same time.
+
+    Returns:
+        A function of the address of a `Job`, an array of integers, that works off a queue of runs,
+        as other threads may do at the same time; it gives the number of steps of this thread's
+        block of lanes. And the owner of the code.
+    """
     code = machine_code(_loop_in_llvm())
-    return Loop(ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code)
+    return ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(code.address), code
 
 
 def _loop_in_llvm() -> str:

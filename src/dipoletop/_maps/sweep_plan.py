@@ -19,9 +19,8 @@ from .._engines.interface import Engine, Limits, power_of_two
 from .._engines.select import select_engines
 from .._runs.blocks import RunOptions, classify_block
 from .._runs.classification import Value, stopping_rule
-from .._runs.label_doubt import finish_of
+from .._runs.label_doubt import exact_when_slow, finish_of
 from .._runs.memory_limits import TILE, largest_tile
-from .._runs.slow_labels import exact_when_slow
 from .._runs.slow_runs import SlowFlow, check_slow_flow
 from ..equations.levels import level_of
 from .columns import COLUMNS, DERIVATIVE_PREFIX, START, VERSION, check_arguments

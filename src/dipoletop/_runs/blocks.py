@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.parallel import Device
-from .._base.stopping import Until
 from .._base.types import DecidingEquation, Equation
-from .._engines.interface import Engine, Finish, Limits, Queue
+from .._engines.interface import Engine, Limits, Queue
 from ..equations._common import omega_scale_of, physical
 from .chosen_lanes import Lanes, part_of, put_back
 from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
-from .label_doubt import CERTAIN, Ended, finish_of, made_twice
+from .label_doubt import CERTAIN, finish_of, made_twice
 from .memory_limits import in_fitting_parts
 from .slow_runs import SlowFlow, is_predictable, with_predictions
 
@@ -40,6 +39,7 @@ class RunOptions(NamedTuple):
     device: Device
     slow_flow: SlowFlow = False
     threads: int = 1
+    """How many threads share the queue, for an engine that has its own."""
     loosely: bool = True
 
 
@@ -53,11 +53,12 @@ def classify_block(
 
     Blocks that do not fit into the memory of the device are divided.
     """
-
-    def classified(runs: tuple[Any, Any, Any]) -> Classification:
-        return _classified(*runs, way)
-
-    return in_fitting_parts(classified, (equation, omegas, limits), omegas.shape[1], way.device)
+    return in_fitting_parts(
+        lambda runs: _classified(*runs, way),
+        (equation, omegas, limits),
+        omegas.shape[1],
+        way.device,
+    )
 
 
 def _classified(
@@ -67,17 +68,15 @@ def _classified(
     way: RunOptions,
 ) -> Classification:
     """Return the classifications of all N runs at once."""
-    deciding: DecidingEquation = physical(equation)
     value, slow_flow = way.value, way.slow_flow
-    rule, finish = stopping_rule(equation, value), finish_of(value)
-    block = RunBlock(deciding, omegas, rule, finish, way.engine, way.device, way.threads)
+    block = RunBlock(physical(equation), omegas, way)
 
     def classified(limits: Limits) -> Classification:
         if value is False and way.loosely:
             return outcomes(block, limits)
         runs = block.run(limits).runs
         if value is True:
-            scales = omega_scale_of(deciding)
+            scales = omega_scale_of(block.equation)
             return with_error_estimates(runs, block.run_some, omegas, limits, scales)
         return runs if value is False else without_error_estimates(runs, value, np)
 
@@ -100,26 +99,19 @@ class RunBlock:
     Attributes:
         equation: the equation to integrate; its array fields have a trailing axis of N lanes.
         omegas: the starts ω₀.
-        until: when a run is finished.
-        finish: the function that is applied to the end states.
-        engine: the engine that integrates the runs.
-        device: the device of the runs.
-        threads: how many threads share the queue, for an engine that has its own.
+        way: how they are run.
     """
 
     equation: DecidingEquation
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"]
-    until: Until
-    finish: Finish[Ended]
-    engine: Engine
-    device: Device
-    threads: int = 1
+    way: RunOptions
 
     def run(self, limits: Limits) -> Any:
         """Make all runs; return `Ended` in NumPy."""
-        queue = Queue(self.equation, self.omegas, limits, self.until)
+        value, engine, device, _, threads, _ = self.way
+        queue = Queue(self.equation, self.omegas, limits, stopping_rule(self.equation, value))
         # All arrays in one transfer.
-        return jax.device_get(self.engine.classify(self.finish, queue, self.device, self.threads))
+        return jax.device_get(engine.classify(finish_of(value), queue, device, threads))
 
     def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
         """Make some of the runs, from their own starts or from others.
@@ -128,7 +120,7 @@ class RunBlock:
         """
         block = self if omegas is None else replace(self, omegas=omegas)
         size = block.omegas.shape[1]
-        if self.engine.compiles_for_size:
+        if self.way.engine.compiles_for_size:
             t1 = np.zeros(size, block.omegas.dtype)
             t1[lanes] = np.inf
             return part_of(block.run(limits._replace(t1=t1)).runs, lanes, size)
@@ -142,7 +134,7 @@ def outcomes(block: RunBlock, limits: Limits) -> Classification:
     There are two passes, unless the second one would cost as much without the first.
     """
     factor = LOOSE / float(limits.rtol)
-    if factor <= 1 or block.engine.compiles_for_size or not made_twice(block.equation):
+    if factor <= 1 or block.way.engine.compiles_for_size or not made_twice(block.equation):
         return block.run(limits).runs
     brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
     runs, doubt = block.run(brief)

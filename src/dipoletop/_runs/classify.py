@@ -1,7 +1,6 @@
 """The outcome of one run: by an engine if the start is known, else (in a trace) by diffrax."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -22,17 +21,11 @@ from .._base.checks import (
     real,
 )
 from .._base.compiling import compiled_soon
+from .._base.integration import integrated
 from .._base.parallel import worker_devices
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
-from .._base.tolerances import (
-    MAX_STEPS,
-    Tolerances,
-    absolute,
-    budget,
-    step_tolerances,
-    tolerance,
-)
-from .._base.types import DecidingEquation, Equation, Real, State
+from .._base.tolerances import MAX_STEPS, Tolerances, absolute, budget, step_tolerances, tolerance
+from .._base.types import DecidingEquation, Equation, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
 from .._engines.select import select_engines
@@ -42,8 +35,7 @@ from .blocks import RunOptions, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
 from .classify_many import Runs
 from .conditioning import run_with_error_estimate, without_error_estimates
-from .label_doubt import finish_of
-from .slow_labels import exact_when_slow
+from .label_doubt import exact_when_slow, finish_of
 from .slow_runs import SlowFlow, check_slow_flow
 
 
@@ -188,27 +180,19 @@ def classify_with_tangents(
     start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:
         until = "time"  # off the branch no verdict holds, and the top runs away
-    begin = _Start(start, from_omega)
-    return _classify(equation, begin, tolerances, steps, until, value)
-
-
-class _Start(NamedTuple):
-    """The start of a run."""
-
-    values: Array
-    """ω₀, or a whole state."""
-    is_omega: bool
+    return _classify(equation, (start, from_omega), tolerances, steps, until, value)
 
 
 @compiled_soon
 def _classify(
     equation: DecidingEquation,
-    begin: _Start,
+    begin: tuple[Array, bool],
     tolerances: Tolerances,
     max_steps: int,
     until: Until,
     value: Value,
 ) -> Classification:
+    """Return the classification of a run that begins at ω₀ (True), or at a whole state."""
     start, from_omega = begin
 
     def run(start: Array, tolerances: Tolerances, wanted: Bool[Array, ""]) -> Classification:
@@ -239,33 +223,10 @@ def _end_by_steps(
     # A start that is decided or broken needs no integration.
     t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1)
     controller = Controller(*limits.tolerances, error_scale_of(equation))
-    run = integrated(equation, t1, y0, controller, max_steps, diffrax.Event(ended))
+    event = diffrax.Event(ended)
+    run = integrated(equation, (0.0, t1), y0, controller, max_steps, event=event)
     y, time = run.ys[-1], run.ts[-1]
     finished = sound(time, y, equation(time, y, None))
     if until == "time":
         y = y * jnp.nan  # off the branch no verdict holds
     return EndStates(y, time, run.stats["num_steps"], jnp.where(finished, FINISHED, BROKEN))
-
-
-def integrated(
-    field: Callable[..., Array],
-    t1: Real | float,
-    y0: Array,
-    controller: Controller,
-    max_steps: int,
-    event: diffrax.Event | None = None,
-) -> Any:
-    """Integrate by diffrax from 0 to t1, differentiable in forward mode."""
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        t1,
-        None,
-        y0,
-        stepsize_controller=controller,
-        event=event,
-        max_steps=max_steps,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )

@@ -7,15 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import (
-    ArrayLike,
-    NumberLike,
-    check_verdict,
-    concrete,
-    is_single,
-    real,
-    refuse,
-)
+from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real, refuse
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation
@@ -23,9 +15,8 @@ from .._engines.interface import Limits, power_of_two
 from .._engines.select import select_engines
 from .blocks import RunOptions, classify_block
 from .classification import Classification, Value, stopping_rule
-from .label_doubt import finish_of
+from .label_doubt import exact_when_slow, finish_of
 from .memory_limits import largest_tile
-from .slow_labels import exact_when_slow
 from .slow_runs import SlowFlow, check_slow_flow
 
 PIECE = 65536  # largest number of starts for an engine that need not compile for their number

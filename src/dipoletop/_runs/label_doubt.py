@@ -1,4 +1,4 @@
-"""The doubt of a label, which shows the loose runs that must be repeated.
+"""The doubt of a label, which shows the loose runs that must be repeated, and slow labels.
 
 A motion near the boundary between outcomes comes near to a motion on it, which loses all its
 angular velocity. At small amplitude ω⊥² falls there as fast as the distance from the boundary
@@ -12,6 +12,10 @@ or infinite where a small displacement of the last state changes the verdict: at
 of residual rotation reaches up to the basin boundary, so that an error may carry a state into it.
 `benchmarks/accuracy/label_precision.py` searches for labels that are wrong nevertheless, at every
 level and for bodies of every kind, among random starts and among starts close to the boundary.
+
+Where all slow motions have the same outcome, an absolute tolerance saves many steps. Elsewhere a
+slow motion may still be near the boundary, and an error that is larger than the motion could change
+the outcome.
 """
 
 from typing import Any, NamedTuple
@@ -20,18 +24,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._base.checks import concrete
 from .._base.guards import safe_divisor
 from .._base.linalg import length, scale
 from .._base.tolerances import Tolerances
 from .._base.types import DecidingEquation, Flag, Outcome, Real, Vector, Verdict
 from .._engines.interface import EndStates, Finish
 from ..equations._common import has_body_field
-from ..equations._verdicts.transverse import has_boundary
+from ..equations._families import LONGITUDINAL, TRANSVERSE
+from ..equations._verdicts.transverse import has_boundary, has_boundary_at_rest
+from ..equations.levels import Level
 from ..equations.rigid import Reduced, SemiReduced
 from ..equations.transverse import TransverseReduced, TransverseSemi
 from .classification import Classification, Value, classification_of
 from .conditioning import without_error_estimates
-from .slow_labels import level_of_top
 
 CERTAIN = 4.0  # doubt below which a label is certain: no wrong label had a doubt below 8
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a label is in doubt although no boundary exists
@@ -104,3 +110,21 @@ def _is_bounded(equation: Any) -> Any:
     if type(equation) not in (TransverseReduced, TransverseSemi):
         return True
     return has_boundary(equation.delta, level_of_top(equation))
+
+
+def exact_when_slow(equation: Any, value: Value) -> Any:
+    """Return whether runs need a relative accuracy to the end: one value, or one for each δ."""
+    if value or type(equation) not in (*TRANSVERSE, *LONGITUDINAL):
+        return True
+    if type(equation) in LONGITUDINAL:  # always residual
+        return False
+    delta = equation.delta
+    if concrete(delta):  # in NumPy, since JAX compiles for each number of lanes
+        delta = np.asarray(delta)
+    return has_boundary_at_rest(delta, level_of_top(equation))
+
+
+def level_of_top(equation: Any) -> Level:
+    """Return the level whose basin boundaries a top has: SEMI for the full equation."""
+    order = getattr(equation, "order", None)
+    return Level.SEMI if order is None else Level.of_order(order)

@@ -48,7 +48,8 @@ def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Devi
         try:
             return run(runs)
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
-            if size <= SMALLEST or not _is_of_memory(error):
+            exhausted = isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+            if size <= SMALLEST or not exhausted:
                 raise
             _fitting[device] = max(size // 2, SMALLEST)
     half = size // 2
@@ -57,8 +58,3 @@ def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Devi
         for lanes in (np.arange(half), np.arange(half, size))
     ]
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1), *parts)
-
-
-def _is_of_memory(error: Exception) -> bool:
-    """Return whether an error of XLA says that memory is exhausted."""
-    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)

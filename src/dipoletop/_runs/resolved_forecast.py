@@ -6,8 +6,6 @@ rotation is integrated until it is constant, a stop until averages hold and desc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._averaging.ends import QUANTILES
-from .._averaging.forecast import Forecast, Variables, decided_outcome, scaled_rotation
+from .._averaging.forecast import Forecast, Variables, best_forecast, decided, scaled_rotation
 from .._averaging.free_rotation import mean_square_speed
-from .._averaging.histories import Values, in_units
+from .._averaging.histories import Values, best_history, in_units
 from .._averaging.slow_flow import from_logit
 from .._base.compiling import compiled_soon
 from .._base.tolerances import MAX_STEPS
@@ -38,40 +36,28 @@ SETTLED = 1e-9  # (E − E∞)/E₀ below which a residual rotation counts as co
 POINTS, ROUNDS = 65, 3  # a search for a time narrows its bracket to POINTS**-ROUNDS
 
 
-class RunAverages(NamedTuple):
-    """The predictions by averages over free rotation, from the variables and k of κ = k d²."""
-
-    forecast: Callable[[Variables, Real], Forecast]
-    history: Callable[[Variables, tuple[Float[Array, "T"], Real]], Values]
-
-
-@dataclass(frozen=True)
 class _Course:
     """A rotation integrated stretch by stretch, in units of J₃ and κ/J₃."""
 
-    start: Variables
-    strength: Real
-    unit: float
-    """κ/J₃, the unit of time."""
-    equation: SemiReduced
-    times: list[float]
-    """The ends of the stretches; 0 is the first."""
-    omegas: list[Vector]
-    """ω at these times."""
-
-    @staticmethod
-    def of(start: Variables, strength: Real) -> "_Course":
-        """Return a course at its start."""
+    def __init__(self, start: Variables, strength: Real, is_needle: bool | None) -> None:
         inertia, dipole, omega = start[:9].reshape(3, 3), start[9:12], start[12:]
         moment, size = jnp.linalg.eigvalsh(inertia)[2], jnp.linalg.norm(dipole)
         unit = strength * size**2 / moment
-        equation = SemiReduced(Body(inertia / moment, dipole / size))
-        return _Course(start, strength, float(unit), equation, [0.0], [omega * unit])
+        self.start, self.strength, self.is_needle = start, strength, is_needle
+        self.unit = float(unit)  # of time, κ/J₃
+        self.equation = SemiReduced(Body(inertia / moment, dipole / size))
+        # The ends of the stretches, and ω there.
+        self.times: list[float] = [0.0]
+        self.omegas: list[Vector] = [omega * unit]
 
     @property
     def variables(self) -> Variables:
         """The variables at the end of the last stretch."""
         return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
+
+    def averages(self) -> Forecast:
+        """Return the prediction by averages over free rotation from there on."""
+        return best_forecast(self.variables, self.strength, self.is_needle)
 
     def is_long(self, ratio: Real) -> bool:
         """Return whether the run would exceed the budget of steps if L∞/L₀ = `ratio`."""
@@ -128,17 +114,17 @@ class _Course:
 
 
 def resolved_forecast(
-    start: Variables, strength: Real, averages: RunAverages, ratio: Real
+    start: Variables, strength: Real, is_needle: bool | None, ratio: Real
 ) -> Forecast | None:
     """Return how a rotation ends, by integration; None if that takes too long.
 
     Args:
         start: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
-        averages: the laws that hold where little is radiated within one period.
+        is_needle: whether the body is a needle.
         ratio: an estimate of L∞/L₀, which gives the number of steps.
     """
-    course = _Course.of(start, strength)
+    course = _Course(start, strength, is_needle)
     if course.is_long(ratio):
         return None
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
@@ -149,18 +135,19 @@ def resolved_forecast(
         if not course.follow(lambda omega: course.energy(omega) < half):
             return None
         return _residual(course, run, course.time_of(half) * course.unit)
-    if run.outcome != Outcome.STOP or not _follow_stop(course, averages):
+    if run.outcome != Outcome.STOP or not _follow_stop(course):
         return None
-    late = averages.forecast(course.variables, strength)
+    late = course.averages()
     stops = late.probability.at[:2].set(0.0)
     if not bool(jnp.sum(stops) > 0):  # the two laws contradict each other
         return None
     stops = stops / jnp.sum(stops)
     zero = jnp.zeros_like(late.ratio)
+    outcome, _ = decided(stops, zero, late.error)
     # The late law, with t counted from the start; a rotation that falls at once has no plateau.
     lifetime = late.lifetime - course.times[-1] * course.unit
     return late._replace(
-        outcome=decided_outcome(stops, late.error),
+        outcome=outcome,
         probability=stops,
         omega_inf=zero,
         ratio=zero,
@@ -173,18 +160,18 @@ def resolved_forecast(
 
 
 def resolved_history(
-    start: Variables, constants: tuple[Float[Array, "T"], Real], averages: RunAverages
+    start: Variables, constants: tuple[Float[Array, "T"], Real], is_needle: bool | None
 ) -> Values:
     """Return E, |L|, h and √⟨Ω²⟩ of a rotation with a resolved forecast at given times."""
     times, strength = np.asarray(constants[0]), constants[1]
-    course = _Course.of(start, strength)
+    course = _Course(start, strength, is_needle)
     run = classify(course.equation, course.omegas[0], rtol=RTOL)
     if residual := _is_residual(run):
         least = course.energy(course.residual_state(run))
         least += SETTLED * course.energy(course.omegas[0])
         reached = course.follow(lambda omega: course.energy(omega) < least)
     else:
-        reached = _follow_stop(course, averages)
+        reached = _follow_stop(course)
     scaled, end = times / course.unit, course.times[-1]
     values = np.full((4, times.size), np.nan)
     early = scaled <= end
@@ -197,7 +184,8 @@ def resolved_history(
         values[:, ~early] = _of_states(start, last[None], strength)
     elif reached and not np.all(early):
         after = jnp.asarray((scaled[~early] - end) * course.unit)
-        values[:, ~early] = np.stack(averages.history(course.variables, (after, strength)))
+        late = best_history(course.variables, (after, strength), course.averages().regime)
+        values[:, ~early] = np.stack(late)
     return tuple(jnp.asarray(row) for row in values)
 
 
@@ -205,14 +193,14 @@ def _is_residual(run: Classification) -> bool:
     return bool((run.outcome == Outcome.RESIDUAL) & jnp.isfinite(run.omega_inf))
 
 
-def _follow_stop(course: _Course, averages: RunAverages) -> bool:
+def _follow_stop(course: _Course) -> bool:
     """Integrate a rotation that stops until averages hold and half of the energy is lost."""
     half = course.energy(course.omegas[0]) / 2
 
     def enough(omega: Vector) -> bool:
         if course.energy(omega) >= half:
             return False
-        return bool(averages.forecast(course.variables, course.strength).error < HANDOVER)
+        return bool(course.averages().error < HANDOVER)
 
     return course.follow(enough)
 

@@ -28,6 +28,7 @@ from .._base.checks import (
 from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
 from .._base.forward_mode import forward_differentiable
+from .._base.integration import integrated
 from .._base.linalg import dot, length, scale
 from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State
@@ -37,7 +38,7 @@ from ..equations._common import error_scale_of, is_full, omega_scale_of, physica
 from ..equations._verdicts.nonsmooth import infinity
 from ..equations.tangent import Tangent
 from .classification import UNCHECKED, Value
-from .classify import classify_with_tangents, integrated
+from .classify import classify_with_tangents
 from .conditioning import is_larger_than_its_error
 
 
@@ -285,11 +286,7 @@ def decay_time(
 
 @compiled_soon
 def _time_of_energy(
-    equation: Any,
-    start: Array,
-    target: tuple[Array, Array],
-    tolerances: Tolerances,
-    max_steps: int,
+    equation: Any, start: Array, target: tuple[Array, Array], tolerances: Tolerances, max_steps: int
 ) -> Float[Array, ""]:
     """Compute τ at which the energy has fallen far enough, target = (ω∞, share)."""
     omega_inf, share = target
@@ -309,7 +306,8 @@ def _time_of_energy(
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     t1 = jnp.where(falls, jnp.inf, 0.0)
     sizes = error_scale_of(equation)
-    run = integrated(equation, t1, y0, Controller(*tolerances, sizes), max_steps, below)
+    controller = Controller(*tolerances, sizes)
+    run = integrated(equation, (0.0, t1), y0, controller, max_steps, event=below)
     end, late = run.ys[-1], run.ts[-1]
 
     # Integrate back from the end of that step to the level, with the energy as the independent
@@ -322,6 +320,6 @@ def _time_of_energy(
 
     with_time = Partial(lambda sizes, y: jnp.append(sizes(y[:-1]), 1.0), sizes)
     controller = Controller(*tolerances, with_time)
-    back = integrated(by_energy, 1.0, jnp.append(end, 1.0), controller, max_steps)
+    back = integrated(by_energy, (0.0, 1.0), jnp.append(end, 1.0), controller, max_steps)
     found = falls & diffrax.is_successful(back.result)
     return jnp.where(found, late * back.ys[-1, -1], jnp.nan * first)  # no derivative, either

@@ -54,14 +54,8 @@ from ..equations._common import (
     physical,
     twist_axis,
 )
-from ..equations.plain_functions import PlainFunction
-from .solver_options import (
-    Options,
-    check_branch_options,
-    check_options,
-    event_of,
-    saved_at,
-)
+from ..equations._members import OfOmega
+from .solver_options import Options, check_branch_options, check_options, event_of, saved_at
 from .trajectory import BranchSolution, Trajectory
 
 BRANCH_LOST = (
@@ -137,7 +131,7 @@ def simulate(
         >>> bool(abs(rotator.omega[-1, 1] - 1 / 3) < 1e-9)  # Ω₀/√(1 + 2Ω₀²τ), equation (2.4)
         True
     """
-    motion: Any = PlainFunction(equation) if inspect.isroutine(equation) else equation
+    motion: Any = _PlainFunction(equation) if inspect.isroutine(equation) else equation
     check_single(motion)
     check_options(options)
     if options.get("balance"):
@@ -164,6 +158,21 @@ def simulate(
         if options.get("saveat") is not None:
             run = _without_unused(run)
     return _raised(run, failures) if options.get("throw", True) else run
+
+
+class _PlainFunction(OfOmega):
+    """A function as an equation dω/dτ = f(τ, ω, args) without a body and without a verdict."""
+
+    function: Callable[..., Any] = eqx.field(static=True)
+
+    def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
+        """Return the function's value."""
+        return self.function(t, y, args)
+
+    @property
+    def level(self) -> str:
+        """The name of the function."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
 
 
 def _without_unused(run: Trajectory) -> Trajectory:
@@ -282,24 +291,11 @@ def _sizes_with_turn(equation: Equation, y: State) -> State:
     return jnp.concatenate([_sizes_with_energy(equation, y[:-5]), jnp.ones_like(y[-5:])])
 
 
-def _with_integrals(y0: State, flows: int, turns: bool) -> Float[Array, "m"]:
-    """Return the initial state, with energy integrals and a turn behind it, if wanted."""
-    if not (flows or turns):
-        return y0
-    parts = [y0, jnp.zeros(flows)]
-    if turns:
-        parts.append(no_turn(y0))
-    return jnp.concatenate(parts)
-
-
 def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
     """Return the rates of n numbers of the state, and of energy integrals and turn, if wanted."""
 
     def field(t: Any, y: State, args: Any) -> State:
-        rate = equation(t, y[:n], args)
-        if not (balance or turns):
-            return rate
-        rates = [rate]
+        rates = [equation(t, y[:n], args)]
         if balance:
             rates.append(energy_flows(equation, t, y[:n]))
         if turns:
@@ -307,12 +303,6 @@ def _field(equation: Any, n: int, balance: bool, turns: bool) -> Any:
         return jnp.concatenate(rates)
 
     return field
-
-
-def _attitudes(equation: Any, ys: Float[Array, "T m"]) -> Float[Array, "T 4"]:
-    """Return the attitudes of states that end with a turn, relative to the first."""
-    axis = twist_axis(equation)
-    return jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys)
 
 
 def _up_to_event(
@@ -355,7 +345,7 @@ def _solve(
         times[0],
         times[-1],
         options.get("dt0"),
-        _with_integrals(y0, flows, turns),
+        jnp.concatenate([y0, jnp.zeros(flows), *([no_turn(y0)] if turns else [])]),
         saveat=saved_at(options, times),
         stepsize_controller=controller,
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
@@ -375,6 +365,8 @@ def _solve(
     everything = jnp.sum(y0) + jnp.sum(equation(times[0], y0, None))
     ys = ys + jnp.where(jnp.isfinite(ys), 0.0, jnp.nan) * everything
     states, (emitted, work) = ys[:, :n], (*ys[:, n : n + flows].T, None, None)[:2]
-    attitude = None if q0 is None else _from_start(q0, _attitudes(equation, ys))
+    attitude, axis = None, twist_axis(equation)
+    if q0 is not None:
+        attitude = _from_start(q0, jax.vmap(lambda y: attitude_after(y[-5:], axis))(ys))
     run = Trajectory(equation, times, states, emitted, solution, work, attitude)
     return run, solution.result

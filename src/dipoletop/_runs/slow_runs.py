@@ -62,8 +62,24 @@ class SlowMotions(NamedTuple):
     """Whether the budget counts windows."""
 
     def ends(self, which: Bool[np.ndarray, "N"]) -> ManyEnds:
-        """Return how the marked motions end."""
-        return ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
+        """Return how the marked motions end; the others are FAILED."""
+        size = which.size
+        outcome, regime = np.full(size, int(Outcome.FAILED)), np.zeros(size, int)
+        omega_inf, ratio, error = np.zeros((3, size))
+        whole = ManyEnds(outcome, np.zeros((size, 8)), omega_inf, ratio, regime, error)
+        if which.any():
+            some = ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
+            for target, values in zip(whole, some, strict=True):
+                target[which] = values
+        return whole
+
+    @property
+    def ascending(self) -> tuple[Float[np.ndarray, "3 N"], Float[np.ndarray, "3 N"]]:
+        """The moments J₁ ≤ J₂ ≤ J₃, and the sizes of the direction cosines of the dipole."""
+        moments, n, _ = _in_principal_axes(self.inertia, self.dipole, self.omega)
+        order = np.argsort(moments, axis=1)
+        moments, n = (np.take_along_axis(values, order, 1).T for values in (moments, n))
+        return moments, np.abs(n)
 
     @property
     def has_law(self) -> Bool[np.ndarray, "N"]:
@@ -72,10 +88,7 @@ class SlowMotions(NamedTuple):
         It is not known for the capture of needles at order 1, which has another limit. Nor is it
         for moments that differ by rounding only, which would count as equal.
         """
-        moments, n, _ = _in_principal_axes(self.inertia, self.dipole, self.omega)
-        order = np.argsort(moments, axis=1)
-        j1, j2, j3 = np.take_along_axis(moments, order, 1).T
-        along = np.abs(np.take_along_axis(n, order, 1)[:, 0])
+        (j1, j2, j3), (along, *_) = self.ascending
         needle = (j3 - j2 <= ROUNDING * j3) & (j2 - j1 > ROUNDING * j3) & (along <= ROUNDING)
         turned = np.any(self.inertia[:, [0, 0, 1], [1, 2, 2]] != 0, axis=1)
         rounded = [(gap > 0) & (gap <= ROUNDING * j3) for gap in (j2 - j1, j3 - j2)]
@@ -238,14 +251,14 @@ def with_predictions(
         return runs
     motions = slow_motions(*part_of(begin, lanes, unknown.size))
     law = motions.has_law
-    ends = _scattered(motions.ends(law), law) if law.any() else _unknown_ends(law.size)
+    ends = motions.ends(law)
     known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
         long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
         again = np.zeros_like(unknown)
         again[lanes] = waiting[lanes] & ~long
         if again.any():
-            runs = _where(again, run(again), runs)
+            runs = jax.tree.map(lambda a, b: np.where(again, a, b), run(again), runs)
             known &= _is_open(runs, label_only)[lanes]
     filled = _filled_in(part_of(runs, lanes, unknown.size), ends, known, motions)
     return put_back(runs, lanes, filled)
@@ -256,27 +269,6 @@ def _is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
     undecided = np.asarray(runs.outcome == Outcome.UNDECIDED)
     lacks_value = (runs.outcome == Outcome.RESIDUAL) & np.isnan(runs.omega_inf_error)
     return undecided if label_only else undecided | np.asarray(lacks_value)
-
-
-def _scattered(ends: ManyEnds, which: Bool[np.ndarray, "N"]) -> ManyEnds:
-    """Return N ends, with the given ones at the marked places; the others are FAILED."""
-    whole = _unknown_ends(which.size)
-    for target, values in zip(whole, ends, strict=True):
-        target[which] = values
-    return whole
-
-
-def _unknown_ends(size: int) -> ManyEnds:
-    """Return FAILED ends of `size` motions."""
-    blank = [np.zeros(size) for _ in range(4)]
-    omega_inf, ratio, regime, error = blank
-    outcome = np.full(size, int(Outcome.FAILED))
-    return ManyEnds(outcome, np.zeros((size, 8)), omega_inf, ratio, regime.astype(int), error)
-
-
-def _where(which: Bool[np.ndarray, "N"], new: Any, old: Any) -> Any:
-    """Return the new runs where they are marked, else the old ones."""
-    return jax.tree.map(lambda a, b: np.where(which, a, b), new, old)
 
 
 def _filled_in(
@@ -305,10 +297,7 @@ def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
 
     A top with its dipole across its symmetry axis precesses about that axis while it decays.
     """
-    moments, n, _ = _in_principal_axes(motions.inertia, motions.dipole, motions.omega)
-    order = np.argsort(moments, axis=1)
-    j1, j2, j3 = np.take_along_axis(moments, order, 1).T
-    n1, _, n3 = np.abs(np.take_along_axis(n, order, 1)).T
+    (j1, j2, j3), (n1, _, n3) = motions.ascending
     first, last = (j2 - j1) <= ROUNDING * j3, (j3 - j2) <= ROUNDING * j3
     prolate, oblate = last & ~first, first & ~last
     across = (prolate & (n1 <= ROUNDING)) | (oblate & (n3 <= ROUNDING))

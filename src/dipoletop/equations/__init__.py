@@ -8,33 +8,6 @@ any equation. `_verdicts` says when the outcome of a run is certain. The members
 listed in `_base/types.py`.
 """
 
-from .levels import Level
-from .longitudinal import LongitudinalFull, LongitudinalReduced, LongitudinalSemi
-from .rigid import Full, Reduced, SemiReduced
-from .rotator import RotatorBranch, RotatorFull, RotatorReduced
-from .transverse import TransverseFull, TransverseReduced, TransverseSemi, equation_at
-from .transverse_approximations import (
-    TransverseAveraged,
-    TransverseCylindrical,
-    TransverseLinearised,
-)
+import lazy_loader
 
-__all__ = [
-    "Full",
-    "Level",
-    "LongitudinalFull",
-    "LongitudinalReduced",
-    "LongitudinalSemi",
-    "Reduced",
-    "RotatorBranch",
-    "RotatorFull",
-    "RotatorReduced",
-    "SemiReduced",
-    "TransverseAveraged",
-    "TransverseCylindrical",
-    "TransverseFull",
-    "TransverseLinearised",
-    "TransverseReduced",
-    "TransverseSemi",
-    "equation_at",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,13 +10,12 @@ and every physical motion ends in rotation about the dipole, ω → (0, 0, ω₃
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
-from ..bodies import Body, axisymmetric
-from ._common import one_order_up, reduced_order, shape_parameter
+from ._common import one_order_up
+from ._members import LongitudinalTop, OfFull, OfOmega, OfOrder
 from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]
@@ -49,7 +48,7 @@ def _settled(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict
     )
 
 
-class LongitudinalReduced(eqx.Module):
+class LongitudinalReduced(OfOrder, LongitudinalTop):
     """Reduced equations (3.9)–(3.10): ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥, φ′ = −δω₃, ω₃ constant.
 
     Order 1 is the paper's, in Cartesian components; `exact.longitudinal` is its solution. Order m
@@ -69,9 +68,6 @@ class LongitudinalReduced(eqx.Module):
         True
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-    order: int = eqx.field(static=True, default=1, converter=reduced_order)
-
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
@@ -82,14 +78,6 @@ class LongitudinalReduced(eqx.Module):
         drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
-
     def verdict(self, y: Vector) -> Verdict:
         """Return RESIDUAL: certified at order 1; at orders 2–4 uncertified, where |ω|² ≤ 0.1."""
         square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
@@ -97,18 +85,8 @@ class LongitudinalReduced(eqx.Module):
         verdict = _settled(y, certain, self.order == 1)
         return verdict._replace(equation=LongitudinalReduced)
 
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta, "longitudinal")
 
-    @property
-    def level(self) -> str:
-        """The label of the level."""
-        return Level.of_order(self.order).label
-
-
-class LongitudinalSemi(eqx.Module):
+class LongitudinalSemi(OfOmega, LongitudinalTop):
     """Semi-reduced equation: (1 − 2iω₃)w′ = −(ω² + δ²ω₃² + iδω₃)w of w = ω₁ + iω₂.
 
     Only ω″ is replaced, by its value in free precession. There are no runaways.
@@ -119,8 +97,6 @@ class LongitudinalSemi(eqx.Module):
     Raises:
         ValueError: δ outside [−1, 1).
     """
-
-    delta: Real = eqx.field(converter=shape_parameter)
 
     level = Level.SEMI.label
 
@@ -135,26 +111,13 @@ class LongitudinalSemi(eqx.Module):
         p1, p2 = (r1 - coupling * r2) / determinant, (r2 + coupling * r1) / determinant
         return jnp.stack([p1, p2, jnp.zeros_like(w3)])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
-
     def verdict(self, y: Vector) -> Verdict:
         """Return RESIDUAL, certified, since ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²)."""
         verdict = _settled(y, jnp.isfinite(y[0] + y[1] + y[2]), True)
         return verdict._replace(equation=LongitudinalSemi)
 
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta, "longitudinal")
 
-
-class LongitudinalFull(eqx.Module):
+class LongitudinalFull(OfFull, LongitudinalTop):
     """Full equations (3.6)–(3.8): the balance of torques, state (ω₁, ω₂, ω₃, ω₁′, ω₂′).
 
     From a start ω₀ of shape (3,), `simulate` and `classify` follow the physical branch. Distances
@@ -167,8 +130,6 @@ class LongitudinalFull(eqx.Module):
         ValueError: δ outside [−1, 1).
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-
     level = Level.FULL.label
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
@@ -176,14 +137,6 @@ class LongitudinalFull(eqx.Module):
         rate = jnp.stack([y[3], y[4], jnp.zeros_like(y[2])])
         balance = _balance(self.delta, y[:3], rate, jnp.zeros_like(rate))  # ω′ − ω″
         return jnp.concatenate([rate, (rate - balance)[:2]])
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3."""
-        return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
-
-    def omega(self, y: FullState) -> Vector:
-        """Return the first three components."""
-        return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
         """Return RESIDUAL, uncertified, for a state on the physical branch.
@@ -211,8 +164,3 @@ class LongitudinalFull(eqx.Module):
     def runaway_rate(self) -> Real:
         """The rate at which distances from the physical branch grow near rest."""
         return jnp.ones_like(self.delta)
-
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta, "longitudinal")

@@ -7,7 +7,6 @@ here, N − M where a torque M acts from outside (`torque_driven`).
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -16,7 +15,8 @@ from .._base.linalg import dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from ._common import one_order_up, reduced_order, rigid_body
+from ._common import one_order_up
+from ._members import OfBody, OfFull, OfOmega, OfOrder
 from ._verdicts import any_body
 from .levels import Level
 
@@ -88,7 +88,7 @@ def runaway_rate(body: Body) -> Real:
     return minors / ((total / 2 + root) * square)
 
 
-class Reduced(eqx.Module):
+class Reduced(OfOrder, OfBody):
     """Reduced equation of order m: IΩ̇ = −N + T(Ω, F, DF·F), F the rates of order m − 1.
 
     Order 0 is free rotation, order 1 the paper's equation (3.4). The sequence is the asymptotic
@@ -104,9 +104,6 @@ class Reduced(eqx.Module):
         ValueError: something other than a `Body`, or an order that is not 1, 2, 3 or 4.
     """
 
-    body: Body = eqx.field(converter=rigid_body)
-    order: int = eqx.field(static=True, default=1, converter=reduced_order)
-
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dΩ/dτ, shape (3,) or (3, B)."""
         body = self.body
@@ -115,14 +112,6 @@ class Reduced(eqx.Module):
         else:
             rates = one_order_up(Reduced(body, self.order - 1), t, y)
         return reduced_rate(body, y, rates, gyroscopic_torque(body, y))
-
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
 
     def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
         """Return RESIDUAL by a Lyapunov function, STOP by balance or slow flow; uncertified."""
@@ -133,13 +122,8 @@ class Reduced(eqx.Module):
         """Return the numbers that verdicts need and that depend on the body alone."""
         return any_body.seen(self.body)
 
-    @property
-    def level(self) -> str:
-        """The label of the level."""
-        return Level.of_order(self.order).label
 
-
-class SemiReduced(eqx.Module):
+class SemiReduced(OfOmega, OfBody):
     """Semi-reduced equation: {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = −N + d×(d×(Ω²Ω − Ω̈)), Ω̈ of (3.4).
 
     Only Ω̈ is replaced, by Ω̈ of free rotation; Ω̇ is kept, which requires a 3×3 solve. There
@@ -152,22 +136,12 @@ class SemiReduced(eqx.Module):
         ValueError: something other than a `Body`.
     """
 
-    body: Body = eqx.field(converter=rigid_body)
-
     level = Level.SEMI.label
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dΩ/dτ, shape (3,) or (3, B)."""
         _, second = free_rotation(self.body, y)
         return semi_reduced_rate(self.body, y, second, gyroscopic_torque(self.body, y))
-
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
 
     def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:
         """Return RESIDUAL by a Lyapunov function, STOP by balance or slow flow; uncertified."""
@@ -179,7 +153,7 @@ class SemiReduced(eqx.Module):
         return any_body.seen(self.body)
 
 
-class Full(eqx.Module):
+class Full(OfFull, OfBody):
     """Full equation (3.3), IΩ̇ + N = T(Ω, Ω̇, Ω̈), state (Ω, a) with a = PΩ̇, P = 1 − nnᵀ.
 
         Ω̇ = a + s n,   s = −[n·N + n·(I a)]/(n·I n)   (no torque along the dipole d = |d| n)
@@ -194,8 +168,6 @@ class Full(eqx.Module):
     Raises:
         ValueError: something other than a `Body`.
     """
-
-    body: Body = eqx.field(converter=rigid_body)
 
     level = Level.FULL.label
 
@@ -233,12 +205,3 @@ class Full(eqx.Module):
         rates are the eigenvalues across n of P(I − InnᵀI/(n·In))P/|d|².
         """
         return runaway_rate(self.body)
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3."""
-        rate = Reduced(self.body, 3)(0.0, omega0)
-        return jnp.concatenate([omega0, self.fast(rate)])
-
-    def omega(self, y: FullState) -> Vector:
-        """Return the first three components."""
-        return y[:3]

@@ -26,12 +26,6 @@ def _speed(omega0: Vector) -> Real:
     return where_valid("omega0", omega0[2], flat, "lie along axis 3 (a plane rotator)")
 
 
-def _about_axis_3(y: Float[Array, "n *lanes"]) -> Vector:
-    """Return (0, 0, ω) of a state whose first component is ω."""
-    zero = jnp.zeros_like(y[0])
-    return jnp.stack([zero, zero, y[0]])
-
-
 def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
     """Return STOP: on the physical branch ω always decays, like (2τ)^{−1/2}."""
     zero = jnp.zeros_like(y[0])
@@ -39,7 +33,21 @@ def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
     return Verdict(outcome.astype("int32"), zero, zero == 0, int(Stop.AXIS))
 
 
-class RotatorReduced(eqx.Module):
+class _Rotator(eqx.Module):
+    """An equation of the plane rotator, whose state begins with ω."""
+
+    def omega(self, y: Float[Array, "n *lanes"]) -> Vector:
+        """Return (0, 0, ω)."""
+        zero = jnp.zeros_like(y[0])
+        return jnp.stack([zero, zero, y[0]])
+
+    @property
+    def body(self) -> Body:
+        """A body of moment 1 about axis 3, for energies and powers."""
+        return axisymmetric(0.0)
+
+
+class RotatorReduced(_Rotator):
     """Reduced equation (2.3): ω′ = −ω³, state (ω,). Its solution is (2.4), `exact.rotator`.
 
     Example:
@@ -58,21 +66,12 @@ class RotatorReduced(eqx.Module):
         """Return component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: BranchState) -> Vector:
-        """Return (0, 0, ω)."""
-        return _about_axis_3(y)
-
     def verdict(self, y: BranchState) -> Verdict:
         """Return STOP, certified."""
         return _always_stops(y)._replace(equation=RotatorReduced)
 
-    @property
-    def body(self) -> Body:
-        """A body of moment 1 about axis 3, for energies and powers."""
-        return axisymmetric(0.0)
 
-
-class RotatorBranch(eqx.Module):
+class RotatorBranch(_Rotator):
     """The physical motions of the full equation: ω′ = f(ω), state (ω,), f the critical manifold."""
 
     level = Level.FULL.label
@@ -85,18 +84,9 @@ class RotatorBranch(eqx.Module):
         """Return component 3 of ω₀; the others must be 0."""
         return _speed(omega0)[None]
 
-    def omega(self, y: BranchState) -> Vector:
-        """Return (0, 0, ω)."""
-        return _about_axis_3(y)
-
     def verdict(self, y: BranchState) -> Verdict:
         """Return STOP, certified."""
         return _always_stops(y)._replace(equation=RotatorBranch)
-
-    @property
-    def body(self) -> Body:
-        """A body of moment 1 about axis 3, for energies and powers."""
-        return axisymmetric(0.0)
 
 
 class Domain(NamedTuple):
@@ -112,7 +102,7 @@ class Domain(NamedTuple):
     """Sign of ω at the runaway in the future; 0 on AOC, whose motions stop."""
 
 
-class RotatorFull(eqx.Module):
+class RotatorFull(_Rotator):
     """Full equation (2.2), dimensionless (A.1): ω″ = ω′ + ω³, state (ω, ϖ = ω′).
 
     From a start ω₀ of shape (3,), `simulate` and `classify` follow the physical branch
@@ -135,10 +125,6 @@ class RotatorFull(eqx.Module):
         """Return the state (ω, f(ω)) on the physical branch."""
         speed = _speed(omega0)
         return jnp.stack([speed, critical_manifold(speed)])
-
-    def omega(self, y: FullState) -> Vector:
-        """Return (0, 0, ω)."""
-        return _about_axis_3(y)
 
     def verdict(self, y: FullState) -> Verdict:
         """Return STOP, certified for a state on the physical branch."""
@@ -163,8 +149,3 @@ class RotatorFull(eqx.Module):
     def runaway_rate(self) -> float:
         """The rate at which distances from the physical branch grow near rest."""
         return 1.0
-
-    @property
-    def body(self) -> Body:
-        """A body of moment 1 about axis 3, for energies and powers."""
-        return axisymmetric(0.0)

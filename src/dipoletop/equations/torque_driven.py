@@ -14,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._base.attitudes import Quaternion, normalised, quaternion_rate
@@ -24,6 +25,7 @@ from ..bodies import Body
 from ..radiation import gyroscopic_torque
 from ._common import omega_scale_of
 from ._families import LONGITUDINAL, RIGID, TRANSVERSE
+from ._members import OmegaFirst
 from .levels import WITH_TORQUE, Level
 from .rigid import (
     across_dipole,
@@ -40,41 +42,26 @@ Slow = Float[Array, "m *lanes"]
 """ω, or (ω, q) where the attitude is followed."""
 
 
-class OfFunction(eqx.Module):
-    """A torque by a plain function, which holds no parameters that vary."""
+class Loaded(eqx.Module):
+    """A body with torques, and the rates of its slow state (ω, or (ω, q)) at each level."""
 
-    function: Torque = eqx.field(static=True)
-
-    def __call__(self, t: Any, *state: Array) -> Vector:
-        """Return the function's value."""
-        return self.function(t, *state)
-
-
-class Torques(eqx.Module):
-    """Several torques at once."""
-
+    body: Body
     parts: tuple[Any, ...]
+    """The torques."""
     follow: tuple[bool, ...] = eqx.field(static=True)
     """Whether each depends on the attitude."""
 
-    def __call__(self, t: Any, slow: Slow) -> Vector:
-        """Return the sum of the torques."""
+    def torque(self, t: Any, slow: Slow) -> Vector:
+        """Return M, the sum of the torques."""
         total = jnp.zeros_like(slow[:3])
         for part, follows in zip(self.parts, self.follow, strict=True):
             attitude = (normalised(slow[3:]),) if follows else ()
             total = total + _in_lanes(part, t, slow[:3], *attitude)
         return total
 
-
-class Loaded(eqx.Module):
-    """A body with torques, and the rates of its slow state (ω, or (ω, q)) at each level."""
-
-    body: Body
-    torques: Torques
-
     def load(self, t: Any, slow: Slow) -> Vector:
         """Return N − M."""
-        return gyroscopic_torque(self.body, slow[:3]) - self.torques(t, slow)
+        return gyroscopic_torque(self.body, slow[:3]) - self.torque(t, slow)
 
     def with_attitude(self, rate: Vector, slow: Slow) -> Slow:
         """Return Ω̇, followed by q̇ if q belongs to the slow state."""
@@ -103,7 +90,7 @@ class Loaded(eqx.Module):
         return self.with_attitude(rate, slow)
 
 
-class DrivenEquation(eqx.Module):
+class DrivenEquation(OmegaFirst):
     """The members that equations with torques from outside share.
 
     With an attitude the state begins with (ω, q), q̇ = ½ q∘(0, ω), and the torques may depend on q.
@@ -124,17 +111,13 @@ class DrivenEquation(eqx.Module):
     def lift(self, omega0: Vector) -> State:
         """Return the state at the start."""
 
-    def omega(self, y: State) -> Vector:
-        """Return the first three components."""
-        return y[:3]
-
     def attitude(self, y: State) -> Quaternion | None:
         """Return the unit quaternion of a state; None if the attitude is not followed."""
         return None if self.start is None else normalised(y[3:7])
 
     def torque(self, t: Any, y: State) -> Vector:
         """Return M at a state."""
-        return self.loaded.torques(t, y[: 3 if self.start is None else 7])
+        return self.loaded.torque(t, y[: 3 if self.start is None else 7])
 
     @property
     def body(self) -> Body:
@@ -225,13 +208,13 @@ def driven(
         refuse("verdict", "be a function of the state, or None", f"is {verdict!r}")
     if inspect.isroutine(torque):
         _check_constants(torque)
-        torque = OfFunction(torque)
+        torque = Partial(torque)  # which holds no parameters that vary
     follows = start is not None or getattr(equation, "start", None) is not None
     parts, follow = (torque,), (follows,)
     if isinstance(equation, DrivenEquation):  # the torque is added to its torques
         if start is not None and equation.start is not None:
             refuse("attitude", "be None, as `equation` has one", "is another one")
-        before, body, kind = equation.loaded.torques, equation.body, equation.kind
+        before, body, kind = equation.loaded, equation.body, equation.kind
         parts, follow = (*before.parts, *parts), (*before.follow, *follow)
         start = equation.start if start is None else start
     elif type(equation) in RIGID + TRANSVERSE + LONGITUDINAL:  # a subclass may have other rates
@@ -239,7 +222,7 @@ def driven(
     else:
         must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
         refuse("equation", must, f"is {type(equation).__name__}")
-    shared = Loaded(body, Torques(parts, follow)), kind, verdict, start
+    shared = Loaded(body, parts, follow), kind, verdict, start
     if kind is Level.FULL:
         return DrivenFull(*shared)
     return Driven(*shared, omega_scale_of(equation))

@@ -12,19 +12,12 @@ and the levels differ in the ω′ and ω″ that they insert on the right.
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.types import Real, Vector, Verdict
-from ..bodies import Body, axisymmetric
-from ._common import (
-    one_order_up,
-    reciprocal,
-    reduced_order,
-    shape_parameter,
-    transverse_omega_scale,
-)
+from ._common import one_order_up, reciprocal
+from ._members import OfFull, OfOmega, OfOrder, TransverseTop
 from ._verdicts import transverse as regions
 from .levels import Level
 
@@ -60,7 +53,7 @@ def _reduced(delta: Real, w: Vector, order: int) -> Vector:
     return jnp.stack([precession * w2, -precession * w1 - drag * w2, -axial * w3])
 
 
-class TransverseReduced(eqx.Module):
+class TransverseReduced(OfOrder, TransverseTop):
     """Reduced equation (4.2)–(4.4): ω₁′ = δω₂ω₃, ω₂′ = −δω₁ω₃ − {ω² + δ(1+δ)ω₃²}ω₂, ….
 
     Order 1 is the paper's. Order m inserts the rates of order m − 1 into the balance of torques.
@@ -82,40 +75,17 @@ class TransverseReduced(eqx.Module):
         True
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-    order: int = eqx.field(static=True, default=1, converter=reduced_order)
-
-    omega_scale = staticmethod(transverse_omega_scale)
-
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dω/dτ, shape (3,) or (3, B)."""
         return _reduced(self.delta, y, self.order)
-
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
 
     def verdict(self, y: Vector) -> Verdict:
         """Return the verdict: certified at order 1; by semi-reduced regions at orders 2–4."""
         verdict = regions.of_level(self.delta, y, Level.of_order(self.order))
         return verdict._replace(equation=TransverseReduced)
 
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)
 
-    @property
-    def level(self) -> str:
-        """The label of the level."""
-        return Level.of_order(self.order).label
-
-
-class TransverseSemi(eqx.Module):
+class TransverseSemi(OfOmega, TransverseTop):
     """Semi-reduced equation: only ω″ is replaced, by its value in free precession.
 
         [[1, 2ω₁], [−2ω₁, 1−δ]] (ω₂′, ω₃′)ᵀ
@@ -130,10 +100,7 @@ class TransverseSemi(eqx.Module):
         ValueError: δ outside [−1, 1).
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-
     level = Level.SEMI.label
-    omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dω/dτ, shape (3,) or (3, B)."""
@@ -147,25 +114,12 @@ class TransverseSemi(eqx.Module):
         p3 = (r3 + 2 * w1 * r2) * inverse
         return jnp.stack([d * w2 * w3, p2, p3])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """Return ω₀, since the state is ω itself."""
-        return omega0
-
-    def omega(self, y: Vector) -> Vector:
-        """Return the state, which is ω itself."""
-        return y
-
     def verdict(self, y: Vector) -> Verdict:
         """Return residual rotation, a rotating or a wobbling stop, by semi-reduced regions."""
         return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
 
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)
 
-
-class TransverseFull(eqx.Module):
+class TransverseFull(OfFull, TransverseTop):
     """Full equation: the balance of torques itself, state (ω₁, ω₂, ω₃, ω₂′, ω₃′).
 
     Physical motions lie on a slow manifold that repels forwards in time, at the rates 1 and 1 − δ
@@ -178,10 +132,7 @@ class TransverseFull(eqx.Module):
         ValueError: δ outside [−1, 1).
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-
     level = Level.FULL.label
-    omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """Return dy/dτ, shape (5,) or (5, B)."""
@@ -190,15 +141,6 @@ class TransverseFull(eqx.Module):
         rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
         balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
         return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
-
-    def lift(self, omega0: Vector) -> FullState:
-        """Return the state near the physical branch, by the reduction of order 3: error O(ω⁹)."""
-        rate = TransverseReduced(self.delta, 3)(0.0, omega0)
-        return jnp.concatenate([omega0, rate[1:]])
-
-    def omega(self, y: FullState) -> Vector:
-        """Return the first three components."""
-        return y[:3]
 
     def verdict(self, y: FullState) -> Verdict:
         """Return the verdict on a state of the physical branch, uncertified."""
@@ -221,11 +163,6 @@ class TransverseFull(eqx.Module):
     def runaway_rate(self) -> Real:
         """The slower of the rates 1 and 1 − δ at which distances from the branch grow near rest."""
         return jnp.minimum(1.0, 1 - self.delta)
-
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)
 
 
 def equation_at(

@@ -13,14 +13,12 @@ import jax.numpy as jnp
 
 from .._base.checks import finite
 from .._base.types import Real, Vector, Verdict
-from ..bodies import Body, axisymmetric
-from ._common import shape_parameter, transverse_omega_scale
+from ._members import Cylindrical, TransverseTop
 from ._verdicts import transverse as regions
-from .coordinates import from_cylindrical, to_cylindrical
 from .levels import Level
 
 
-class TransverseCylindrical(eqx.Module):
+class TransverseCylindrical(Cylindrical, TransverseTop):
     """Order 1 in cylindrical variables (4.9)–(4.11), state (ω⊥, ω₃, φ).
 
         ω⊥′ = −(ω⊥² + Mω₃²) ω⊥ sin²φ
@@ -34,10 +32,7 @@ class TransverseCylindrical(eqx.Module):
         ValueError: δ outside [−1, 1).
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
-
     level = Level.ORDER_1.label
-    omega_scale = staticmethod(transverse_omega_scale)
 
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return d(ω⊥, ω₃, φ)/dτ, shape (3,) or (3, B)."""
@@ -48,26 +43,13 @@ class TransverseCylindrical(eqx.Module):
         axial = w**2 + w3**2 + d * (2 * cos**2 - sin**2) * w**2
         return jnp.stack([-drag * w * sin**2, -axial * w3 / (1 - d), -d * w3 - drag * sin * cos])
 
-    def lift(self, omega0: Vector) -> Vector:
-        """Compute (ω⊥, ω₃, φ) of ω₀."""
-        return to_cylindrical(omega0)
-
-    def omega(self, y: Vector) -> Vector:
-        """Compute ω of a state (ω⊥, ω₃, φ)."""
-        return from_cylindrical(y[0], y[1], y[2])
-
     def verdict(self, y: Vector) -> Verdict:
         """Return the verdict of order 1 in Cartesian components."""
         verdict = regions.first_order(self.delta, self.omega(y))
         return verdict._replace(equation=TransverseCylindrical)
 
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)
 
-
-class TransverseAveraged(eqx.Module):
+class TransverseAveraged(Cylindrical, TransverseTop):
     """Order 1 averaged over the precession angle (4.13)–(4.15), state (ω⊥, ω₃, φ̄).
 
         ω⊥′ = −½(ω⊥² + Mω₃²) ω⊥,   ω₃′ = −{(1 + δ/2)ω⊥² + ω₃²} ω₃/(1−δ),   φ̄′ = −δω₃
@@ -80,8 +62,6 @@ class TransverseAveraged(eqx.Module):
     Raises:
         ValueError: δ outside [−1, 1).
     """
-
-    delta: Real = eqx.field(converter=shape_parameter)
 
     level = f"{Level.ORDER_1.label}, averaged"
 
@@ -97,21 +77,8 @@ class TransverseAveraged(eqx.Module):
             ]
         )
 
-    def lift(self, omega0: Vector) -> Vector:
-        """Compute (ω⊥, ω₃, φ) of ω₀."""
-        return to_cylindrical(omega0)
 
-    def omega(self, y: Vector) -> Vector:
-        """Compute ω of a state (ω⊥, ω₃, φ)."""
-        return from_cylindrical(y[0], y[1], y[2])
-
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)
-
-
-class TransverseLinearised(eqx.Module):
+class TransverseLinearised(Cylindrical, TransverseTop):
     """Order 1 near the residual rotation (w, 0, 0), (4.22)–(4.24), state (ω⊥, ω₃, φ).
 
         ω⊥′ = 0,   ω₃′ = −(1+2δ)/(1−δ) w² ω₃,   φ′ = −δω₃ − w²φ
@@ -126,7 +93,6 @@ class TransverseLinearised(eqx.Module):
         ValueError: δ outside [−1, 1), or w not finite.
     """
 
-    delta: Real = eqx.field(converter=shape_parameter)
     w: Real = eqx.field(converter=functools.partial(finite, "w"))
 
     level = f"{Level.ORDER_1.label}, linearised"
@@ -137,16 +103,3 @@ class TransverseLinearised(eqx.Module):
         _, w3, phi = y
         axial = (1 + 2 * d) / (1 - d) * square * w3
         return jnp.stack([jnp.zeros_like(w3), -axial, -d * w3 - square * phi])
-
-    def lift(self, omega0: Vector) -> Vector:
-        """Compute (ω⊥, ω₃, φ) of ω₀."""
-        return to_cylindrical(omega0)
-
-    def omega(self, y: Vector) -> Vector:
-        """Compute ω of a state (ω⊥, ω₃, φ)."""
-        return from_cylindrical(y[0], y[1], y[2])
-
-    @property
-    def body(self) -> Body:
-        """The top, for energies and powers."""
-        return axisymmetric(self.delta)

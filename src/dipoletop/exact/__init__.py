@@ -1,25 +1,5 @@
 """Exact solutions of the reduced equations, and their late-time laws."""
 
-from .closed_forms import (
-    averaged,
-    averaged_late,
-    averaged_time,
-    longitudinal,
-    longitudinal_exponents,
-    rotator,
-    rotator_closed_time,
-    rotator_late,
-    transverse,
-)
+import lazy_loader
 
-__all__ = [
-    "averaged",
-    "averaged_late",
-    "averaged_time",
-    "longitudinal",
-    "longitudinal_exponents",
-    "rotator",
-    "rotator_closed_time",
-    "rotator_late",
-    "transverse",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import bisect
 from .._base.guards import safe_divisor
+from .._base.linalg import running_sums
 
 PANELS = 400
 POINTS, WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(16))
@@ -156,12 +157,7 @@ def mesh(orbit: AveragedOrbit, last: Scalar) -> tuple[Scalars, Scalars, Scalars]
     """Return x from 0 to `last`, denser near 0, and τ and ∫√v dτ from 0 to each x."""
     xs = jnp.expm1(jnp.linspace(0.0, 1.0, PANELS + 1) * jnp.log1p(last))
     times, angles = jax.vmap(lambda x, y: integrals(orbit, x, y))(xs[:-1], xs[1:])
-    return xs, _running_sums(times), _running_sums(angles)
-
-
-def _running_sums(parts: Float[Array, "n"]) -> Float[Array, "n+1"]:
-    """Return the sum of the parts before each point of the mesh."""
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(parts)])
+    return xs, running_sums(times), running_sums(angles)
 
 
 def solve(orbit: AveragedOrbit, times: Scalars) -> tuple[Point, Scalars]:

@@ -37,7 +37,6 @@ from ..levels import Level
 from . import residual_line as line
 from . import transverse
 from .dipole_frame import (
-    BodyFrame,
     DipoleFrame,
     body_frame,
     spins_across,
@@ -86,7 +85,7 @@ class Attraction(NamedTuple):
 class SeenBody(NamedTuple):
     """All that a verdict needs of a body, the same for all its states."""
 
-    frame: BodyFrame
+    frame: DipoleFrame
     weakness: Real
     """|d|²√tr(I⁻²); times |Ω| an amplitude not below |d|²|Ω|/J for any moment J."""
     flow: Array
@@ -127,11 +126,7 @@ def verdict(body: SeenBody, y: Vector, level: Level) -> Verdict:
 
 
 def _of_general_body(
-    frame: DipoleFrame,
-    level: Level,
-    excess: Real,
-    flags: tuple[Flag, Flag],
-    attraction: Attraction,
+    frame: DipoleFrame, level: Level, excess: Real, flags: tuple[Flag, Flag], attraction: Attraction
 ) -> Verdict:
     """Return the verdict except for an axisymmetric body with its dipole across the axis.
 

@@ -11,7 +11,7 @@ Two symmetries change the fate of a state:
   free precession vanishes on the residual line.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,8 +26,8 @@ ULPS = 4096  # roundings up to which moments or directions count as equal
 STILL = 8  # roundings of |Ω| up to which a component of Ω counts as 0
 
 
-class BodyFrame(NamedTuple):
-    """A body seen from its dipole."""
+class DipoleFrame(NamedTuple):
+    """A body, and perhaps a state of it, seen from its dipole."""
 
     strength: Real
     """|d|²."""
@@ -45,34 +45,19 @@ class BodyFrame(NamedTuple):
     """a·Ib. It is 0, but has derivatives where J_a = J_b, since a and b are then arbitrary."""
     principal: Flag
     """Whether n is a principal axis, to rounding."""
+    speed: Any = None
+    """|Ω| of the state."""
+    w: Any = None
+    """n·Ω."""
+    xa: Any = None
+    """a·Ω."""
+    xb: Any = None
+    """b·Ω."""
 
     def of(self, omega: Vector) -> "DipoleFrame":
-        """Return the state of an angular velocity."""
-        parts = dot(self.n, omega), dot(self.a, omega), dot(self.b, omega)
-        moments = self.jd, self.ja, self.jb, self.jab
-        return DipoleFrame(
-            self.strength, safe_sqrt(dot(omega, omega)), *parts, *moments, self.principal
-        )
-
-
-class DipoleFrame(NamedTuple):
-    """A state seen from the dipole; moments as in `BodyFrame`."""
-
-    strength: Real
-    """|d|²."""
-    speed: Real
-    """|Ω|."""
-    w: Real
-    """n·Ω."""
-    xa: Real
-    """a·Ω."""
-    xb: Real
-    """b·Ω."""
-    jd: Real
-    ja: Real
-    jb: Real
-    jab: Real
-    principal: Flag
+        """Return the frame with the state of an angular velocity."""
+        w, xa, xb = dot(self.n, omega), dot(self.a, omega), dot(self.b, omega)
+        return self._replace(speed=safe_sqrt(dot(omega, omega)), w=w, xa=xa, xb=xb)
 
 
 def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
@@ -80,7 +65,7 @@ def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
     return body_frame(body).of(omega)
 
 
-def body_frame(body: Body) -> BodyFrame:
+def body_frame(body: Body) -> DipoleFrame:
     """Return the frame (n, a, b), right-handed, by one Jacobi rotation about n."""
     inertia, d = body.inertia, body.dipole
     strength = dot(d, d)
@@ -103,7 +88,7 @@ def body_frame(body: Body) -> BodyFrame:
     jd, gain = dot(n, lever), mixed * jnp.tan(angle)
     off = lever - scale(jd, n)
     negligible = rounding(jd) * trace(inertia)
-    return BodyFrame(
+    return DipoleFrame(
         strength,
         n,
         a,

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from ..._base.guards import safe_divisor
 from ..._base.types import Flag, Real
-from .dipole_frame import BodyFrame, DipoleFrame
+from .dipole_frame import DipoleFrame
 
 Nodes = Float[Array, "#nodes *#lanes"]
 
@@ -35,13 +35,13 @@ AVERAGING_ERROR = 4.0  # error of h over (p₂ − p₃)|d|²|Ω|/J; over the sa
 AGM_STEPS = 6
 
 
-def flow_at_nodes(body: BodyFrame) -> Nodes:
+def flow_at_nodes(body: DipoleFrame) -> Nodes:
     """Return the rate f at the nodes between p₃ and p₂ of `behind_barrier`, dipole on J₁."""
     p2, p3, _ = _reciprocal_moments(body)
     return slow_flow(p2[None], p3[None], _nodes(p2))
 
 
-def _reciprocal_moments(body: BodyFrame | DipoleFrame) -> tuple[Real, Real, Flag]:
+def _reciprocal_moments(body: DipoleFrame) -> tuple[Real, Real, Flag]:
     """Return p₂ and p₃ in units of p₁, and whether they are distinct; if not, any other values."""
     a, b = body.ja / body.jd, body.jb / body.jd
     p2, p3 = 1 / jnp.minimum(a, b), 1 / jnp.maximum(a, b)

@@ -1,0 +1,17 @@
+from .levels import Level as Level
+from .longitudinal import LongitudinalFull as LongitudinalFull
+from .longitudinal import LongitudinalReduced as LongitudinalReduced
+from .longitudinal import LongitudinalSemi as LongitudinalSemi
+from .rigid import Full as Full
+from .rigid import Reduced as Reduced
+from .rigid import SemiReduced as SemiReduced
+from .rotator import RotatorBranch as RotatorBranch
+from .rotator import RotatorFull as RotatorFull
+from .rotator import RotatorReduced as RotatorReduced
+from .transverse import TransverseFull as TransverseFull
+from .transverse import TransverseReduced as TransverseReduced
+from .transverse import TransverseSemi as TransverseSemi
+from .transverse import equation_at as equation_at
+from .transverse_approximations import TransverseAveraged as TransverseAveraged
+from .transverse_approximations import TransverseCylindrical as TransverseCylindrical
+from .transverse_approximations import TransverseLinearised as TransverseLinearised

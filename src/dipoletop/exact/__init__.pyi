@@ -1,0 +1,9 @@
+from .closed_forms import averaged as averaged
+from .closed_forms import averaged_late as averaged_late
+from .closed_forms import averaged_time as averaged_time
+from .closed_forms import longitudinal as longitudinal
+from .closed_forms import longitudinal_exponents as longitudinal_exponents
+from .closed_forms import rotator as rotator
+from .closed_forms import rotator_closed_time as rotator_closed_time
+from .closed_forms import rotator_late as rotator_late
+from .closed_forms import transverse as transverse
