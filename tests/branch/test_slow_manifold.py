@@ -96,20 +96,21 @@ def at_rest(body):
 def test_a_requested_accuracy(wanted):
     """The estimate covers the error, and what misses the request is not given."""
     rng = np.random.default_rng(2)
-    sizes = np.geomspace(0.05, 4.0, 24)[:, None]
-    ways = rng.normal(size=(24, 3))
+    sizes = np.geomspace(0.05, 4.0, 12)[:, None]
+    ways = rng.normal(size=(12, 3))
     starts = jnp.asarray(sizes * ways / np.linalg.norm(ways, axis=1, keepdims=True))
 
     def at(rtol):
         return [dt.slow_manifold(TOP, start, rtol=rtol, with_error=True) for start in starts]
 
-    for (rate, error), (best, rest) in zip(at(wanted), at(wanted / 100), strict=True):
+    rates = at(wanted)
+    for (rate, error), (best, rest) in zip(rates, at(wanted / 100), strict=True):
         size = jnp.max(jnp.abs(rate))
         if jnp.isfinite(size):
             assert error <= wanted * size
         if jnp.isfinite(size + best[0]):
             assert jnp.max(jnp.abs(rate - best)) <= error + rest
-    found = [bool(jnp.isfinite(rate[0])) for rate, _ in at(wanted)]
+    found = [bool(jnp.isfinite(rate[0])) for rate, _ in rates]
     assert np.mean(found) > 0.6
 
 
@@ -152,12 +153,3 @@ def test_small_amplitudes_have_the_series():
 @jax.jit
 def series(omega):
     return [dt.TransverseReduced(-0.2, m)(0.0, omega) for m in (1, 2, 3, 4)]
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`equation` must be a full equation, but is Transverse"):
-        dt.slow_manifold(dt.TransverseSemi(-0.2), jnp.ones(3))
-    with pytest.raises(ValueError, match=r"`rtol` must lie between .* is 2"):
-        dt.slow_manifold(TOP, jnp.ones(3), rtol=2.0)
-    with pytest.raises(ValueError, match=r"`omega` must be finite"):
-        dt.slow_manifold(TOP, jnp.array([0.1, jnp.nan, 0.0]))

@@ -126,7 +126,8 @@ def test_full_equation_keeps_the_balance_of_angular_momentum():
     assert changed > 0.1
     fast = np.cross(GENERIC.dipole, [0.01, -0.02, 0.01])  # across the dipole
     state = np.concatenate([[2.0, 1.0, -1.5], fast])
-    off, changed = momentum_defect(dt.Full(GENERIC), state, 0.5, rtol=1e-12)
+    few_stages = {"rtol": 1e-12, "solver": diffrax.Tsit5()}
+    off, changed = momentum_defect(dt.Full(GENERIC), state, 0.5, **few_stages)
     assert off < 1e-10
     assert changed > 0.01
 
@@ -231,41 +232,29 @@ def test_batch_of_starts_and_of_first_attitudes():
 
 
 @pytest.mark.slow
-def test_what_was_not_reached_is_not_a_number():
-    start, ts = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e-3, 1e3])
-    for level in (dt.TransverseReduced, dt.TransverseFull):
-        settings = {"max_steps": 5, "attitude": TILTED}
-        run = dt.simulate(level(-0.2), start, ts, throw=False, **settings)
-        assert jnp.all(jnp.isfinite(run.attitude[:2]))
-        assert jnp.all(jnp.isnan(run.attitude[2]))
-        with pytest.raises(RuntimeError, match=r"`max_steps` .*did not suffice\.$"):
-            dt.simulate(level(-0.2), start, ts, **settings)
+@pytest.mark.parametrize(
+    ("level", "sentence"),
+    [
+        (dt.TransverseReduced, r"^The run ended before the last of `ts`: `max_steps` = 5 steps "),
+        (dt.TransverseFull, "^The physical branch of the full equation could not be followed "),
+    ],
+)
+def test_what_was_not_reached_is_not_a_number(level, sentence):
+    start, ts = jnp.array([0.2, 0.1, 0.2]), jnp.append(jnp.linspace(0.0, 1e-3, COUNT - 1), 1e3)
+    settings = {"max_steps": 5, "attitude": TILTED}
+    run = dt.simulate(level(-0.2), start, ts, throw=False, **settings)
+    np.testing.assert_array_equal(run.omega[0], start)
+    for reached in (run.omega, run.attitude):
+        assert np.all(np.isfinite(reached[:-1]))
+        assert np.all(np.isnan(reached[-1]))
+    with pytest.raises(RuntimeError, match=sentence + r".*did not suffice\.$"):
+        dt.simulate(level(-0.2), start, ts, **settings)
 
 
 def test_a_traced_bad_attitude_is_not_a_number():
     traced = jax.jit(lambda q0: unit_quaternion("attitude", q0))
     assert jnp.all(jnp.isnan(traced(jnp.zeros(4))))
     np.testing.assert_allclose(traced(TILTED), TILTED, atol=1e-15)
-
-
-UNIT = r"`attitude` must be a unit quaternion, of norm 1 within 1e-06, but has "
-
-
-@pytest.mark.parametrize(
-    ("q0", "message"),
-    [
-        (jnp.ones(3), r"`attitude` must have shape \(4,\), but has shape \(3,\)"),
-        (np.eye(4), r"`attitude` must have shape \(4,\), but has shape \(4, 4\)"),
-        ([1.0, 0.0, jnp.nan, 0.0], "`attitude` must be finite, but has nan"),
-        (jnp.zeros(4), UNIT + "0, 0, 0 and 1 more"),
-        ([1.0 + 2e-6, 0.0, 0.0, 0.0], UNIT),
-        (True, "`attitude` must be a real array"),
-        ("level", "`attitude` must be a real array"),
-    ],
-)
-def test_bad_attitudes_are_refused_in_one_sentence(q0, message):
-    with pytest.raises(ValueError, match=message):
-        dt.simulate(dt.TransverseReduced(0.3), jnp.ones(3), TIMES, attitude=q0)
 
 
 def test_an_attitude_that_is_nearly_a_unit_quaternion_is_normalised():
