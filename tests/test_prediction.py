@@ -28,7 +28,6 @@ def _slow_flow(body, omega, is_needle=False):
     return forecast(jnp.asarray(variables), jnp.asarray(1.0), is_needle)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("body", [ON_3, ON_1], ids=["largest moment", "smallest moment"])
 def test_turn_by_turn_integration_tends_to_the_prediction(body):
     """The error of ω∞ falls in proportion to |ω|, and is within the estimate."""
@@ -60,7 +59,6 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     assert np.all(off < float(averaged.error))
 
 
-@pytest.mark.slow
 def test_the_end_does_not_depend_on_the_amplitude():
     ends = [dt.predict(ON_3, scale * STARTS[0]) for scale in (1e-6, 1e-25)]
     assert float(ends[0].ratio) == _approx(ends[1].ratio, rel=1e-13)
@@ -286,13 +284,12 @@ def _nearly(delta, eta):
     ("body", "start", "outcome"),
     [
         (dt.axisymmetric(0.5), [9e-4, 5e-4, 1e-7], dt.Outcome.RESIDUAL),
-        (dt.axisymmetric(-0.2), [9e-4, 5e-4, 1e-7], dt.Outcome.RESIDUAL),
         (_nearly(0.4, -2e-6), [5e-4, 5e-4, 1e-6], dt.Outcome.STOP),
     ],
-    ids=["needle", "disc", "dipole on the middle moment"],
+    ids=["needle", "dipole on the middle moment"],
 )
 def test_a_rotation_of_known_phase_has_the_history_of_an_integration(body, start, outcome):
-    """Discs, too, and bodies whose moments differ by less than the slow flow needs."""
+    """Also of bodies whose moments differ by less than the slow flow needs."""
     predicted = dt.predict(body, start)
     assert (predicted.outcome, predicted.regime) == (outcome, dt.Regime.UNFOLDED)
     half = float(predicted.half_time)
@@ -318,7 +315,6 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     assert float(predicted.ratio) == _approx(capture.ratio, rel=1e-2)
 
 
-@pytest.mark.slow
 def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
     """u = u₀/(1 + 2u₀τ), without any neighbour that ends so."""
     predicted = dt.predict(dt.axisymmetric(-0.2), [0.0, 1e-6, 0.0])
@@ -326,7 +322,7 @@ def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
     assert float(predicted.half_time) == _approx(0.5e12, rel=1e-7)
 
 
-@pytest.mark.parametrize("delta", [-0.7, pytest.param(0.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("delta", [-0.7, 0.5])
 def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
     """The closed solution (4.16)–(4.19), from before braking sets in until long after."""
     omega, times = jnp.array([3e-9, 4e-9, 7e-9]), jnp.array([1e15, 1e17, 1e19, 1e21])

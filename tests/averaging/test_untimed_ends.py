@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
@@ -12,7 +11,6 @@ from dipoletop._base.types import Outcome
 RNG = np.random.default_rng(0)
 
 
-@pytest.mark.slow
 def test_ends_are_those_of_single_motions():
     """Another quadrature, and signs on a grid in place of zeros of F, lead to the same ends."""
     n = 60
@@ -32,23 +30,6 @@ def test_ends_are_those_of_single_motions():
         expected = [np.asarray(getattr(one, name)) for one in single]
         rtol = 0.3 if name == "error" else 1e-9  # an estimate looks at other places of the path
         np.testing.assert_allclose(values, expected, rtol=rtol, err_msg=name)
-
-
-@pytest.mark.slow
-def test_needles_end_by_chance_as_single_ones_do():
-    starts = 1e-12 * RNG.normal(size=(5, 3))
-    starts[3, 0] = 0.0  # captured at once, from a phase that is known
-    starts[4, 1:] = 0.0  # a spin about the long axis
-    inertia, dipole = np.diag([0.2, 1.0, 1.0]), np.eye(3)[2]
-    many = ends_of_many(np.tile(inertia, (5, 1, 1)), np.tile(dipole, (5, 1)), starts)
-    for k, omega in enumerate(starts):
-        row = np.concatenate([inertia.ravel(), dipole, omega])
-        one = forecast(jnp.asarray(row), jnp.asarray(1.0), True)
-        for name, values in many._asdict().items():
-            expected = np.asarray(getattr(one, name))
-            np.testing.assert_allclose(values[k], expected, rtol=1e-7, err_msg=name)
-    assert np.all(many.outcome[:3] == Outcome.UNDECIDED)
-    assert many.outcome[3] != Outcome.UNDECIDED
 
 
 def test_a_dipole_along_an_axis_is_along_it_in_any_frame():

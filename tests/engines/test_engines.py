@@ -44,7 +44,6 @@ def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
         (NativeEngine(), diffrax.Dopri8()),
         (NativeEngine(), diffrax.Bosh3()),
         pytest.param(JaxEngine(), diffrax.Dopri8(), marks=pytest.mark.slow),
-        pytest.param(JaxEngine(), diffrax.Bosh3(), marks=pytest.mark.slow),
     ],
     ids=lambda x: getattr(x, "name", type(x).__name__),
 )

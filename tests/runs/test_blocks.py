@@ -100,6 +100,11 @@ def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, in_one_pa
     monkeypatch.setattr(blocks, "CERTAIN", np.nan)  # nothing is made again
     careless = dt.classify_many(equation, starts, **settings)
     assert np.count_nonzero(careless.outcome != expected) > 5
+    if level == "semi":  # with `confirm` every start is run again at that tolerance, in one pass
+        points = dt.Points(delta=deltas, omega=starts)
+        by_points = lambda delta, omega: (dt.TransverseSemi(delta), omega)  # noqa: E731
+        careless = dt.sweep(by_points, points, value=False, confirm=1e-9)
+        assert np.count_nonzero(careless.changed) > 5
 
 
 @pytest.mark.slow
@@ -124,20 +129,6 @@ def test_the_jax_engine_makes_one_pass(in_one_pass):
     one = in_one_pass(dt.TransverseSemi(deltas), starts, engine="native", **settings)
     np.testing.assert_array_equal(found.outcome, one.outcome)
     assert np.mean(found.steps != one.steps) < 0.02
-
-
-@pytest.mark.slow
-def test_the_second_tolerance_of_a_sweep_checks_the_first_pass(in_one_pass, monkeypatch):
-    """With `confirm` every start is run again at that tolerance, in one pass."""
-    deltas, starts, _ = near_boundary("semi", (0.76, 0.98), (1e-3, 0.05), in_one_pass)
-    points = dt.Points(delta=deltas, omega=starts)
-    monkeypatch.setattr(blocks, "CERTAIN", np.nan)  # nothing is made again
-
-    def problem(delta, omega):
-        return dt.TransverseSemi(delta), omega
-
-    careless = dt.sweep(problem, points, value=False, confirm=1e-9)
-    assert np.count_nonzero(careless.changed) > 5
 
 
 def test_equations_that_are_not_known_are_run_in_one_pass(in_one_pass):

@@ -37,7 +37,6 @@ def predicted():
     return dt.classify_many(dt.Reduced(BODIES), starts(1e-3), value="unchecked", slow_flow=True)
 
 
-@pytest.mark.slow
 def test_predictions_of_asymmetric_bodies_agree_with_integration(resolved, predicted):
     assert np.all(resolved.regime == Regime.RESOLVED)
     assert np.all(predicted.regime == Regime.SLOW_FLOW)
@@ -56,7 +55,6 @@ def test_predictions_of_asymmetric_bodies_agree_with_integration(resolved, predi
     assert np.all(np.isnan(predicted.time))
 
 
-@pytest.mark.slow
 def test_predictions_of_a_transverse_top_agree_with_integration():
     """The phase of capture is known where the precession is slow at the start already."""
     rng = np.random.default_rng(2)
@@ -72,7 +70,6 @@ def test_predictions_of_a_transverse_top_agree_with_integration():
     assert np.max(difference) < 1e-3 * 1e-3
 
 
-@pytest.mark.slow
 def test_the_estimate_of_steps_is_near_the_number(resolved):
     lanes = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), dt.Reduced(BODIES))
     motions = slow_motions(lanes, starts(1e-3).T)
@@ -83,7 +80,6 @@ def test_the_estimate_of_steps_is_near_the_number(resolved):
     assert 0.5 < np.median(factor) < 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [1e-8, 1e-25])
 def test_the_cost_does_not_depend_on_the_amplitude(amplitude, predicted):
     found = dt.classify_many(dt.Reduced(BODIES), starts(amplitude), value="unchecked")
@@ -122,7 +118,6 @@ def test_what_the_first_state_decides_is_not_predicted():
         assert found.certified.tolist() == [True]
 
 
-@pytest.mark.slow
 def test_a_certified_label_keeps_its_certificate_beside_a_predicted_value():
     """Near the residual line the first state tells the outcome, but not ω∞ to the tolerance."""
     omegas = np.array([[1e-4, 1e-5, 1e-10]])
