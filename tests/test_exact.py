@@ -96,46 +96,9 @@ def test_transverse(delta, start):
     solves(dt.TransverseReduced(delta), solution, start=start)
 
 
-def closed_form(delta, start, xi):
-    """v, τ and ∫√v dτ at u/v = ξ by (4.16)–(4.18) with the corrected exponent."""
-    d, (u, v) = mp.mpf(delta), start
-    a, b = 1 + 2 * d, 1 + d**3
-    q, p = 2 / b, d * (1 - d) * (3 + 3 * d + d**2) / (a * b)
-
-    def shape(x):
-        return x ** (-q) * abs(a * x + b) ** p
-
-    constant = v / shape(u / v)
-
-    def rates(s):  # of both at once
-        x = mp.e**s
-        square = constant * shape(x)
-        return (1 - d) * mp.mpc(1, mp.sqrt(abs(square))) / square / (a * x + b)
-
-    ends = mp.linspace(mp.log(u / v), mp.log(xi), 4)
-    both = mp.quad(rates, ends, method="gauss-legendre")
-    return constant * shape(xi), both.real, both.imag
-
-
-@pytest.mark.parametrize("delta", [-0.9, -0.55, -0.3, 0.2, 0.9])
-@pytest.mark.parametrize("start", [(1.0, 1.0), (0.1, 1.0), (1.0, 0.2)])
-def test_averaged(delta, start):
-    """v(ξ), the time and the angle, over eleven decades of τ."""
-    found = np.asarray(averaged(delta, dt.cylindrical(*start, 0.3), LATE))
-    with mp.workdps(30):
-        squares = tuple(mp.mpf(w) ** 2 for w in start)
-        for time, omega in zip(LATE, found, strict=True):
-            w1, w2, w3 = (mp.mpf(float(w)) for w in omega)
-            v, tau, turn = closed_form(delta, squares, (w1**2 + w2**2) / w3**2)
-            assert abs(w3**2 / v - 1) < 1e-12
-            assert abs(tau / time - 1) < 1e-12
-            angle = mp.mpf(0.3) - mp.mpf(delta) * turn - mp.atan2(w2, w1)
-            assert abs(mp.sin(angle / 2)) < 1e-12 * (1 + abs(turn))
-
-
 @pytest.mark.parametrize("delta", [-1.0, -0.5, 0.0])
 def test_there_is_no_jump_next_to_where_exponents_degenerate(delta):
-    """At these shapes the averaged equation is solved: `test_transverse_approximations`."""
+    """The averaged equation is solved there, too: see `test_transverse_approximations`."""
     there, nearby = (averaged(d, np.array([1.0, 0.0, 0.7]), LATE) for d in (delta, delta + 1e-12))
     np.testing.assert_allclose(nearby[:, 2], there[:, 2], rtol=1e-9)
 

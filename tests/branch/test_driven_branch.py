@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from branched import Branched
 from jax.tree_util import Partial
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
-from dipoletop import Outcome, torques
+from dipoletop import torques
 
 pytestmark = pytest.mark.slow  # compiles for long
 SMALL = 1e-6
@@ -115,18 +116,11 @@ def test_radiated_energy_and_work_over_several_windows():
 # What depends on time, by an equation of a user's own, which compiles fast
 
 
-class Uneven(eqx.Module):
+class Uneven(Branched):
     """ω′ = −γω on the branch, γ = g(1 + ½ sin ½τ): the acceleration a obeys (a + γω)′ = a + γω."""
 
     g: jax.Array
-
-    @property
-    def runaway_rate(self):
-        return jnp.ones(())
-
-    @property
-    def body(self):
-        return dt.Body(np.eye(3), [1.0, 0.0, 0.0])
+    rest = 0.01
 
     def gamma(self, t):
         return self.g * (1 + 0.5 * jnp.sin(0.5 * t))
@@ -140,19 +134,6 @@ class Uneven(eqx.Module):
 
     def semi(self, t, w):
         return -1.1 * self.gamma(t) * w
-
-    def fast(self, rate):
-        return rate
-
-    def lift(self, omega):
-        return jnp.concatenate([omega, self.semi(0.0, omega)])
-
-    def omega(self, y):
-        return y[:3]
-
-    def verdict(self, y):
-        still = y[0] ** 2 < 1e-4
-        return jnp.where(still, int(Outcome.STOP), 0), jnp.zeros_like(y[0]), still & False
 
 
 def test_the_rate_at_a_time_and_its_derivatives():
