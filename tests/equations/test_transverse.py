@@ -75,13 +75,6 @@ def test_symmetries(equation):
         assert jnp.allclose(image, signs * rate(equation, OMEGAS), rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize("equation", FIRST_ORDER, ids=lambda e: e.level)
-def test_one_line_serves_one_top_and_a_block(equation):
-    block = rate(equation, OMEGAS)
-    each = jnp.stack([rate(equation, w) for w in OMEGAS.T], axis=-1)
-    assert float(jnp.max(jnp.abs(block - each))) < 1e-13 * float(jnp.max(jnp.abs(each)))
-
-
 def test_fields_are_arrays_so_that_values_compile_nothing():
     calls = []
 
