@@ -129,11 +129,11 @@ class Uneven(Branched):
         gamma, change = self.gamma(t), self.g * 0.25 * jnp.cos(0.5 * t)
         return jnp.concatenate([y[3:], y[3:] + (gamma - change) * y[:3] - gamma * y[3:]])
 
-    def reduced(self, order):
-        return lambda t, w: -self.gamma(t) * w
-
     def semi(self, t, w):
-        return -1.1 * self.gamma(t) * w
+        return -self.gamma(t) * w
+
+    def reduced(self, order):
+        return self.semi
 
 
 def test_the_rate_at_a_time_and_its_derivatives():
