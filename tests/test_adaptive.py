@@ -160,21 +160,3 @@ def test_basins_of_the_top():
     assert np.mean(found.column("computed")) < 0.6
     assert found.level == "reduced, order 1 (the paper's)"
     assert found.attrs["rtol"] == 1e-7
-
-
-@pytest.mark.parametrize(
-    ("grid", "settings", "words"),
-    [
-        (dt.Grid(x=SIDE, y=0.5), {}, "`over` must have exactly two axes longer than 1"),
-        (dt.Grid(x=SIDE, y=SIDE[::-1]), {}, "its axis y is another one"),
-        (dt.Grid(x=SIDE, y=np.eye(3)), {}, "its axis y is another one"),
-        (GRID, {"coarse": 0}, "`coarse` must be a positive whole number, but is 0"),
-        (GRID, {"omega_tol": 0.0}, "`omega_tol` must be positive, but is 0"),
-        (GRID, {"value": False}, "`settings` must be among .*, but hold 'value'"),
-        (GRID, {"rtol": -1.0}, "`rtol` must"),
-        (dt.Grid(x=SIDE, z=SIDE), {}, "name the arguments of `problem`"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(grid, settings, words):
-    with pytest.raises(ValueError, match=words):
-        refine(picture, grid, **settings)

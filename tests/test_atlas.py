@@ -1,7 +1,5 @@
 """The atlas: means over isotropic L against samples and known values; borders of endings."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -17,13 +15,14 @@ from dipoletop._base.directions import spread_directions
 from dipoletop.atlases import Ending, cells, saddle_node_border, spin_border
 
 BODIES = np.array([[0.6, 0.75, 1.0], [0.99, 0.995, 1.0], [0.5, 0.55, 1.0], [0.1, 0.95, 1.0]])
-ON_1, ON_2, ON_3 = np.eye(3)
+ON_1, _, ON_3 = np.eye(3)
 # Made apart, by samples of L and another quadrature: hence 0.004, their statistical error.
 SAMPLED = 0.004
 
 
 def _ends(moments, dipole):
-    moments = np.asarray(moments)
+    """Always of as many bodies, so that it compiles once."""
+    moments = np.resize(moments, (7, 3))
     return isotropic_ends(moments, np.broadcast_to(dipole, moments.shape))
 
 
@@ -72,31 +71,27 @@ def test_the_particles_of_the_paper():
     moments = [[0.99, 0.995], [0.616, 0.634], [0.622, 0.628], [0.0199, 0.9974], [0.97, 0.985]]
     moments = np.array([[*pair, 1.0] for pair in moments])
     on_1, on_2, on_3 = (_ends(moments, axis) for axis in np.eye(3))
-    np.testing.assert_allclose(on_1.ratio, [0.465, 0.124, 0.072, 0.500, 0.464], atol=SAMPLED)
-    np.testing.assert_allclose(on_3.ratio, [0.470, 0.503, 0.503, 0.711, 0.471], atol=SAMPLED)
+    np.testing.assert_allclose(on_1.ratio[:5], [0.465, 0.124, 0.072, 0.500, 0.464], atol=SAMPLED)
+    np.testing.assert_allclose(on_3.ratio[:5], [0.470, 0.503, 0.503, 0.711, 0.471], atol=SAMPLED)
     residual = np.sum(on_1.probability[:, :2], axis=1)
-    np.testing.assert_allclose(residual, [1, 1, 0.23, 1, 1], atol=0.005)
+    np.testing.assert_allclose(residual[:5], [1, 1, 0.23, 1, 1], atol=0.005)
     np.testing.assert_array_equal(on_2.ratio, 0)
     np.testing.assert_allclose(np.sum(on_2.probability[:, 2:], axis=1), 1, rtol=1e-12)
 
 
 @pytest.mark.slow
-def test_means_are_those_of_single_predictions():
+def test_means_are_those_of_single_ends():
     """A dipole in a generic direction, with two kinds of stop; and one on the axis of J₁."""
-    j = np.diag([0.5, 0.55, 1.0])
+    moments, momenta = np.array([0.5, 0.55, 1.0]), spread_directions(100)
+    inertia = np.tile(np.diag(moments), (100, 1, 1))
     for dipole in ([0.95, 0.05, 0.309], [1.0, 0.0, 0.0]):
-        unit = np.array(dipole) / np.linalg.norm(dipole)
-        body = dt.Body(j, unit)
-        sample = [
-            dt.predict(body, 1e-20 * momentum / np.diag(j)) for momentum in spread_directions(100)
-        ]
-        found = _ends(np.diag(j)[None], unit)
-        probability = np.mean([each.probability for each in sample], axis=0)
+        sample = ends_of_many(inertia, np.tile(dipole, (100, 1)), 1e-20 * momenta / moments)
+        found = _ends(moments, dipole)
+        probability = np.mean(sample.probability, axis=0)
         probability[:2] = np.mean(probability[:2])
         assert np.sum(probability > 0) >= 2
         np.testing.assert_allclose(found.probability[0], probability, atol=0.02)
-        ratio = np.mean([each.ratio for each in sample])
-        assert found.ratio[0] == pytest.approx(ratio, abs=0.01)
+        assert found.ratio[0] == pytest.approx(np.mean(sample.ratio), abs=0.01)
 
 
 def test_borders_have_their_known_places():
@@ -148,20 +143,3 @@ def test_cells_cover_the_triangle_once():
     areas = np.abs(np.linalg.det(corners))  # in units of the whole triangle
     np.testing.assert_allclose(areas, 1 / 25)
     assert len({tuple(middle) for middle in np.mean(corners, axis=1).round(9).tolist()}) == 25
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({}, "Argument `dipole` must be given or else `body`, but neither is."),
-        ({"dipole": 4}, "Argument `dipole` must be 1, 2 or 3, a principal axis, but is 4."),
-        ({"dipole": 1, "n": 1}, "Argument `n` must be an integer of at least 2, but is 1."),
-        (
-            {"body": dt.axisymmetric(0.2)},
-            "Argument `body` must have three different moments, but has moments in the ratios",
-        ),
-    ],
-)
-def test_bad_arguments_are_refused(arguments, sentence):
-    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}"):
-        dt.atlas(**arguments)

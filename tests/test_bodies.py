@@ -88,9 +88,6 @@ def test_homogeneous_bodies_are_clouds_of_masses(body, points, volume):
     np.testing.assert_array_equal(body.dipole, X)
 
 
-CLOUD = jax.jit(from_charges)
-
-
 def test_inertia_is_that_of_point_masses():
     masses, where = RNG.uniform(1, 2, 7), RNG.normal(size=(7, 3))
     rho = where - masses @ where / masses.sum()
@@ -108,7 +105,7 @@ def test_dipole_of_a_neutral_body_needs_no_centre():
 
 def test_dipole_of_a_charged_body_is_about_the_centre_of_mass():
     where = np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [2, 0, 3]])
-    body = CLOUD(np.array([3.0, 1, 1, 1]), where, np.array([0.0, 1, 0, 0]))
+    body = from_charges([3.0, 1, 1, 1], where, [0.0, 1, 0, 0])
     np.testing.assert_allclose(body.dipole, [1, -0.5, -0.5], rtol=1e-14)
 
 
@@ -159,15 +156,13 @@ DIRECTIONS = 'be "transverse", "longitudinal" or a vector'
 FRONT = ", or one batch axis in front"
 SKEW = [[1, 0.25, 0], [0.5, 1, 0], [0, 0, 1]]
 LINEAR = [[0, 0, 0], [1, 1, 1], [3, 3, 3]]
+MASSES = "be non-negative and not all zero"
 MESSAGES = [
     (lambda: Body(SKEW, X), "inertia", "be symmetric", "has 0.25, 0.5"),
-    (lambda: Body(np.diag([1, 1, 2.5]), X), "inertia", TRIANGLE, "has 1, 1, 2.5"),
     (lambda: Body(np.diag([1, 1, 2 + 1e-11]), X), "inertia", TRIANGLE, "has 1, 1, 2"),
     (lambda: Body([np.eye(3), np.diag([1.0, 4, 1])], X), "inertia", TRIANGLE, "has 1, 1, 4"),
     (lambda: Body(np.diag([0, 1, 1]), X), "inertia", LINE, "has 0, 1, 1"),
     (lambda: Body(np.diag([1, -1, 1]), X), "inertia", LINE, "has -1, 1, 1"),
-    (lambda: Body(-np.eye(3), X), "inertia", LINE, "has -1, -1, -1"),
-    (lambda: Body(np.zeros((3, 3)), X), "inertia", LINE, "has 0, 0, 0"),
     (lambda: Body(np.diag([1, 1, np.nan]), X), "inertia", "be finite", "has nan"),
     (lambda: Body(np.diag([1, 1, np.inf]), X), "inertia", "be finite", "has inf"),
     (lambda: Body(np.eye(2), X), "inertia", f"have shape (3, 3){FRONT}", "has shape (2, 2)"),
@@ -179,13 +174,12 @@ MESSAGES = [
     (lambda: Body(IDENTITY, [0, 1]), "dipole", f"have shape (3,){FRONT}", "has shape (2,)"),
     (lambda: Body(IDENTITY, "x"), "dipole", "be a real array of shape (3,)", "is 'x'"),
     (
-        lambda: Body(np.stack([IDENTITY] * 4), [X] * 3),
+        lambda: Body([IDENTITY] * 4, [X] * 3),
         "dipole",
         "have the batch size 4 of `inertia`",
         "has 3",
     ),
     (lambda: axisymmetric(1), "delta", "satisfy -1 <= delta < 1", "is 1.0"),
-    (lambda: axisymmetric(-1.5), "delta", "satisfy -1 <= delta < 1", "is -1.5"),
     (lambda: axisymmetric([0, 2.0]), "delta", "satisfy -1 <= delta < 1", "has 2"),
     (lambda: axisymmetric(np.nan), "delta", "be finite", "is nan"),
     (lambda: axisymmetric("oblate"), "delta", "be a real number", "is 'oblate'"),
@@ -203,31 +197,11 @@ MESSAGES = [
     (lambda: rod(1, 1, 0, dipole=X), "radius", "be positive", "is 0.0"),
     (lambda: rod([1, 1], 1, [1, 1, 1], dipole=X), "radius", "have the batch size 2 of", "has 3"),
     (lambda: from_charges([1] * 3, LINEAR, [1, 2, 0]), "inertia", LINE, "has "),
-    (
-        lambda: from_charges([1, -1, 1], np.eye(3), X),
-        "masses",
-        "be non-negative and not all zero",
-        "has -1",
-    ),
-    (
-        lambda: from_charges([0, 0, 0], np.eye(3), X),
-        "masses",
-        "be non-negative and not all zero",
-        "has 0, 0, 0",
-    ),
+    (lambda: from_charges([1, -1, 1], IDENTITY, X), "masses", MASSES, "has -1"),
+    (lambda: from_charges([0, 0, 0], IDENTITY, X), "masses", MASSES, "has 0, 0, 0"),
     (lambda: from_charges(1, np.eye(3), X), "masses", f"have shape (n,){FRONT}", "has shape ()"),
-    (
-        lambda: from_charges([1, 1], np.eye(3), X),
-        "positions",
-        f"have shape (2, 3){FRONT}",
-        "has shape (3, 3)",
-    ),
-    (
-        lambda: from_charges([1] * 3, np.eye(3), [1, 2]),
-        "charges",
-        f"have shape (3,){FRONT}",
-        "has shape (2,)",
-    ),
+    (lambda: from_charges([1, 1], IDENTITY, X), "positions", f"have shape (2, 3){FRONT}", "has"),
+    (lambda: from_charges([1] * 3, IDENTITY, [1]), "charges", f"have shape (3,){FRONT}", "has"),
 ]
 
 
@@ -247,22 +221,12 @@ def test_a_skew_line_of_masses_is_refused_whatever_its_rounding():
     assert np.isnan(made.inertia).all()
 
 
-@pytest.mark.parametrize(
-    "inertia",
-    [
-        SKEW,
-        np.diag([1, 1, 2.5]),
-        np.diag([0.0, 1, 1]),
-        -np.eye(3),
-        np.diag([1, np.nan, 1]),
-        rotated((0, 1, 1)),
-        rotated((1, 1, 2.001)),
-    ],
-)
-def test_a_traced_bad_inertia_becomes_nan(inertia):
-    made = jax.jit(lambda tensor: Body(tensor, X))(jnp.asarray(inertia))
-    assert np.isnan(made.inertia).any()
-    np.testing.assert_array_equal(made.dipole, X)
+def test_a_traced_bad_inertia_becomes_nan():
+    diagonal = [(1, 1, 2.5), (0.0, 1, 1), (-1, -1, -1), (1, np.nan, 1)]
+    bad = [SKEW, rotated((0, 1, 1)), rotated((1, 1, 2.001)), *map(np.diag, diagonal)]
+    made = jax.jit(jax.vmap(lambda tensor: Body(tensor, X)))(jnp.array(bad, float))
+    assert np.isnan(made.inertia).any(axis=(1, 2)).all()
+    np.testing.assert_array_equal(made.dipole, [X] * len(bad))
 
 
 @pytest.mark.parametrize(
@@ -294,15 +258,6 @@ def test_one_batch_axis_in_front():
         np.testing.assert_array_equal(bodies.inertia[lane], single.inertia)
         np.testing.assert_array_equal(bodies.dipole[lane], single.dipole)
         np.testing.assert_array_equal(bodies.moments[lane], single.moments)
-
-
-def test_a_batch_of_clouds():
-    masses, where, charges = RNG.uniform(1, 2, (2, 7)), RNG.normal(size=(7, 3)), RNG.normal(size=7)
-    bodies = CLOUD(masses, where, charges)
-    for lane in range(2):
-        single = CLOUD(masses[lane], where, charges)
-        np.testing.assert_allclose(bodies.inertia[lane], single.inertia, rtol=1e-13)
-        np.testing.assert_allclose(bodies.dipole[lane], single.dipole, rtol=1e-13)
 
 
 def test_a_trailing_batch_by_vmap():
@@ -348,18 +303,6 @@ def test_derivatives_of_a_cloud():
     # ∂ tr I/∂r = 4 m ρ
     rho = where - masses @ where / masses.sum()
     np.testing.assert_allclose(of_trace, 4 * masses[:, None] * rho, rtol=1e-12)
-
-
-def test_a_new_value_compiles_nothing():
-    traces = []
-
-    @jax.jit
-    def moment(body):
-        traces.append(body)
-        return body.inertia[2, 2]
-
-    assert [moment(axisymmetric(delta)) for delta in (0.5, -0.5)] == [0.5, 1.5]
-    assert len(traces) == 1
 
 
 def test_lists_may_mix_traced_and_plain_numbers():

@@ -162,49 +162,6 @@ def test_boundaries_of_the_top_are_smooth():
     assert basin_entropy(basin) == basin_entropy(labels)
 
 
-BOX = dt.Grid(x=[0.0, 1.0], y=0.0, turn=0.5)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: basin_entropy(np.zeros(5, int)), "`labels` must be whole numbers over two axes"),
-        (lambda: basin_entropy(np.zeros((5, 5))), "dtype float64"),
-        (lambda: basin_entropy(np.zeros((5, 5), int), box=1), "whole number from 2 on, but is 1"),
-        (lambda: basin_entropy(np.zeros((5, 9), int), box=6), "`box` must fit into labels"),
-        (lambda: boundary_dimension(np.zeros((99, 99), int)), "`labels` must have a boundary"),
-        (lambda: boundary_dimension(np.eye(9, dtype=int)), "`scales` must hold three different"),
-        (lambda: boundary_dimension(DISC, scales=[1, 2, 0.5]), "`scales` must be a positive whole"),
-        (lambda: boundary_dimension(DISC, scales=3), "`scales` must hold three different"),
-        (lambda: boundary_dimension([[1, 2], [3]]), "`labels` must be whole numbers over two"),
-        (lambda: boundary_dimension(DISC, scales=[1, 2, 1024]), "all below 1024"),
-        (lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, 0.1]), "two different positive"),
-        (lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, -1.0]), "`epsilons` must hold"),
-        (lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, 0.2], n=0), "`n` must be"),
-        (lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, 0.2], seed=-1), "`seed` must"),
-        (
-            lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, 0.2], along="y"),
-            "`along` must be one of x, but is 'y'",
-        ),
-        (
-            lambda: uncertainty_exponent(stripes, BOX, epsilons=[0.1, 0.2], value=False),
-            "`settings` must be among .*, but hold 'value'",
-        ),
-        (
-            lambda: uncertainty_exponent(stripes, dt.Grid(x=0.5), epsilons=[0.1, 0.2]),
-            "`over` must have an axis that is not fixed",
-        ),
-        (
-            lambda: uncertainty_exponent(stripes, dt.Grid(x=np.eye(2)), epsilons=[0.1, 0.2]),
-            "its axis x is made of vectors",
-        ),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(call, words):
-    with pytest.raises(ValueError, match=words):
-        call()
-
-
 def test_results_show_their_numbers():
     steps, shares = np.array([0.01, 0.1]), np.array([0.02, 0.2])
     assert repr(complexity.UncertaintyExponent(0.98, 0.02, 1.02, steps, shares, shares / 10)) == (

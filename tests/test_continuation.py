@@ -136,24 +136,3 @@ def test_results_are_shown_with_their_numbers(found):
     )
     row = Threshold(Level.SEMI, "stops end", Outcome.STOP, 0.0, (-0.05, 0.3), 0.0005)
     assert "semi: stops end at delta = 0; STOP in the sample changes between -0.05" in repr(row)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: continuation(-0.2), "`delta` must be a list"),
-        (lambda: continuation([-0.2, 0.1], [0.1, 0.2]), "`delta` must be a list"),
-        (lambda: continuation([0.1, -0.2]), "`delta` must hold two or more values that rise"),
-        (lambda: continuation([-2, 0.1]), r"`delta` must lie in \[-1, 1\)"),
-        (lambda: continuation(0.1, [0.0, 0.1]), "`amplitude` must be positive"),
-        (lambda: continuation([0.1, 0.2], n=0), "`n` must be a positive whole number"),
-        (lambda: continuation([0.1, 0.2], levels="order-5"), "`levels` must name some of order-1"),
-        (lambda: follow_spectrum([0.1, 0.2], levels=("semi", "semi")), "`levels` must name"),
-        (lambda: follow_spectrum([0.1, 0.2], levels=()), "`levels` must name"),
-        (lambda: follow_spectrum([0.1, 0.2], 0.0), "`w` must not be 0"),
-        (lambda: follow_spectrum(0.1), "`delta` must hold two or more values that rise"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(call, words):
-    with pytest.raises(ValueError, match=words):
-        call()

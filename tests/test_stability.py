@@ -272,28 +272,6 @@ def test_thresholds():
     assert np.isnan(threshold(dt.TransverseReduced, 0.0, -0.99, 0.99))
 
 
-@pytest.mark.parametrize(
-    ("equation", "state", "sentence"),
-    [
-        (dt.TransverseAveraged(0.1), [0.1, 0, 0], "keep rotation along .* is TransverseAveraged"),
-        (
-            lambda t, y, args=None: y,
-            [0.1, 0, 0],
-            "methods `lift.*, but is of type function, which has no",
-        ),
-        (
-            dt.TransverseReduced(0.1),
-            [0.1, 0, 1e-12],
-            "be 0, or along a dipole .* has 0.1, 0, 1e-12",
-        ),
-        (dt.TransverseReduced(0.1), [0.1, 0], r"have shape \(3,\), but has shape \(2,\)"),
-    ],
-)
-def test_refusals(equation, state, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        spectrum(equation, jnp.array(state))
-
-
 def test_spectra_as_text():
     slow, fast = jnp.array([0, -0.01 + 0.02j, -0.01 - 0.02j]), jnp.array([1 + 0j, 1.5])
     across = jnp.array([[-0.01, 0.02], [-0.02, -0.01]])

@@ -13,7 +13,7 @@ from dipoletop import Outcome, torques
 
 GAMMA = 0.1
 SPIN = [0.0, 1.0, 0.0]
-LEVEL = [1.0, 0.0, 0.0, 0.0]
+LEVEL, TILTED = [1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0]
 
 
 def braked(gamma, w, t):
@@ -25,20 +25,26 @@ def braked(gamma, w, t):
 @pytest.mark.parametrize("equation", [dt.TransverseReduced(0.3), dt.Reduced(dt.axisymmetric(0.3))])
 def test_drag_and_radiation_brake_a_rotator(equation):
     ts = jnp.linspace(0.0, 8.0, 9)
-    run = dt.simulate(torques.with_torque(equation, torques.drag(GAMMA)), SPIN, ts)
+    first = torques.with_torque(equation, torques.drag(0.04))  # several torques add up
+    both = torques.with_torque(first, torques.drag((GAMMA - 0.04) * np.eye(3)))
+    run = dt.simulate(both, SPIN, ts)
     np.testing.assert_allclose(run.omega[:, 1], braked(GAMMA, 1.0, np.asarray(ts)), rtol=1e-9)
     assert run.level == f"{equation.level}, with a torque"
 
 
 def test_a_given_torque_in_time():
-    """Along the dipole nothing radiates: I₁ω₁′ = M(τ)."""
+    """Along the dipole nothing radiates: I₁ω₁′ = M(τ), and the energy changes by the work alone."""
 
     def push(t, omega):
         return jnp.stack([jnp.cos(t), jnp.zeros_like(t), jnp.zeros_like(t)])
 
     ts = jnp.linspace(0.0, 5.0, 11)
-    run = dt.simulate(torques.with_torque(dt.TransverseSemi(0.3), push), [0.5, 0.0, 0.0], ts)
+    equation = torques.with_torque(dt.TransverseSemi(0.3), push)
+    run = dt.simulate(equation, [0.5, 0.0, 0.0], ts, balance=True)
     np.testing.assert_allclose(run.omega[:, 0], 0.5 + np.sin(ts), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run.work, run.energy - run.energy[0], atol=1e-9)
+    np.testing.assert_allclose(run.emitted, 0.0, atol=1e-9)
+    np.testing.assert_allclose(run.balance_defect, 0.0, atol=1e-8)
 
 
 def rotated(q, v):
@@ -52,10 +58,13 @@ def test_a_field_on_a_dipole_conserves_energy_and_the_momentum_along_it():
     dipole, field = np.array([0.6, 0.0, 0.8]), np.array([0.0, 0.3, 0.4])
     dark = dt.Reduced(dt.Body(np.diag([1.0, 1.3, 0.8]), 1e-8 * dipole))  # radiates ~ 1e-16
     pulled = torques.FieldOnDipole(jnp.asarray(dipole), jnp.asarray(field))
-    equation = torques.with_torque(dark, pulled, attitude=LEVEL)
+    equation = torques.with_torque(dark, pulled, attitude=TILTED)
     run = dt.simulate(equation, [0.3, -0.2, 0.5], jnp.linspace(0.0, 40.0, 81), rtol=1e-11)
-    q = np.asarray(jax.vmap(equation.attitude)(run.ys))
+    q = np.asarray(run.attitude)
+    np.testing.assert_allclose(q[0], TILTED, rtol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=1e-14)
+    lab = [rotated(x, 1e-8 * dipole) for x in q]
+    np.testing.assert_allclose(run.dipole, lab, rtol=0, atol=1e-22)
     energy = np.asarray(run.energy) - np.array([rotated(x, dipole) for x in q]) @ field
     np.testing.assert_allclose(energy, energy[0], atol=1e-9)
     momenta = np.asarray(run.omega) @ np.asarray(dark.body.inertia)
@@ -68,73 +77,88 @@ def test_a_field_on_a_dipole_conserves_energy_and_the_momentum_along_it():
 # The radiation of a motion that a torque drives
 
 
-def slow_roots(level, inertia, strength):
-    """Both roots s of I₃θ″ = −Eθ + θ‴, a small swing about a field along the dipole, at a level."""
-    if level == "full":
-        roots = np.roots([-1.0, inertia, 0.0, strength])
-        return roots[roots.imag != 0]
-    a, b = -strength / inertia, 0.0  # θ″ = aθ + bθ′ without radiation, then order by order
-    for _ in range(1 if level == "semi" else int(level[-1])):
-        a, b = (-strength + b * a) / inertia, (a + b * b) / inertia
-    return np.roots([1.0, -b, -a])
-
-
-@pytest.mark.parametrize(
-    ("level", "delta"),
-    [
-        ("order-1", 0.3),
-        pytest.param("order-2", -0.5, marks=pytest.mark.slow),
-        pytest.param("order-3", 0.3, marks=pytest.mark.slow),
-        ("semi", -0.5),
-        pytest.param("full", 0.3, marks=pytest.mark.slow),
-    ],
-)
-def test_radiation_damps_a_swing_by_the_closed_form(level, delta):
-    strength, ts, top = 0.07, np.linspace(0.0, 40.0, 21), dt.equation_at(level, delta)
-    pulled = torques.field_on_dipole(top, [strength, 0.0, 0.0])
+def swing(level, delta, field, start, ts, **settings):
+    """A run in a field, from the attitude LEVEL."""
+    top = dt.equation_at(level, delta)
+    pulled = torques.field_on_dipole(top, field)
     equation = torques.with_torque(top, pulled, attitude=LEVEL)
-    run = dt.simulate(equation, [0.0, 0.0, 1e-6], ts, rtol=1e-11)
-    one, other = slow_roots(level, 1 - delta, strength)
+    return dt.simulate(equation, start, ts, rtol=1e-11, **settings)
+
+
+def assert_damped(run, roots):
+    one, other = roots
+    ts = np.asarray(run.ts)
     exact = (one * np.exp(one * ts) - other * np.exp(other * ts)) / (one - other)
     np.testing.assert_allclose(run.omega[:, 2] / 1e-6, exact.real, atol=2e-10)
     assert abs(exact[-1]) < 0.8  # it is damped
 
 
+def acceleration(level, inertia, strength):
+    """θ″ = aθ + bθ′ at a level, from I₃θ″ = −Eθ + θ‴: a small swing about a field."""
+    a, b = -strength / inertia, 0.0  # without radiation, then order by order
+    for _ in range(1 if level == "semi" else int(level[-1])):
+        a, b = (-strength + b * a) / inertia, (a + b * b) / inertia
+    return a, b
+
+
+def test_radiation_damps_a_swing_by_the_closed_form():
+    strength, ts = 0.07, np.linspace(0.0, 40.0, 21)
+    run = swing("order-1", 0.3, [strength, 0.0, 0.0], [0.0, 0.0, 1e-6], ts)
+    a, b = acceleration("order-1", 1 - 0.3, strength)
+    assert_damped(run, np.roots([1.0, -b, -a]))
+
+
+@pytest.mark.parametrize("level", ["order-1", "order-2", "order-3", "semi"])
+def test_radiation_of_a_swing_at_every_level(level):
+    strength, small = 0.07, 1e-7
+    top = dt.equation_at(level, -0.5)
+    pulled = torques.field_on_dipole(top, [strength, 0.0, 0.0])
+    equation = torques.with_torque(top, pulled, attitude=LEVEL)
+    a, b = acceleration(level, 1.5, strength)
+    rate = jax.jit(lambda y: equation(0.0, y)[2])
+    for angle, speed in ((1.0, 0.0), (0.0, 1.0), (0.4, -0.7)):
+        y = jnp.array([0.0, 0.0, small * speed, 1.0, 0.0, 0.0, small * angle / 2])
+        np.testing.assert_allclose(rate(y) / small, a * angle + b * speed, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.slow  # compiles for long
-def test_the_energy_that_a_field_gives_is_radiated():
-    """E − d·E − d₁·d₂ + ∫|d₂|²dτ is constant at the full level, at any amplitude."""
-    body = dt.Body(np.diag([1.0, 1.3, 0.8]), [0.6, 0.0, 0.8])
-    field = np.array([0.0, 0.02, 0.03])
-    pulled = torques.field_on_dipole(dt.Full(body), field)
-    equation = torques.with_torque(dt.Full(body), pulled, attitude=LEVEL)
-    run = dt.simulate(
-        equation, [0.1, -0.1, 0.15], jnp.linspace(0.0, 60.0, 31), rtol=1e-9, balance=True
+def test_a_field_and_the_branch():
+    """A small swing is damped by the closed form; at any amplitude the energy is radiated.
+
+    E − d·E − d₁·d₂ + ∫|d₂|²dτ is constant, and d₁·d₂ = 0 where nothing turns.
+    """
+    delta, strength = 0.3, 0.07
+    small = swing(
+        *("full", delta, [strength, 0.0, 0.0], [0.0, 0.0, 1e-6], np.linspace(0.0, 40.0, 21)),
+        balance=True,
     )
+    roots = np.roots([-1.0, 1 - delta, 0.0, strength])
+    assert_damped(small, roots[roots.imag != 0])
+    field, body = np.array([0.01, 0.02, 0.03]), dt.axisymmetric(delta)
+    run = swing("full", delta, field, [0.1, -0.1, 0.15], np.linspace(0.0, 60.0, 21), balance=True)
     schott = jax.vmap(lambda w, rate: dt.radiation.schott_energy(body, w, rate))
-    q = np.asarray(jax.vmap(equation.attitude)(run.ys))
-    potential = -np.array([rotated(x, np.asarray(body.dipole)) for x in q]) @ field
+    potential = -np.array([rotated(x, np.asarray(body.dipole)) for x in run.attitude]) @ field
     energy = np.asarray(run.energy) + potential
     total = energy - np.asarray(schott(run.omega, run.omega_dot)) + np.asarray(run.emitted)
     np.testing.assert_allclose(total, total[0], atol=1e-9)
     assert energy[0] - energy[-1] > 0.01
 
 
-@pytest.mark.parametrize("level", ["order-1", pytest.param("full", marks=pytest.mark.slow)])
-def test_a_torque_in_time_sets_a_body_in_motion(level):
-    """I₃ω₃′ = M(τ) + ω₃″ − ω₃³ about axis 3, near rest; at order 1 with ω₃″ = M′/I₃."""
-    top, frequency, size = dt.equation_at(level, 0.4), 0.5, 1e-8
+def test_a_torque_in_time_sets_a_body_in_motion():
+    """I₃ω₃′ = M(τ) + ω₃″ − ω₃³ about axis 3, near rest; at order 1 with ω₃″ = M′/I₃.
+
+    At the full level see `test_driven_branch`.
+    """
+    frequency, size, inertia = 0.5, 1e-8, 1 - 0.4
 
     def push(t, omega):
-        zero = jnp.zeros_like(t)
-        return jnp.stack([zero, zero, size * jnp.sin(frequency * t)])
+        return jnp.stack([0 * t, 0 * t, size * jnp.sin(frequency * t)])
 
     ts = np.linspace(0.0, 30.0, 61)
-    run = dt.simulate(torques.with_torque(top, push), [0.0, 0.0, 0.0], ts, atol=1e-18)
-    rate, inertia = 1j * frequency, 1 - 0.4
-    if level == "full":
-        answer = 1 / (inertia * rate - rate**2)  # ω = Im(A e^{ift}) + constant, in units of size
-    else:
-        answer = (1 + rate / inertia) / (inertia * rate)
+    equation = torques.with_torque(dt.TransverseReduced(0.4), push)
+    run = dt.simulate(equation, [0.0, 0.0, 0.0], ts, atol=1e-18)
+    rate = 1j * frequency
+    answer = (1 + rate / inertia) / (inertia * rate)  # ω = Im(A e^{ift}) + constant
     exact = (answer * np.exp(rate * ts)).imag - answer.imag
     np.testing.assert_allclose(run.omega[:, 2] / size, exact, atol=1e-8)
 
@@ -152,27 +176,14 @@ def test_drag_along_the_physical_branch_is_classified_and_swept():
     assert jnp.linalg.norm(run.omega[-1]) < 0.01 < jnp.linalg.norm(run.omega[0])
 
 
-def test_several_torques_add_up():
-    first = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(0.04))
-    both = torques.with_torque(first, torques.drag(0.06 * np.eye(3)))
-    run = dt.simulate(both, SPIN, [0.0, 8.0])
-    np.testing.assert_allclose(run.omega[-1, 1], braked(GAMMA, 1.0, 8.0), rtol=1e-9)
-
-
-@pytest.mark.slow
 def test_a_field_is_added_to_a_field():
-    top = dt.TransverseSemi(-0.2)
-    fields = [torques.field_on_dipole(top, field) for field in ([0.0, 0.01, 0.0], [0.0, 0.0, 0.02])]
-    first = torques.with_torque(top, fields[0], attitude=LEVEL)
-    both = torques.field_on_dipole(top, [0.0, 0.01, 0.02])
-    runs = [
-        dt.simulate(equation, [0.0, 0.0, 0.0], [0.0, 5.0])
-        for equation in (
-            torques.with_torque(first, fields[1]),
-            torques.with_torque(top, both, attitude=LEVEL),
-        )
-    ]
-    np.testing.assert_allclose(runs[0].omega[-1], runs[1].omega[-1], rtol=1e-9)
+    top, fields = dt.TransverseReduced(-0.2), np.array([[0.0, 0.01, 0.0], [0.0, 0.0, 0.02]])
+    one, other, both = (torques.field_on_dipole(top, f) for f in (*fields, fields.sum(axis=0)))
+    first = torques.with_torque(top, one, attitude=TILTED)
+    added, known = torques.with_torque(first, other), torques.with_torque(top, both, attitude=LEVEL)
+    y = jnp.array([0.1, -0.2, 0.3, *TILTED])
+    rates = jax.jit(lambda *equations: [equation(0.0, y) for equation in equations])
+    np.testing.assert_allclose(*rates(added, known), rtol=1e-13)
 
 
 def test_semi_reduced_with_drag_against_another_integrator():
@@ -198,46 +209,6 @@ def test_semi_reduced_with_drag_against_another_integrator():
 
 
 # Energy and attitude of a run
-
-
-@pytest.mark.slow
-def test_the_work_of_a_torque_belongs_to_the_balance():
-    """Along the dipole nothing radiates, so the energy changes by the work alone."""
-
-    def push(t, omega):
-        return jnp.stack([jnp.cos(t), jnp.zeros_like(t), jnp.zeros_like(t)])
-
-    equation = torques.with_torque(dt.TransverseSemi(0.3), push)
-    run = dt.simulate(equation, [0.5, 0.0, 0.0], jnp.linspace(0.0, 5.0, 11), balance=True)
-    np.testing.assert_allclose(run.work, run.energy - run.energy[0], atol=1e-9)
-    np.testing.assert_allclose(run.emitted, 0.0, atol=1e-9)
-    np.testing.assert_allclose(run.balance_defect, 0.0, atol=1e-8)
-    without = dt.simulate(dt.TransverseSemi(0.3), SPIN, [0.0, 1.0], balance=True)
-    assert without.work is None
-
-
-@pytest.mark.slow
-def test_a_run_has_the_attitude_of_its_states():
-    top = dt.TransverseSemi(0.3)
-    pulled = torques.field_on_dipole(top, [0.0, 0.0, 0.0])  # no torque at all
-    start, ts = [0.3, 0.1, -0.2], jnp.linspace(0.0, 20.0, 5)
-    tilted = [0.6, 0.0, 0.8, 0.0]
-    run = dt.simulate(torques.with_torque(top, pulled, attitude=tilted), start, ts)
-    free = dt.simulate(top, start, ts, attitude=tilted)
-    np.testing.assert_allclose(run.attitude, free.attitude, atol=1e-9)
-    np.testing.assert_allclose(run.dipole, free.dipole, atol=1e-9)
-    many = jax.vmap(lambda w: dt.simulate(run.equation, w, ts))(jnp.array([start, start]))
-    np.testing.assert_allclose(many.attitude[1], run.attitude, atol=1e-12)
-
-
-def test_there_is_one_attitude():
-    top = dt.TransverseSemi(0.3)
-    pulled = torques.field_on_dipole(top, [0.0, 0.1, 0.0])
-    equation = torques.with_torque(top, pulled, attitude=LEVEL)
-    with pytest.raises(ValueError, match="`attitude` must be None for an equation whose state"):
-        dt.simulate(equation, SPIN, [0.0, 1.0], attitude=LEVEL)
-    with pytest.raises(ValueError, match="`attitude` must be None, as `equation` has one"):
-        torques.with_torque(equation, pulled, attitude=LEVEL)
 
 
 def test_the_body_is_held_once():
@@ -267,44 +238,8 @@ def test_a_run_ends_by_the_verdict_of_the_user():
 
 def test_the_regions_of_the_equation_do_not_decide_with_a_torque():
     equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(GAMMA))
-    with pytest.raises(ValueError, match="`equation` must have a method `verdict"):
-        dt.classify(equation, SPIN)
     with pytest.raises(ValueError, match="have a method `verdict"):
         dt.sweep(lambda w3: (equation, dt.cylindrical(0.2, w3, 0.1)), dt.Grid(w3=[0.1]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["jax", "auto"])
-@pytest.mark.filterwarnings("ignore:.*native engine:UserWarning")
-def test_sweeps_vary_the_torque(engine):
-    """Each start has the drag of its own point, as in a run alone."""
-
-    def problem(gamma, w3):
-        drag = torques.drag(gamma)
-        equation = torques.with_torque(dt.TransverseSemi(0.3), drag, verdict=rests)
-        return equation, dt.cylindrical(0.3, w3, 1.0)
-
-    grid = dt.Grid(gamma=[0.02, 0.05, 0.1, 0.15], w3=[0.0, 0.1, 0.2])
-    basin = dt.sweep(problem, grid, engine=engine, slow_flow=False, value="unchecked")
-    assert np.all(basin.outcome == Outcome.STOP)
-    for i, gamma in enumerate(grid.coords["gamma"]):
-        alone = dt.classify(*problem(jnp.asarray(gamma), jnp.asarray(0.1)), value="unchecked")
-        np.testing.assert_allclose(basin.time[i, 1], alone.time, rtol=0.3)
-    assert np.all(np.diff(basin.time, axis=0) < 0)  # more drag, earlier rest
-
-
-@pytest.mark.slow
-def test_plain_functions_in_sweeps_see_one_top():
-    def push(t, omega):
-        assert omega.shape == (3,)
-        return jnp.array([0.0, 0.0, 1e-3])
-
-    def problem(w3):
-        equation = torques.with_torque(dt.TransverseSemi(-0.2), push, verdict=rests)
-        return equation, dt.cylindrical(0.005, w3, 0.1)
-
-    basin = dt.sweep(problem, dt.Grid(w3=[0.0, 0.001]), engine="jax", slow_flow=False)
-    assert np.all(basin.outcome == Outcome.STOP)  # at once
 
 
 @pytest.mark.slow
@@ -322,17 +257,7 @@ def test_a_verdict_may_depend_on_the_attitude():
 
 
 @pytest.mark.slow
-def test_derivatives_pass_through_torques():
-    def end(gamma):
-        equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(gamma))
-        return dt.simulate(equation, SPIN, [0.0, 4.0]).omega[-1, 1]
-
-    h = 1e-4
-    slope = (braked(GAMMA + h, 1.0, 4.0) - braked(GAMMA - h, 1.0, 4.0)) / (2 * h)
-    np.testing.assert_allclose(jax.grad(end)(GAMMA), slope, rtol=1e-6)
-
-
-def test_parameters_of_functions_are_arguments():
+def test_parameters_of_functions_are_arguments_with_derivatives():
     def drag(gamma, t, omega):
         return -gamma * omega
 
@@ -340,7 +265,11 @@ def test_parameters_of_functions_are_arguments():
         equation = torques.with_torque(dt.TransverseReduced(0.3), Partial(drag, gamma))
         return dt.simulate(equation, SPIN, [0.0, 4.0]).omega[-1, 1]
 
-    np.testing.assert_allclose(jax.jit(end)(GAMMA), braked(GAMMA, 1.0, 4.0), rtol=1e-9)
+    h = 1e-4
+    found, slope = jax.jit(jax.value_and_grad(end))(GAMMA)
+    np.testing.assert_allclose(found, braked(GAMMA, 1.0, 4.0), rtol=1e-9)
+    change = braked(GAMMA + h, 1.0, 4.0) - braked(GAMMA - h, 1.0, 4.0)
+    np.testing.assert_allclose(slope, change / (2 * h), rtol=1e-6)
 
 
 # The drag of a gas
@@ -363,33 +292,14 @@ def test_gas_drag_is_the_momentum_that_molecules_take_away():
     np.testing.assert_allclose(torques.gas_drag(bead, pressures, temperature), [found, 2 * found])
 
 
-# Refusals
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
-        ((dt.RotatorFull(), torques.drag(0.1)), {}, "`equation` must be a level of a rigid body"),
-        (
-            (dt.TransverseSemi(0.3), torques.drag(0.1)),
-            {"attitude": [1.0, 1.0, 0.0, 0.0]},
-            "`attitude` must be a unit quaternion",
-        ),
-    ],
-)
-def test_refusals(arguments, options, message):
-    with pytest.raises(ValueError, match=message):
-        torques.with_torque(*arguments, **options)
-
-
-@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "native"])
-def test_sweeps_know_the_time(engine):
-    """I₁ω₁′ = τ/100 along the dipole, from rest; the verdict gives ω₁ where the run ended."""
+def test_sweeps_know_the_time():
+    """I₁ω₁′ ∝ τ along the dipole, each its own; the verdict gives ω₁ where the run ended."""
 
     def verdict(y):
         return jnp.where(y[0] > 0.5, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.5) & False
 
     def push(slope, t, omega):
+        assert omega.shape == (3,)
         return jnp.stack([slope * t, 0 * t, 0 * t])
 
     def problem(slope):
@@ -398,7 +308,7 @@ def test_sweeps_know_the_time(engine):
         return equation, jnp.array([0.1, 0.0, 0.0])
 
     slopes = np.array([0.01, 0.02])
-    basin = dt.sweep(problem, dt.Grid(slope=slopes), engine=engine, value="unchecked")
+    basin = dt.sweep(problem, dt.Grid(slope=slopes), value="unchecked")
     ends = 0.1 + slopes * basin.time**2 / 2
     np.testing.assert_allclose(basin.omega_inf, ends, rtol=1e-7)
 
@@ -407,6 +317,7 @@ def test_maps_with_a_torque_are_not_unfolded():
     """A constant torque lacks the symmetries of the free top."""
 
     def push(t, omega):
+        assert omega.shape == (3,)  # a plain function sees one top
         return jnp.stack([0 * t, 0 * t, 2e-3 + 0 * t])
 
     def problem(phi, w3):
@@ -429,7 +340,7 @@ def test_stores_tell_torques_apart_that_agree_at_first(tmp_path):
             return jnp.stack([0 * t, 0 * t, 1e-3 * function(t)])
 
         def problem(w3):
-            equation = torques.with_torque(dt.TransverseSemi(-0.2), push, verdict=rests)
+            equation = torques.with_torque(dt.TransverseReduced(-0.2), push, verdict=rests)
             return equation, dt.cylindrical(0.005, w3, 0.1)
 
         return problem
@@ -447,7 +358,7 @@ def test_half_of_the_energy_is_lost_when_a_growing_drag_has_taken_it():
     def drag(t, omega):
         return jnp.stack([-0.1 * (1 + t) * omega[0], 0 * t, 0 * t])
 
-    equation = torques.with_torque(dt.TransverseSemi(0.3), drag, verdict=rests)
+    equation = torques.with_torque(dt.TransverseReduced(0.3), drag, verdict=rests)
     found = dt.decay_time(equation, [0.2, 0.0, 0.0], 0.5)
     np.testing.assert_allclose(found, np.sqrt(1 + 10 * np.log(2)) - 1, rtol=1e-6)
 
@@ -458,12 +369,6 @@ def test_a_motion_with_a_torque_is_not_begun_again_from_a_late_state():
         dt.boundary.edge_state(equation, [0.2, 0.0, 0.0], [-0.2, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("top", [dt.TransverseSemi(0.3), dt.TransverseFull(0.3)])
-def test_with_a_torque_rotation_along_the_dipole_is_no_equilibrium(top):
-    with pytest.raises(ValueError, match="`equation` must keep rotation along the dipole"):
-        dt.spectrum(torques.with_torque(top, torques.drag(0.1)), [0.5, 0.0, 0.0])
-
-
 def test_a_function_that_holds_a_traced_number_is_refused():
     def end(gamma):
         equation = torques.with_torque(dt.TransverseReduced(0.3), lambda t, w: -gamma * w)
@@ -472,28 +377,3 @@ def test_a_function_that_holds_a_traced_number_is_refused():
     with pytest.raises(ValueError, match="`torque` must take parameters that vary as arguments"):
         jax.grad(end)(GAMMA)
     assert end(GAMMA) > 0  # a plain number may be held
-
-
-class NoBody(eqx.Module):
-    """ω′ = −ω, of nothing in particular."""
-
-    def __call__(self, t, y, args=None):
-        return -y
-
-    def lift(self, omega0):
-        return omega0
-
-    def omega(self, y):
-        return y
-
-
-def test_numbers_of_torques_are_checked():
-    with pytest.raises(ValueError, match=r"`gamma` must be a number or have shape \(3, 3\)"):
-        torques.drag([0.1, 0.2])
-    with pytest.raises(ValueError, match="`field`"):
-        torques.field_on_dipole(dt.TransverseSemi(0.1), [1.0, 2.0])
-    with pytest.raises(ValueError, match="`equation` must have a body"):
-        torques.field_on_dipole(NoBody(), [1.0, 2.0, 3.0])
-    bead = dt.Particle(1e-18, 1e-35 * np.eye(3), [0.0, 0.0, 1e-27])
-    with pytest.raises(ValueError, match="`particle` must have a known radius"):
-        torques.gas_drag(bead, 1.0)

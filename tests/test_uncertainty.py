@@ -117,24 +117,6 @@ def test_what_is_not_known_at_the_mean_is_not_told():
     assert np.isnan([*certain.mean, *certain.std]).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"mean": {}}, r"`mean` must be a dict of named numbers"),
-        ({"mean": {"a": 0.0, "b": np.nan}}, r"`mean\['b'\]` must be finite"),
-        ({"mean": {"a": 0.0, "c": 1.0}}, r"name the arguments of `problem`"),
-        ({"covariance": np.eye(3)}, r"`covariance` must have shape \(2, 2\)"),
-        ({"covariance": [[1.0, 0.1], [0.2, 1.0]]}, r"is not symmetric"),
-        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, r"without a negative eigenvalue, but has one"),
-        ({"n": 0}, r"`n` must be a positive whole number"),
-    ],
-)
-def test_propagate_refuses(change, match):
-    given = {"mean": {"a": 0.0, "b": 0.0}, "covariance": np.eye(2)} | change
-    with pytest.raises(ValueError, match=match):
-        propagate(plane, **given)
-
-
 def test_indices_of_ishigami():
     def problem(x, y, z):
         return Told(jnp.sin(x) * (1 + 0.1 * z**4) + 7 * jnp.sin(y) ** 2), START
@@ -207,25 +189,6 @@ def test_few_unknown_runs_are_replaced_and_many_refused():
     assert found.first["x"].value == pytest.approx(0, abs=0.05)
     with pytest.raises(ValueError, match=r"`most_unknown` must be at least .*, but that share is"):
         sobol(problem, bounds, n=512, most_unknown=0.005, max_steps=5)
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"n": 100}, r"`n` must be a power of two, but is 100"),
-        ({"seed": -1}, r"`seed` must be a whole number, not negative"),
-        ({"most_unknown": np.nan}, r"`most_unknown` must be finite"),
-        ({"target": "time"}, r"`target` must be 'omega_inf' or 'residual'"),
-        ({"bounds": {}}, r"`bounds` must be a dict of pairs"),
-        ({"bounds": {"a": (0.0, 1.0), "b": (1.0, 1.0)}}, r"`bounds\['b'\]` must be a pair low <"),
-        ({"bounds": {"a": (0.0, 1.0), "b": 1.0}}, r"`bounds\['b'\]` must have shape \(2,\)"),
-        ({"target": "residual"}, r"`bounds` must make the target vary, but it is 1 everywhere"),
-    ],
-)
-def test_sobol_refuses(change, match):
-    given = {"bounds": {"a": (0.1, 1.0), "b": (0.1, 0.2)}, "n": 16} | change
-    with pytest.raises(ValueError, match=match):
-        sobol(plane, given.pop("bounds"), **given)
 
 
 def test_summaries_show_estimates_with_their_errors():

@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
@@ -12,14 +11,6 @@ from dipoletop._base.types import Outcome
 RNG = np.random.default_rng(0)
 
 
-def _bodies(moments, axis, starts):
-    """One body with its dipole on a principal axis, and its starts."""
-    n = len(starts)
-    inertia, dipole = np.diag(moments), np.eye(3)[axis]
-    return np.broadcast_to(inertia, (n, 3, 3)), np.broadcast_to(dipole, (n, 3)), starts
-
-
-@pytest.mark.slow
 def test_ends_are_those_of_single_motions():
     """Another quadrature, and signs on a grid in place of zeros of F, lead to the same ends."""
     n = 60
@@ -39,35 +30,6 @@ def test_ends_are_those_of_single_motions():
         expected = [np.asarray(getattr(one, name)) for one in single]
         rtol = 0.3 if name == "error" else 1e-9  # an estimate looks at other places of the path
         np.testing.assert_allclose(values, expected, rtol=rtol, err_msg=name)
-
-
-@pytest.mark.slow
-def test_needles_end_by_chance_as_single_ones_do():
-    body = np.array([0.2, 1.0, 1.0]), 2
-    starts = 1e-12 * RNG.normal(size=(5, 3))
-    starts[3, 0] = 0.0  # captured at once, from a phase that is known
-    starts[4, 1:] = 0.0  # a spin about the long axis
-    arguments = _bodies(*body, starts)
-    many = ends_of_many(*arguments)
-    for k, (inertia, dipole, omega) in enumerate(zip(*arguments, strict=True)):
-        row = np.concatenate([inertia.ravel(), dipole, omega])
-        one = forecast(jnp.asarray(row), jnp.asarray(1.0), True)
-        for name, values in many._asdict().items():
-            expected = np.asarray(getattr(one, name))
-            np.testing.assert_allclose(values[k], expected, rtol=1e-7, err_msg=name)
-    assert np.all(many.outcome[:3] == Outcome.UNDECIDED)
-    assert many.outcome[3] != Outcome.UNDECIDED
-
-
-@pytest.mark.slow
-def test_both_outcomes_occur_where_two_zeros_of_the_flow_meet():
-    """With the dipole on J₁ both occur below a curve J₂(J₁); its points are known independently."""
-    starts = 1e-20 * RNG.normal(size=(150, 3))
-    for j1, j2 in ((0.40, 0.61254587), (0.50, 0.60550456), (0.60, 0.62388624)):
-        for shift, both in ((-1e-6, True), (1e-6, False)):
-            ends = ends_of_many(*_bodies((j1, j2 + shift, 1.0), 0, starts))
-            assert np.any(ends.outcome == Outcome.STOP) == both
-            assert np.any(ends.outcome == Outcome.RESIDUAL)
 
 
 def test_a_dipole_along_an_axis_is_along_it_in_any_frame():

@@ -1,7 +1,6 @@
 """Crossings and their derivatives against the limit of small amplitudes."""
 
 import numpy as np
-import pytest
 from slow_tops import DELTA, RESIDUAL, ROTATING, SLOPE, Z_S, across, backwards, slow
 
 from dipoletop import boundary
@@ -65,25 +64,6 @@ def test_derivative_is_that_of_bisected_points_and_of_the_planar_limit():
     np.testing.assert_allclose(ratio, 10, rtol=0.01)  # an error like the distance
     flow = backwards(0.0, [0.0, Z_S])
     np.testing.assert_allclose(turning[0], flow[1] / flow[0], rtol=1e-4)
-
-
-def test_bad_input_is_one_sentence():
-    found = across()
-    point = {"z": 4.0, "phi": 0.0, "delta": DELTA, "w": 1e-3}
-    for call, words in [
-        (lambda: boundary.bisect(slow, point, point | {"z": 4.1}), "`b` must end otherwise"),
-        (lambda: boundary.bisect(slow, {}, {}), "`a` must map"),
-        (lambda: boundary.bisect(slow, point, {"z": 4.5}), "`b` must name"),
-        (lambda: boundary.bisect(slow, point, point | {"z": [4.0, np.nan]}), "`z` must be finite"),
-        (lambda: boundary.bisect(slow, point, point | {"delta": 2.0}), r"`delta` must lie in"),
-        (lambda: boundary.normal(found, []), "`names` must hold at least one name"),
-        (lambda: boundary.normal(found, ["x"]), "`names` must be among"),
-        (lambda: boundary.normal(found, ["z"], distance=np.nan), "`distance` must be finite"),
-        (lambda: boundary.derivative(found, "z", "z"), "`by` must name coordinates other than"),
-        (lambda: boundary.bisect(slow, point, point, value=False), "`settings` must be among"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            call()
 
 
 def test_a_summary_of_crossings_has_counts():

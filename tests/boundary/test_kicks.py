@@ -38,20 +38,3 @@ def test_a_kick_along_one_component_is_a_bisection():
     )
     np.testing.assert_allclose(kick.kick, [0.0, 0.0, found.after["w3"][0] - 0.12], rtol=1e-9)
     assert kick.defect == 0
-
-
-def test_bad_input_is_one_sentence():
-    start, equation = np.array([0.2, 0.0, 0.1]), dt.TransverseReduced(DELTA)
-    several = dt.TransverseReduced(jnp.array([DELTA, 0.1]))
-    for call, words in [
-        (lambda: boundary.minimal_kick(equation, start, components=[4]), "`components` must hold"),
-        (lambda: boundary.minimal_kick(several, start), "`equation` must be a single one"),
-        (lambda: boundary.minimal_kick(equation, start, largest=-1.0), "`largest` must be"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            call()
-
-
-def test_a_summary_of_a_kick_has_its_numbers():
-    kick = boundary.Kick(np.array([0.0, 0.0, 0.05]), 0.05, np.array([1, 5]), 1e-9)
-    assert repr(kick) == ("Kick(kick=[0, 0, 0.05], size=0.05, fates=[1, 5], defect=1e-09)")

@@ -66,20 +66,3 @@ def test_what_is_not_known_beside_a_boundary_does_not_hide_it():
         assert found.undecided == pytest.approx(2 / 11)
         assert found.share == pytest.approx(exact.share, abs=1e-13)
         assert found.slopes["phi"] == pytest.approx(exact.slopes["phi"], rel=1e-6)
-
-
-def test_bad_input_is_one_sentence():
-    point = {"z": 4.0, "phi": 0.0, "delta": DELTA, "w": 1e-3}
-    for call, words in [
-        (lambda: boundary.residual_share(slow, point, point, by="x"), "`by` must name"),
-        (lambda: boundary.residual_share(slow, point, point, parts=0), "`parts` must be"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            call()
-
-
-def test_a_summary_of_a_share_has_its_errors():
-    share = boundary.ResidualShare(0.515, 0.002, {"delta": 4.7}, {"delta": 0.1}, 0.0)
-    assert repr(share) == (
-        "ResidualShare(share=0.515 ± 0.002, slopes={delta: 4.7 ± 0.1}, undecided=0)"
-    )

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from branched import Branched
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -107,11 +108,10 @@ def rotator(t, y):
     return y[1], y[1] + y[0] ** 3
 
 
-class Isotropic(eqx.Module):
+class Isotropic(Branched):
     """ω̇ = a, ȧ = a + ω²ω: rotators that feel nothing of each other, and no more than (A.1)."""
 
-    runaway_rate: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(1.0))
-    body: dt.Body = eqx.field(default_factory=lambda: dt.Body(np.eye(3), [1.0, 0.0, 0.0]))
+    rest = 0.15
 
     def __call__(self, t, y, args=None):
         return jnp.concatenate([y[3:], y[3:] + jnp.sum(y[:3] ** 2) * y[:3]])
@@ -127,19 +127,6 @@ class Isotropic(eqx.Module):
     @property
     def semi(self):
         return self.reduced(1)
-
-    def fast(self, rate):
-        return rate
-
-    def lift(self, omega):
-        return jnp.concatenate([omega, self.semi(0.0, omega)])
-
-    def omega(self, y):
-        return y[:3]
-
-    def verdict(self, y):
-        slow = jnp.sum(y[:3] ** 2) < 0.15**2
-        return jnp.where(slow, int(dt.Outcome.STOP), 0), jnp.zeros(()), ~slow
 
 
 @pytest.mark.slow
@@ -265,13 +252,6 @@ def test_where_there_is_no_branch():
     def last(delta):
         return dt.simulate(dt.TransverseFull(delta), start, TIMES, throw=False).omega[-1]
 
-    found, slope = jax.jvp(last, (jnp.asarray(0.95),), (jnp.ones(()),))
+    found, slope = jax.jit(lambda delta: jax.jvp(last, (delta,), (1.0,)))(0.95)
     assert jnp.all(jnp.isnan(found))
     assert jnp.all(jnp.isnan(slope))
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`engine` must be 'auto' or 'jax' .* equation is full"):
-        dt.classify_many(TOP, jnp.ones((1, 3)), engine="native")
-    with pytest.raises(ValueError, match=r"`options` must be `throw`, .* is `solver`"):
-        dt.simulate(TOP, jnp.ones(3), jnp.array([0.0, 1.0]), solver=diffrax.Tsit5())

@@ -96,20 +96,21 @@ def at_rest(body):
 def test_a_requested_accuracy(wanted):
     """The estimate covers the error, and what misses the request is not given."""
     rng = np.random.default_rng(2)
-    sizes = np.geomspace(0.05, 4.0, 24)[:, None]
-    ways = rng.normal(size=(24, 3))
+    sizes = np.geomspace(0.05, 4.0, 12)[:, None]
+    ways = rng.normal(size=(12, 3))
     starts = jnp.asarray(sizes * ways / np.linalg.norm(ways, axis=1, keepdims=True))
 
     def at(rtol):
         return [dt.slow_manifold(TOP, start, rtol=rtol, with_error=True) for start in starts]
 
-    for (rate, error), (best, rest) in zip(at(wanted), at(wanted / 100), strict=True):
+    rates = at(wanted)
+    for (rate, error), (best, rest) in zip(rates, at(wanted / 100), strict=True):
         size = jnp.max(jnp.abs(rate))
         if jnp.isfinite(size):
             assert error <= wanted * size
         if jnp.isfinite(size + best[0]):
             assert jnp.max(jnp.abs(rate - best)) <= error + rest
-    found = [bool(jnp.isfinite(rate[0])) for rate, _ in at(wanted)]
+    found = [bool(jnp.isfinite(rate[0])) for rate, _ in rates]
     assert np.mean(found) > 0.6
 
 
@@ -134,10 +135,14 @@ def test_derivatives_by_the_body_of_a_sphere():
 
     def general(delta):
         inertia = jnp.diag(jnp.stack([1.0 + 0 * delta, 1.0 + 0 * delta, 1 - delta]))
-        return dt.slow_manifold(dt.Full(dt.Body(inertia, [1.0, 0.0, 0.0])), start)
+        full = dt.Full(dt.Body(inertia, [1.0, 0.0, 0.0]))
+        return dt.slow_manifold(WithShortLevels(full, dt.TransverseFull(delta)), start)
 
-    special = jax.jacfwd(lambda delta: dt.slow_manifold(dt.TransverseFull(delta), start))(0.0)
-    np.testing.assert_allclose(jax.jacfwd(general)(0.0), special, rtol=1e-9)
+    def special(delta):
+        return dt.slow_manifold(dt.TransverseFull(delta), start)
+
+    slopes = [jax.jit(jax.jacfwd(each))(0.0) for each in (general, special)]
+    np.testing.assert_allclose(*slopes, rtol=1e-9)
 
 
 def test_small_amplitudes_have_the_series():
@@ -152,12 +157,3 @@ def test_small_amplitudes_have_the_series():
 @jax.jit
 def series(omega):
     return [dt.TransverseReduced(-0.2, m)(0.0, omega) for m in (1, 2, 3, 4)]
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`equation` must be a full equation, but is Transverse"):
-        dt.slow_manifold(dt.TransverseSemi(-0.2), jnp.ones(3))
-    with pytest.raises(ValueError, match=r"`rtol` must lie between .* is 2"):
-        dt.slow_manifold(TOP, jnp.ones(3), rtol=2.0)
-    with pytest.raises(ValueError, match=r"`omega` must be finite"):
-        dt.slow_manifold(TOP, jnp.array([0.1, jnp.nan, 0.0]))

@@ -15,7 +15,7 @@ import dipoletop as dt
 from dipoletop._base.stopping import BROKEN, EXHAUSTED, FINISHED
 from dipoletop._engines import jax_engine
 from dipoletop._engines.branch_engine import BranchEngine
-from dipoletop._engines.interface import Engine, Limits
+from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 
@@ -36,13 +36,6 @@ def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
     return Limits(*map(jnp.asarray, given))
 
 
-def test_three_engines():
-    """Each has the whole interface; a name is what a user asks for, or reads in `attrs`."""
-    engines = JaxEngine(), NativeEngine(), BranchEngine()
-    assert all(isinstance(engine, Engine) for engine in engines)
-    assert [engine.name for engine in engines] == ["jax", "native", "branch"]
-
-
 @pytest.mark.parametrize(
     ("engine", "solver"),
     [
@@ -50,7 +43,6 @@ def test_three_engines():
         (NativeEngine(), diffrax.Dopri8()),
         (NativeEngine(), diffrax.Bosh3()),
         pytest.param(JaxEngine(), diffrax.Dopri8(), marks=pytest.mark.slow),
-        pytest.param(JaxEngine(), diffrax.Bosh3(), marks=pytest.mark.slow),
     ],
     ids=lambda x: getattr(x, "name", type(x).__name__),
 )
@@ -103,13 +95,6 @@ def same(found, ends, order):
         assert np.array_equal(one, other[..., order])
 
 
-@pytest.mark.slow
-def test_the_width_of_a_block_changes_no_bit():
-    engines = [replace(SHORT, width=width) for width in (64, 128)]
-    equation, given = dt.TransverseReduced(DELTAS), limits(STARTS)
-    same(*(e.end_states(equation, STARTS, given, until="outcome") for e in engines), np.arange(N))
-
-
 @both
 def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
     starts = np.array(STARTS)
@@ -140,17 +125,6 @@ def test_budget_is_counted_in_steps(engine):
     assert np.max(steps) == 3
     assert np.all(status[steps == 3] != BROKEN)
     assert np.any(status == EXHAUSTED)
-
-
-@pytest.mark.slow
-def test_lanes_are_refilled():
-    """The blocks make far fewer lane-steps than lockstep would: slowest lane times all lanes."""
-    ends = replace(SHORT, width=64).end_states(
-        dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome"
-    )
-    wide, narrow = (int(n) for n in ends.block_steps)
-    made, used = wide * 64 + narrow * 8, int(np.sum(ends.steps))
-    assert used <= made < 0.2 * N * int(np.max(ends.steps))
 
 
 class Own(eqx.Module):

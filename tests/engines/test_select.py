@@ -58,9 +58,3 @@ def test_without_llvmlite_jax_runs(monkeypatch):
     assert select.select_engine("auto", fading, jax.devices()[0], "value").name == "jax"
     with pytest.raises(ValueError, match=r"'native', but llvmlite cannot be imported \(gone\)"):
         dt.classify_many(fading, jnp.ones((3, 3)), engine="native")
-
-
-def test_an_unknown_engine_is_refused():
-    message = r"Argument `engine` must be 'auto', 'jax' or 'native', but is 'fast'\."
-    with pytest.raises(ValueError, match=message):
-        dt.classify_many(dt.TransverseReduced(-0.2), jnp.ones((1, 3)), engine="fast")

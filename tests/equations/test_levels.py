@@ -1,7 +1,5 @@
 """Levels by name, and the equations that they name."""
 
-import pytest
-
 import dipoletop as dt
 from dipoletop.equations.levels import level_of
 
@@ -17,11 +15,6 @@ def test_every_level_names_its_equation():
 def test_only_order_1_has_a_caveat():
     assert [level for level in dt.Level if level.caveat] == [dt.Level.ORDER_1]
     assert [level for level in dt.Level if not level.consistent] == [dt.Level.ORDER_1]
-
-
-def test_an_unknown_level_is_refused():
-    with pytest.raises(ValueError, match=r"`level` must be one of order-1, .*, but is 'order-5'"):
-        dt.equation_at("order-5", -0.2)
 
 
 def test_an_equation_without_a_level_is_labelled_by_its_class():

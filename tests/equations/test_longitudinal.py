@@ -89,10 +89,3 @@ def test_the_physical_branch_keeps_the_balance():
     slope = np.log(w[2] / w[1]) / 20
     assert abs(slope.real / float(decay) - 1) < 1e-6
     assert abs(slope.imag / float(turn - 0.3) - 1) < 1e-6
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`delta` must lie in \[-1, 1\), but is 1"):
-        dt.LongitudinalSemi(1.0)
-    with pytest.raises(ValueError, match=r"`order` must be 1, 2, 3 or 4, but is 5"):
-        dt.LongitudinalReduced(0.0, 5)

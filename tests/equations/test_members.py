@@ -65,7 +65,7 @@ def test_a_body_that_is_no_field_is_no_parameter():
 
     class Plain:
         def __init__(self):
-            self.inner = dt.Reduced(BODY)
+            self.inner = dt.TransverseReduced(-0.2)
             self.body = self.inner.body
 
         def __call__(self, t, y, args=None):

@@ -101,8 +101,3 @@ def test_the_physical_branch_is_followed():
 
 
 _f = jax.jit(dt.critical_manifold)
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`omega0` must lie along axis 3"):
-        dt.simulate(FULL, jnp.array([0.1, 0.0, 0.5]), jnp.array([0.0, 1.0]))

@@ -88,9 +88,3 @@ def test_separatrix_comes_from_rest():
     w, rate = run.y[:, -1]
     assert w > 1
     assert abs(rate / float(dt.separatrix(w)) - 1) < 1e-9
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match=r"`w` must be a real"):
-        dt.critical_manifold("a")
-    assert jnp.isnan(dt.critical_manifold(jnp.nan))

@@ -2,7 +2,6 @@
 
 import itertools
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,13 +75,6 @@ def test_symmetries(equation):
         assert jnp.allclose(image, signs * rate(equation, OMEGAS), rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize("equation", FIRST_ORDER, ids=lambda e: e.level)
-def test_one_line_serves_one_top_and_a_block(equation):
-    block = rate(equation, OMEGAS)
-    each = jnp.stack([rate(equation, w) for w in OMEGAS.T], axis=-1)
-    assert float(jnp.max(jnp.abs(block - each))) < 1e-13 * float(jnp.max(jnp.abs(each)))
-
-
 def test_fields_are_arrays_so_that_values_compile_nothing():
     calls = []
 
@@ -94,38 +86,6 @@ def test_fields_are_arrays_so_that_values_compile_nothing():
     for delta in (-0.2, 0.1, -1):
         rate(dt.TransverseReduced(delta), OMEGAS[:, 0])
     assert len(calls) == 1
-
-
-def test_an_equation_is_a_diffrax_vector_field():
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(dt.TransverseSemi(-0.2)),
-        diffrax.Tsit5(),
-        0.0,
-        1.0,
-        0.1,
-        jnp.array([0.1, 0.2, 0.3]),
-    )
-    assert bool(jnp.all(jnp.isfinite(solution.ys)))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: dt.TransverseReduced(1.0), r"`delta` must lie in \[-1, 1\), but is 1.0"),
-        (lambda: dt.TransverseSemi(-1.01), r"`delta` must lie in \[-1, 1\), but is -1.01"),
-        (lambda: dt.TransverseFull(jnp.nan), r"`delta` must lie in \[-1, 1\), but is nan"),
-        (lambda: dt.TransverseReduced("oblate"), "`delta` must be a real number"),
-        (lambda: dt.TransverseReduced(1j), "`delta` must be a real number, but has dtype complex"),
-        (lambda: dt.TransverseReduced(jnp.array([0.1, 2.0])), "but has 2"),
-        (lambda: dt.TransverseReduced(0.1, order=5), "`order` must be 1, 2, 3 or 4, but is 5"),
-        (lambda: dt.Reduced(dt.axisymmetric(0.1), order=0), "`order` must be 1, 2, 3 or 4"),
-        (lambda: dt.Reduced(dt.axisymmetric(0.1), order=True), "but is True"),
-        (lambda: dt.cylindrical("a", 0.1, 0.1), "`w_perp` must be a real number"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
 
 
 def test_traced_bad_value_becomes_nan():

@@ -1,11 +1,20 @@
-"""An equation whose runs are short, for tests of what is done with their ends."""
+"""What tests of runs share: random starts, and an equation whose runs are short."""
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 import dipoletop as dt
 from dipoletop import Outcome, radiation
 from dipoletop._base.linalg import solve
+
+
+def starts(n, seed, low, high):
+    """Isotropic ones, of sizes that are log-uniform."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(n, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return np.exp(rng.uniform(np.log(low), np.log(high), (n, 1))) * way
 
 
 class Settling(eqx.Module):

@@ -126,21 +126,20 @@ def test_full_equation_keeps_the_balance_of_angular_momentum():
     assert changed > 0.1
     fast = np.cross(GENERIC.dipole, [0.01, -0.02, 0.01])  # across the dipole
     state = np.concatenate([[2.0, 1.0, -1.5], fast])
-    off, changed = momentum_defect(dt.Full(GENERIC), state, 0.5, rtol=1e-12)
+    few_stages = {"rtol": 1e-12, "solver": diffrax.Tsit5()}
+    off, changed = momentum_defect(dt.Full(GENERIC), state, 0.5, **few_stages)
     assert off < 1e-10
     assert changed > 0.01
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", [dt.TransverseReduced, dt.TransverseFull])
-def test_residual_rotation_takes_no_steps_for_its_turns(level):
+def test_residual_rotation_takes_no_steps_for_its_turns():
     """Figure 2a: after the capture q turns about the dipole by ω∞τ, here some hundred times."""
     ts, start = jnp.linspace(0.0, 5e4, COUNT), dt.cylindrical(0.2, 0.2, jnp.pi / 30)
-    plain = dt.simulate(level(-0.2), start, ts)
-    run = dt.simulate(level(-0.2), start, ts, attitude=TILTED)
+    plain = dt.simulate(dt.TransverseFull(-0.2), start, ts)
+    run = dt.simulate(dt.TransverseFull(-0.2), start, ts, attitude=TILTED)
     np.testing.assert_allclose(run.omega, plain.omega, rtol=0, atol=1e-10)
-    if level is dt.TransverseFull:
-        assert run.stats["num_steps"] == plain.stats["num_steps"]
+    assert run.stats["num_steps"] == plain.stats["num_steps"]
     assert np.abs(np.linalg.norm(run.attitude, axis=-1) - 1).max() < 1e-15
     middle = COUNT // 2
     angle = float(run.omega[-1, 0] * (ts[-1] - ts[middle]))
@@ -153,14 +152,6 @@ ACROSS = np.array([-0.1, 0.5, 0.5, 0.7])  # a unit quaternion across TILTED
 
 
 WAY = np.array([1.0, 2.0, -1.0])
-
-
-def slopes(dipole, forward):
-    """The derivative of a dipole along WAY at s = 0, in forward and in reverse mode."""
-    zero, one = jnp.zeros(()), jnp.ones(())
-    along = jax.jit(lambda s: jax.jvp(lambda s: dipole(s, adjoint=forward), (s,), (one,))[1])
-    yield along(zero) @ WAY
-    yield jax.jit(jax.grad(lambda s: dipole(s) @ WAY))(zero)
 
 
 @pytest.mark.slow
@@ -182,8 +173,9 @@ def test_derivatives_of_the_rotator():
         return matrix(np.cos(s) * TILTED + np.sin(s) * ACROSS) @ turn[:, 0]
 
     difference = sum(c * expected(k * h) for k, c in stencil) / h
-    for slope in slopes(dipole, diffrax.ForwardMode()):
-        np.testing.assert_allclose(slope, difference @ WAY, rtol=0, atol=3e-9)
+    forward = jax.jit(jax.jacfwd(lambda s: dipole(s, adjoint=diffrax.ForwardMode())))(0.0)
+    backward = jax.jit(jax.grad(lambda s: dipole(s) @ WAY))(0.0)
+    np.testing.assert_allclose([forward @ WAY, backward], difference @ WAY, rtol=0, atol=3e-9)
 
 
 @pytest.mark.slow
@@ -231,41 +223,29 @@ def test_batch_of_starts_and_of_first_attitudes():
 
 
 @pytest.mark.slow
-def test_what_was_not_reached_is_not_a_number():
-    start, ts = jnp.array([0.2, 0.1, 0.2]), jnp.array([0.0, 1e-3, 1e3])
-    for level in (dt.TransverseReduced, dt.TransverseFull):
-        settings = {"max_steps": 5, "attitude": TILTED}
-        run = dt.simulate(level(-0.2), start, ts, throw=False, **settings)
-        assert jnp.all(jnp.isfinite(run.attitude[:2]))
-        assert jnp.all(jnp.isnan(run.attitude[2]))
-        with pytest.raises(RuntimeError, match=r"`max_steps` .*did not suffice\.$"):
-            dt.simulate(level(-0.2), start, ts, **settings)
+@pytest.mark.parametrize(
+    ("level", "sentence"),
+    [
+        (dt.TransverseReduced, r"^The run ended before the last of `ts`: `max_steps` = 5 steps "),
+        (dt.TransverseFull, "^The physical branch of the full equation could not be followed "),
+    ],
+)
+def test_what_was_not_reached_is_not_a_number(level, sentence):
+    start, ts = jnp.array([0.2, 0.1, 0.2]), jnp.append(jnp.linspace(0.0, 1e-3, COUNT - 1), 1e3)
+    settings = {"max_steps": 5, "attitude": TILTED}
+    run = dt.simulate(level(-0.2), start, ts, throw=False, **settings)
+    np.testing.assert_array_equal(run.omega[0], start)
+    for reached in (run.omega, run.attitude):
+        assert np.all(np.isfinite(reached[:-1]))
+        assert np.all(np.isnan(reached[-1]))
+    with pytest.raises(RuntimeError, match=sentence + r".*did not suffice\.$"):
+        dt.simulate(level(-0.2), start, ts, **settings)
 
 
 def test_a_traced_bad_attitude_is_not_a_number():
     traced = jax.jit(lambda q0: unit_quaternion("attitude", q0))
     assert jnp.all(jnp.isnan(traced(jnp.zeros(4))))
     np.testing.assert_allclose(traced(TILTED), TILTED, atol=1e-15)
-
-
-UNIT = r"`attitude` must be a unit quaternion, of norm 1 within 1e-06, but has "
-
-
-@pytest.mark.parametrize(
-    ("q0", "message"),
-    [
-        (jnp.ones(3), r"`attitude` must have shape \(4,\), but has shape \(3,\)"),
-        (np.eye(4), r"`attitude` must have shape \(4,\), but has shape \(4, 4\)"),
-        ([1.0, 0.0, jnp.nan, 0.0], "`attitude` must be finite, but has nan"),
-        (jnp.zeros(4), UNIT + "0, 0, 0 and 1 more"),
-        ([1.0 + 2e-6, 0.0, 0.0, 0.0], UNIT),
-        (True, "`attitude` must be a real array"),
-        ("level", "`attitude` must be a real array"),
-    ],
-)
-def test_bad_attitudes_are_refused_in_one_sentence(q0, message):
-    with pytest.raises(ValueError, match=message):
-        dt.simulate(dt.TransverseReduced(0.3), jnp.ones(3), TIMES, attitude=q0)
 
 
 def test_an_attitude_that_is_nearly_a_unit_quaternion_is_normalised():

@@ -4,19 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from settling import starts
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
 OMEGA_INF = 0.09887029638156489613509  # Fig. 2a, extended precision
-
-
-def starts(n, seed, low, high):
-    rng = np.random.default_rng(seed)
-    way = rng.normal(size=(n, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    return np.exp(rng.uniform(np.log(low), np.log(high), (n, 1))) * way
 
 
 def test_figure_2():
@@ -63,34 +57,6 @@ def test_classify_jits_and_vmaps_and_takes_traced_values():
     across = jax.jit(lambda w: dt.cylindrical(w, 0.2, 0.1))
     assert jnp.all(jnp.isnan(across(-0.2)[:2]))
     assert jnp.all(jnp.isfinite(across(0.2)))
-
-
-ORDER_ONE = dt.TransverseReduced(0.1)
-
-
-START = jnp.array([0.1, 0.2, 0.3])
-
-
-MANY = dt.TransverseReduced(jnp.array([0.1, 0.2]))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: dt.classify(dt.TransverseAveraged(0.1), START),
-            r"`equation` must have a method `verdict\(y\)`, .* but is TransverseAveraged",
-        ),
-        (lambda: dt.classify(ORDER_ONE, [1.0]), r"must have shape \(3,\), but has"),
-        (lambda: dt.classify(ORDER_ONE, [1.0, jnp.inf, 0]), "must be finite"),
-        (lambda: dt.classify(ORDER_ONE, START, rtol=0.0), "`rtol` must lie betwe"),
-        (lambda: dt.classify(ORDER_ONE, START, max_steps=2**31), "be at most 2147483647, but is 2"),
-        (lambda: dt.classify(MANY, START), "`equation` must be a single one, but is a batch"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
 
 
 def test_a_tolerance_that_float32_cannot_meet():

@@ -40,10 +40,9 @@ def little_memory(monkeypatch):
     return limited
 
 
-@pytest.mark.parametrize("value", [False, True])
 @pytest.mark.parametrize("engine", [NativeEngine, pytest.param(JaxEngine, marks=pytest.mark.slow)])
-def test_blocks_are_halved_until_they_fit(engine, value, little_memory):
-    settings = {"value": value, "engine": engine.name, "slow_flow": False}
+def test_blocks_are_halved_until_they_fit(engine, little_memory):
+    settings = {"engine": engine.name, "slow_flow": False}
     whole = dt.classify_many(TOPS, STARTS, **settings)
     tried = little_memory(engine, 200, EXHAUSTED)
     parts = dt.classify_many(TOPS, STARTS, **settings)

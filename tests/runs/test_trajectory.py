@@ -45,23 +45,6 @@ def test_defect_of_a_reduced_level_falls_with_the_amplitude():
     assert defect(2, 0.05) < defect(2, 0.1) / 5
 
 
-@eqx.filter_jit
-def energy_and_power(run):
-    return run.energy, run.power
-
-
-def test_energy_and_power_are_those_of_the_top():
-    delta, w = -0.2, jnp.array([0.3, 0.1, 0.2])
-    run = dt.simulate(dt.TransverseReduced(delta), w, jnp.array([0.0, 0.1]), **WITH_ALL)
-    expected = (w[0] ** 2 + w[1] ** 2 + (1 - delta) * w[2] ** 2) / 2
-    energy, power = energy_and_power(run)
-    assert abs(float(energy[0] - expected)) < 1e-15
-    # d = (1, 0, 0): d₂ = Ω×(Ω×d) + Ω̇×d written out.
-    _, p2, p3 = dt.TransverseReduced(delta)(0.0, w)
-    second = jnp.array([-(w[1] ** 2) - w[2] ** 2, w[0] * w[1] + p3, w[0] * w[2] - p2])
-    assert abs(float(power[0] - jnp.sum(second**2))) < 1e-15
-
-
 def test_dense_output_and_statistics():
     run = dt.simulate(
         dt.TransverseReduced(-0.2),
@@ -78,7 +61,6 @@ def test_dense_output_and_statistics():
     assert repr(run) == shown
 
 
-@pytest.mark.slow
 def test_a_batch_of_trajectories_has_all_properties_with_its_axes_in_front():
     """From states by NumPy: I = (1, 1, 1−δ), d = (1, 0, 0), d₁ = Ω×d, d₂ = Ω×d₁ + Ω̇×d."""
     starts = jnp.asarray(np.random.default_rng(4).normal(size=(2, 3)))
