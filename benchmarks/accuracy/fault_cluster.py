@@ -17,7 +17,7 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks.accuracy import fault_sweep
-from benchmarks.accuracy.fault_damage import contents
+from benchmarks.accuracy.fault_sweep import contents
 from benchmarks.reporting import measure
 from dipoletop._maps.tiling import TILE
 
