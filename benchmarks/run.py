@@ -32,7 +32,7 @@ def measured(small: bool) -> dict[str, Any]:
     fresh = {  # first, while this process is small
         "import": importing.compare(1 if small else 15),
         "fresh_outcomes": fresh_outcomes.compare(*((64, 1) if small else (4096, 5))),
-        "maps": default_map.compare(16 if small else 512),
+        "maps": default_map.compare(small),
         "precision": precision.alone(small),
     }
     return fresh | {

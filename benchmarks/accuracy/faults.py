@@ -162,9 +162,9 @@ def measured(small: bool) -> Row:
         _, clocks = measure.timed(lambda: Sweeper(place, TILES).rest())
         expected, length = contents(place), clocks["seconds"]
     results["killed"] = [
-        killed(name, 4 if small else kills, rng, expected, length) for name, kills in KILLS.items()
+        killed(name, 1 if small else kills, rng, expected, length) for name, kills in KILLS.items()
     ]
-    results |= {"full_disk": full_disk(expected), "soak": soak(500 if small else 10_000)}
+    results |= {"full_disk": full_disk(expected), "soak": soak(100 if small else 10_000)}
     results["cluster"] = [
         fault_cluster.killed(kind, 1 if small else kills, rng) for kind, kills in CLUSTER.items()
     ]

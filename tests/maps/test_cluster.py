@@ -9,10 +9,7 @@ from pathlib import Path
 import pytest
 
 import dipoletop as dt
-
-
-def files(folder):
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+from stored_files import files
 
 
 @pytest.mark.system
