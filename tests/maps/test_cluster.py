@@ -1,4 +1,4 @@
-"""Sweeps on a Dask cluster of processes, two of which are killed: the bytes of a sweep alone."""
+"""Sweeps on a Dask cluster of two processes, which are killed: the bytes of a sweep alone."""
 
 import json
 import os
