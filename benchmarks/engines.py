@@ -20,7 +20,7 @@ from benchmarks.problems.mixed_basin import MAX_STEPS
 from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
-from dipoletop._engines.jax_engine import NARROW, ON_PROCESSOR, JaxEngine
+from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._runs import blocks
 from dipoletop._runs.blocks import LOOSE
 from dipoletop.equations._common import omega_scale_of as omega_scale_of
@@ -71,26 +71,17 @@ def integrate_by_the_fastest(equation: Any, y0: Any, bounds: Limits, *, until: A
         return integrate("jax", equation, y0, bounds, until=until)
 
 
-def evaluations(steps: float, starts: float, solver: Any = None) -> float:
+def evaluations(steps: float, starts: float) -> float:
     """Right-hand sides of so many steps, and two for each start to choose its first step.
 
-    All methods here reuse the last stage of a step (FSAL), accepted or not.
+    Dopri8 reuses the last stage of a step (FSAL), accepted or not.
     """
-    return steps * len((solver or diffrax.Dopri8()).tableau.c) + 2 * starts
+    return steps * len(diffrax.Dopri8().tableau.c) + 2 * starts
 
 
 def block_steps(ends: EndStates) -> np.ndarray:
     """Steps that the wide and the narrow block made, shape (2,)."""
     return np.asarray(ends.block_steps)
-
-
-def block_widths(name: str, starts: int) -> list[int]:
-    """Lanes of an engine's wide and narrow blocks on processors; 0: there is none."""
-    if name == "native":
-        from dipoletop._engines.native_queue import WIDTH
-
-        return [WIDTH, 0]
-    return [min(ON_PROCESSOR, starts), ON_PROCESSOR // NARROW]
 
 
 class Pass(NamedTuple):

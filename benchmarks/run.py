@@ -25,24 +25,20 @@ def measured(small: bool) -> dict[str, Any]:
         importing,
         outcomes,
         precision,
-        savings,
         scaling,
     )
 
     load_before = measure.load()
     fresh = {  # first, while this process is small
         "import": importing.compare(1 if small else 15),
-        "cold_start": importing.cold_start(*((1, 16) if small else (9, 512))),
         "fresh_outcomes": fresh_outcomes.compare(*((64, 1) if small else (4096, 5))),
-        "maps": default_map.compare(16 if small else 512),
+        "maps": default_map.compare(small),
         "precision": precision.alone(small),
     }
-    scaled = scaling.in_fresh_processes(small)
     return fresh | {
         "basin": outcomes.compare(small),
-        "scaling": scaled | scaling.compare(small),
+        "scaling": scaling.compare(small),
         "gradients": derivative_costs.compare(small),
-        "savings": savings.compare(small),
         "load": [load_before, measure.load()],
     }
 

@@ -150,7 +150,3 @@ class Processes(contextlib.ExitStack):
         worker = self.start([*command, address, *scratch], **settings)
         worker.says("Starting established connection to")
         return worker
-
-
-def files(folder):
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 SHIFTS = np.array([-3, -2, -1, 1, 2, 3])
 WEIGHTS = np.array([-1, 9, -45, 45, -9, 1]) / 60  # of the central difference of order 6
@@ -18,21 +18,20 @@ Function = Callable[[np.ndarray], np.ndarray]
 def chosen_steps(
     function: Function,
     rows: Float[np.ndarray, "n k"],
-    directions: Float[np.ndarray, "*n d k"],
-    among: Float[np.ndarray, "s"] = STEPS,
+    directions: Float[np.ndarray, "d k"],
 ) -> Float[np.ndarray, "n d"]:
     """Return for each row and direction the step size that agrees best with the following ones."""
-    n, d = len(rows), directions.shape[-2]
-    every = along(function, rows, directions, np.tile(among[:, None, None], (1, n, d)))
+    n, d = len(rows), len(directions)
+    every = along(function, rows, directions, np.tile(STEPS[:, None, None], (1, n, d)))
     apart = np.max(np.abs(np.diff(every, axis=0)), axis=-1)
     apart = np.nan_to_num(np.maximum(apart[1:], apart[:-1]), nan=np.inf)
-    return among[np.argmin(apart, axis=0) + 1]
+    return STEPS[np.argmin(apart, axis=0) + 1]
 
 
 def along(
     function: Function,
     rows: Float[np.ndarray, "n k"],
-    directions: Float[np.ndarray, "*n d k"],
+    directions: Float[np.ndarray, "d k"],
     steps: Float[np.ndarray, "s n d"],
 ) -> Float[np.ndarray, "s n d c"]:
     """Return central differences of order 6 of c functions, with given step sizes."""
@@ -45,12 +44,11 @@ def along(
 def differences(
     function: Function,
     rows: Float[np.ndarray, "n k"],
-    directions: Float[np.ndarray, "*n d k"],
-    steps: Float[np.ndarray, "n d"] | None = None,
+    directions: Float[np.ndarray, "d k"],
+    steps: Float[np.ndarray, "n d"],
 ) -> tuple[Float[np.ndarray, "n d c"], Float[np.ndarray, "n d c"]]:
     """Return derivatives of c functions of rows, and the difference between two step sizes."""
-    fine = chosen_steps(function, rows, directions) if steps is None else steps
-    both = along(function, rows, directions, np.stack([fine, fine / RATIO]))
+    both = along(function, rows, directions, np.stack([steps, steps / RATIO]))
     return both[0], np.abs(both[0] - both[1])
 
 
@@ -59,26 +57,15 @@ def largest(each: np.ndarray) -> np.ndarray:
     return np.max(np.abs(each), axis=tuple(range(1, each.ndim)))
 
 
-def agree(exact: np.ndarray, apart: np.ndarray) -> Bool[np.ndarray, "n"]:
-    """Return whether two step sizes agree well enough, row by row."""
-    return largest(apart) < CERTAIN * largest(exact)
-
-
 def certain(exact: np.ndarray, apart: np.ndarray) -> Int[np.ndarray, "m"]:
     """Return the rows at which two step sizes agree well enough; exit if there are none."""
-    sure = np.flatnonzero(agree(exact, apart))
+    sure = np.flatnonzero(largest(apart) < CERTAIN * largest(exact))
     if sure.size == 0:
         raise SystemExit(f"Differences agree to {CERTAIN:.0e} at no start: take a larger --pool.")
     return sure
 
 
 def off(derivatives: np.ndarray, exact: np.ndarray) -> dict[str, float]:
-    """Return errors relative to the largest element of each derivative."""
-    return spread(largest(derivatives - exact) / largest(exact))
-
-
-def spread(errors: Float[np.ndarray, "n"]) -> dict[str, float]:
-    """Return median and largest error; NaN where there is no derivative."""
-    if errors.size == 0:
-        return {"median": np.nan, "largest": np.nan}
+    """Return median and largest error, relative to the largest element of each derivative."""
+    errors = largest(derivatives - exact) / largest(exact)
     return {"median": float(np.median(errors)), "largest": float(np.max(errors))}

@@ -17,7 +17,7 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks.accuracy import fault_sweep
-from benchmarks.accuracy.fault_damage import contents
+from benchmarks.accuracy.fault_sweep import contents
 from benchmarks.reporting import measure
 from dipoletop._maps.tiling import TILE
 
@@ -85,7 +85,7 @@ def killed(kind: str, kills: int, rng: random.Random) -> Row:
                 sweep = threading.Thread(target=_sweep, args=(cluster.place, place, said))
                 sweep.start()
                 while sweep.is_alive() and row["kills"] < kills and not said:
-                    sweep.join(rng.uniform(0.5, 1.5) * length)
+                    sweep.join(rng.uniform(0.1, 1.0) * length)
                     if sweep.is_alive() and any(place.glob("dipoletop-tiles/done/c/*")):
                         row["kills"] += 1
                         if kind == "scheduler":

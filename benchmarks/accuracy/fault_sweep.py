@@ -1,6 +1,7 @@
 """A sweep that `faults` kills. It prints "ready" when it begins, its tiles, and "done"."""
 
 import os
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -41,3 +42,8 @@ def run(folder: str, tiles: int) -> None:
     os.write(1, b"ready\n")
     swept(folder, tiles)
     os.write(1, b"done\n")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the content of every file of a store, by its path."""
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}

@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 
 import dipoletop as dt
-from benchmarks.accuracy import slow_balance
 from benchmarks.accuracy.turn_by_turn import (
     Predicted,
     Resolved,
     compared,
     differences,
-    momenta,
-    predicted,
 )
 from benchmarks.problems import slow_rotations
-from benchmarks.problems.random_bodies import directions, of_one
+from benchmarks.problems.random_bodies import directions
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
 
@@ -29,9 +26,6 @@ AMPLITUDES = (1e-2, 3e-3, 1e-3, 3e-4)
 BUDGET = 200_000  # largest number of steps of a run
 ROUNDING = 1e-9  # smaller differences come from the integration, and have no order
 FEW = 12  # least number of pairs of differences for an order
-NEEDLES = (0.3, 0.6, 0.8, 0.95)  # δ
-NEEDLE_AMPLITUDE = 1e-3
-FULL = (1e-2, 3e-3)  # amplitudes at which the full equation is integrated, too
 TYPICAL = ((0.6, 0.75, 1.0), (0.0, 0.0, 1.0))  # moments and dipole for the costs
 SPEEDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-15, 1e-25)
 RESOLVED_FROM = 1e-5  # least |ω| of `SPEEDS` that is integrated
@@ -119,55 +113,6 @@ def on_random(n: int) -> Row:
     return about | {"rows": rows, "beyond": beyond}
 
 
-def needle(delta: float, n: int) -> Row:
-    """The shares and values of captures of many starts, against their probabilities."""
-    ways = directions(n, np.random.default_rng([2, round(100 * delta)]))
-    body = dt.axisymmetric(delta)
-    of, runs = compared(of_one(body, NEEDLE_AMPLITUDE * ways), BUDGET)
-    random = ~of.certain & ~of.refused
-    stops = runs.outcome == Outcome.STOP
-    known = random & (stops | np.isfinite(runs.ratio))
-    # The smallest values are unknown: their errors exceed them, or the run is out of steps.
-    ratio = np.where(known & ~stops, runs.ratio, 0.0)
-    share = of.residual[random]
-    spread = np.sqrt(np.sum(share * (1 - share)))
-    off = np.sum((runs.outcome == Outcome.RESIDUAL)[random]) - share.sum()
-    relative = (ratio / of.ratio)[random]  # nearly the same distribution for all starts
-    return {
-        "delta": delta,
-        "n": int(random.sum()),
-        "known": int(known.sum()),
-        "residual": float(share.mean()),
-        "share": float(np.mean(runs.outcome[random] == Outcome.RESIDUAL)),
-        "share off": float(off / spread) if spread > ROUNDING else 0.0,
-        "mean": float(relative.mean()),
-        "mean off": float((relative.mean() - 1) / relative.std() * np.sqrt(relative.size)),
-        "below": (ratio[:, None] < of.quantiles)[random].mean(axis=0).tolist(),
-    }
-
-
-def in_full() -> list[Row]:
-    """Compare residual values of an asymmetric body by the full and the semi-reduced equation."""
-    body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
-    ways = directions(4, np.random.default_rng(0))[:3]  # the last one costs most
-    rows = []
-    for amplitude in FULL:
-        full, semi = (
-            dt.classify_many(kind(body), amplitude * ways, max_steps=BUDGET)
-            for kind in (dt.Full, dt.SemiReduced)
-        )
-        starts = of_one(body, amplitude * ways)
-        of = predicted(starts)
-        ratio = np.abs(full.omega_inf) / momenta(starts)
-        between = np.abs(full.omega_inf / semi.omega_inf - 1)
-        off = np.abs(ratio / of.ratio - 1)
-        row = {"amplitude": amplitude, "n": len(ways)}
-        row |= {"wrong": int(np.sum(full.outcome != of.outcome))}
-        row |= {"between": float(between.max()), "off": float(off.max())}
-        rows.append(row | {"over": float(np.max(off / of.error))})
-    return rows
-
-
 def costs(n: int, slowest: float) -> list[Row]:
     """Measure steps and time of runs, and the time of a prediction, at every amplitude."""
     body = dt.Body(np.diag(TYPICAL[0]), TYPICAL[1])
@@ -194,16 +139,12 @@ def costs(n: int, slowest: float) -> list[Row]:
 
 
 def measured(small: bool) -> Row:
-    """All of it; what compiles for long only if not `small`."""
-    ways = directions(2, np.random.default_rng(3))
+    """All of it."""
     return {
         "budget": BUDGET,
         "bodies": on_bodies(small),
         "random": on_random(8 if small else 1000),
         "costs": costs(4 if small else 32, 1e-3 if small else RESOLVED_FROM),
-        "needles": [] if small else [needle(delta, 256) for delta in NEEDLES],
-        "full": [] if small else in_full(),
-        "balance": [] if small else slow_balance.defects(slow_rotations.chosen(False), ways),
     }
 
 

@@ -5,7 +5,6 @@ problem and the tolerance; only the task, which returns the end states, is timed
 """
 
 import functools
-import importlib
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -183,12 +182,4 @@ def methods() -> tuple[dict[str, Method], list[str]]:
     else:
         heyoka.llvm_state.set_diskcache_enabled(False)  # all methods compile
         everybody |= {"heyoka batch": heyoka_batch, "heyoka scalar": heyoka_scalar}
-    try:
-        peer: Any = importlib.import_module("benchmarks.peers.with_numbalsoda")
-    except ImportError as error:
-        missing.append(f"numbalsoda: left out ({error})")
-    else:
-        given = {"delta": DELTA, "amplitude": AMPLITUDE, "time": TIME}
-        for name in peer.SOLVERS:
-            everybody[f"numbalsoda {name}"] = partial(peer.prepare, solver=name, **given)
     return everybody | {SCIPY: by_scipy}, missing

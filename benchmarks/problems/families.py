@@ -63,7 +63,7 @@ class Family(NamedTuple):
 def merged(old: list[dict[str, Any]], new: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of results, the new ones in the place of older ones of the same kind."""
     run = {"run": f"`{measure.command()}`, {date.today()}, {measure.cores()} cores"}
-    kinds = [(row["of"], row.get("what"), row.get("place")) for row in [*old, *new]]
+    kinds = [(row["of"], row["place"]) for row in [*old, *new]]
     rows = dict(zip(kinds, [*old, *(row | run for row in new)], strict=True))
     return sorted(rows.values(), key=lambda row: NAMES.index(row["of"]))
 

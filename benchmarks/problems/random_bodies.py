@@ -21,12 +21,6 @@ class Starts(NamedTuple):
     omega: np.ndarray  # (N, 3)
 
 
-def of_one(body: dt.Body, omegas: np.ndarray) -> Starts:
-    """The same body with each of N starts, shape (N, 3)."""
-    parts = np.asarray(body.inertia), np.asarray(body.dipole)
-    return Starts(*(np.stack([part] * len(omegas)) for part in parts), omegas)
-
-
 @functools.cache
 def _builder(order: int | None):
     def equation(inertia, dipole):

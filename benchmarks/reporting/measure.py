@@ -137,15 +137,15 @@ def command() -> str:
     return shlex.join(["python", *name, *options])
 
 
-def run_fresh(*line: str, cache: Any = None, cwd: Path = ROOT, quiet: bool = False) -> str:
+def run_fresh(*line: str, cache: Any = None) -> str:
     """What Python prints in a process of its own, with float64; `cache`: a user's, with it."""
     environment = os.environ | {"JAX_ENABLE_X64": "1"}
     if cache is not None:
         for name in OURS_ONLY:
             environment.pop(name, None)
         environment |= {"XDG_CACHE_HOME": str(cache), "LOCALAPPDATA": str(cache)}
-    settings: Any = {"check": True, "text": True, "cwd": cwd, "env": environment}
-    settings |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE if quiet else None}
+    settings: Any = {"check": True, "text": True, "cwd": ROOT, "env": environment}
+    settings |= {"stdout": subprocess.PIPE}
     return subprocess.run([sys.executable, *line], **settings).stdout
 
 

@@ -30,7 +30,7 @@ from benchmarks.reporting.render import prepared, render
 HERE = measure.ROOT / "benchmarks"
 RESULTS = HERE / "results"
 NAMES = tuple(sorted(path.stem for path in RESULTS.glob("*.json")))
-OF_SPEED = "precision", "scaling", "derivative_costs", "savings"
+OF_SPEED = "precision", "scaling", "derivative_costs"
 """Pages of speed.json, beside the one with its name."""
 BLOCK = re.compile(r"(<!-- numbers\n(.*?)\n-->\n).*?(<!-- end of numbers -->)", re.DOTALL)
 FIGURES = {"speed": figures.work_precision, "label_precision": figures.label_precision}

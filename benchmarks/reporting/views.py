@@ -31,33 +31,18 @@ def _over(costs: list[float], base: list[float]) -> list[float]:
 
 
 def _speed(of: Row) -> Row:
-    basin, saved = of["basin"], of["savings"]
-    basin |= {"rows": [], "lanes": []}
+    basin, imports = of["basin"], of["import"]
+    basin["rows"] = []
     for size, table in basin["tables"].items():
         for row in table["rows"]:
             over = _over(row["us"], table["rows"][0]["us"])
             basin["rows"].append(row | {"size": size, "over": over})
-        basin["lanes"] += [lane | {"size": size} for lane in table["lanes"]]
-    for name in ("import", "cold_start"):
-        times, ratios = of[name], of[name]["ratio"]
-        ratios = {next(iter(times)): ratios} if "seconds" in ratios else ratios
-        rows = [
-            {"name": key, "ratio": ratios.get(key)} | times[key]
-            for key in times
-            if key not in ("ratio", "points")
-        ]
-        of[f"{name} rows"] = rows
+    of["imports"] = [{"name": key} | row for key, row in imports.items() if key != "ratio"]
+    of["imports"][0]["ratio"] = imports["ratio"]
     of["factors"] = {level: [] for level in ("order-1", "semi")}
     for row in of["gradients"]["sweeps"]:
         if row["engine"] == "native" and row["level"] in of["factors"] and row["derivatives"]:
             of["factors"][row["level"]].append(row["over_plain"]["seconds"])
-    for row in saved["rows"]:
-        row["times"] = row["without"]["evaluations"] / row["with"]["evaluations"]
-    found = saved["methods"]["evaluations_at_error"]
-    saved["crossings"] = [
-        {"error": error} | {name: costs[k] for name, costs in found.items()}
-        for k, error in enumerate(saved["methods"]["errors"])
-    ]
     return {"command": "python benchmarks/run.py --write"} | of.get("machine", {}) | of
 
 
@@ -97,17 +82,6 @@ def _derivatives(of: Row) -> Row:
         for place in ("far", "near")
     }
     return worst | {"rows": rows, "runs": list(dict.fromkeys(row["run"] for row in rows))}
-
-
-def _directions(rows: list[Row]) -> Row:
-    middle = max(row[order]["1e-10"]["median"] for row in rows for order in ("first", "second"))
-    runs = list(dict.fromkeys(row["run"] for row in rows))
-    return {"rows": rows, "runs": runs, "middle": middle}
-
-
-def _stress(of: Row) -> Row:
-    rows = [row for row in of["wall"]["rows"] if row["engine"] == "native"]
-    return of | {"native": {f"{row['rtol']:.0e}": row for row in rows}}
 
 
 def _slow_flow(of: Row) -> Row:

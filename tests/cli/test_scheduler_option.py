@@ -11,39 +11,65 @@ from dask_processes import DIPOLETOP, SCHEDULER, Processes
 from dipoletop.cli import map_command
 
 MAP = ["map", "--level", "order-1", "--size", "8", "--quiet"]
-# Run by a worker before it starts.
+# Run by a scheduler or a worker before it starts: what is wrong with it is in a file.
 WITHOUT_DIPOLETOP = """
-import importlib.metadata as metadata
-def version(name, version=metadata.version):
-    if name == "dipoletop":
-        raise metadata.PackageNotFoundError(name)
-    return version(name)
-metadata.version = version
-"""
-OTHER_PROGRAMS = """
 import importlib.metadata
-from dipoletop._maps import cluster, problems
-cluster.versions_here = lambda here=cluster.versions_here(): (
-    {**here, "dipoletop": "0.0.1"}
-)
-problems.BlockBuilder.program_digests = lambda blocks: {"problem": bytes(32)}
-"""
-OTHER_PYTHON = """
-from types import SimpleNamespace
-from dipoletop._maps import cluster
-cluster.sys = SimpleNamespace(version_info=(3, 99, 0))
-cluster.platform = SimpleNamespace(python_version=lambda: "3.99.0", node=lambda: "n1")
-"""
-OTHER_FOLDERS = """
 from pathlib import Path
-Path.is_dir = lambda path, is_dir=Path.is_dir: path.suffix != ".zarr" and is_dir(path)
+def wrong(*names):
+    return Path({file!r}).read_text() in names
+def version(name, version=importlib.metadata.version):
+    if name == "dipoletop" and wrong({me!r}):
+        raise importlib.metadata.PackageNotFoundError(name)
+    return version(name)
+version.__module__ = "importlib.metadata"  # where a process that is sent it finds its own
+importlib.metadata.version = version
 """
+ANOTHER_WORKER = """
+from dipoletop._maps import cluster, problems
+class Other:
+    def __init__(self, module, **others):
+        self.module, self.others = module, others
+    def __getattr__(self, name):
+        others = self.others if wrong("Python") else {}
+        return others[name] if name in others else getattr(self.module, name)
+cluster.sys = Other(cluster.sys, version_info=(3, 99, 0))
+cluster.platform = Other(cluster.platform, python_version=lambda: "3.99.0")
+cluster.versions_here = lambda here=cluster.versions_here: (
+    here() | ({"dipoletop": "0.0.1"} if wrong("programs") else {})
+)
+problems.BlockBuilder.program_digests = (
+    lambda blocks, digests=problems.BlockBuilder.program_digests: (
+        {"problem": bytes(32)} if wrong("programs") else digests(blocks)
+    )
+)
+Path.is_dir = lambda path, is_dir=Path.is_dir: (
+    not (wrong("folders") and path.suffix == ".zarr") and is_dir(path)
+)
+"""
+WRONG = {
+    "programs": r"--scheduler must have workers that compute this very sweep, but the one on \S+ "
+    rf"does not \(it has dipoletop 0\.0\.1, not {re.escape(dt.__version__)}\): .*m-order-1.zarr "
+    r"holds another sweep: the program of `problem` is .*\.",
+    "Python": r"--scheduler must have workers with Python 3\.\d+\.\d+, as its process has, but the "
+    r"one on \S+ has Python 3\.99\.0\.",
+    "folders": r"--output must be a path that all workers see, but is \S+m-order-1.zarr, where the "
+    r"worker on \S+ finds nothing\.",
+}
+"""Refusals by what is wrong with a worker."""
 
 
-@pytest.fixture
-def processes(tmp_path):
-    with Processes(tmp_path) as processes:
-        yield processes
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """The address of a scheduler with a worker, and the file that tells what is wrong with them."""
+    folder = tmp_path_factory.mktemp("cluster")
+    file, preload = folder / "wrong", folder / "scheduler.py"
+    file.touch()
+    preload.write_text(WITHOUT_DIPOLETOP.format(file=str(file), me="scheduler"))
+    code = WITHOUT_DIPOLETOP.format(file=str(file), me="worker") + ANOTHER_WORKER
+    with Processes(folder) as processes:
+        _, address = processes.scheduler([*SCHEDULER, "--port", "0", "--preload", preload])
+        processes.worker(address, preload=code)
+        yield address, file
 
 
 def said(tmp_path, address, *options):
@@ -78,65 +104,35 @@ def test_a_map_without_a_store_is_refused_before_anything_is_asked(tmp_path):
 
 
 @pytest.mark.system
-def test_a_scheduler_without_workers_is_waited_for_no_longer_than_told(
-    tmp_path, monkeypatch, processes
-):
+def test_a_scheduler_without_workers_is_waited_for_no_longer_than_told(tmp_path, monkeypatch):
     monkeypatch.setattr(map_command, "JOIN", 0.5)
-    _, address = processes.scheduler()
-    assert said(tmp_path, address) == (f"--scheduler {address}: no worker has answered in 0.5 s.")
+    with Processes(tmp_path) as processes:
+        _, address = processes.scheduler()
+        assert said(tmp_path, address) == f"--scheduler {address}: no worker has answered in 0.5 s."
 
 
-def of_worker(tmp_path, processes, preload):
-    """The sentence with which a map is refused, in a process without the type checks of tests."""
-    _, address = processes.scheduler()
-    processes.worker(address, preload=preload)
-    where = "--output", tmp_path / "m", "--scheduler", address
-    process = processes.start([*DIPOLETOP, *MAP, *where])
-    assert process.status() == 2, process.said
+@pytest.mark.system
+@pytest.mark.parametrize("what", ["scheduler", "worker"])
+def test_a_cluster_without_dipoletop_is_refused(tmp_path, cluster, what):
+    address, file = cluster
+    file.write_text(what)
+    who = {"scheduler": "scheduler", "worker": "worker that has answered"}[what]
+    assert said(tmp_path, address) == (
+        "--scheduler must have a scheduler and workers with dipoletop, but the "
+        f"{who} is without it."
+    )
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("what", WRONG)
+def test_a_worker_that_is_another_one_is_refused(tmp_path, cluster, what):
+    """In a process without the type checks of tests."""
+    address, file = cluster
+    file.write_text(what)
+    with Processes(tmp_path) as processes:
+        where = "--output", tmp_path / "m", "--scheduler", address
+        process = processes.start([*DIPOLETOP, *MAP, *where])
+        assert process.status() == 2, process.said
     (line,) = [line for line in process.said.splitlines() if line.startswith("Error: ")]
     assert "Traceback" not in process.said
-    return line.removeprefix("Error: ")
-
-
-LACKS = "--scheduler must have a scheduler and workers with dipoletop, but the {} is without it."
-
-
-@pytest.mark.system
-def test_a_scheduler_without_dipoletop_is_refused(tmp_path, processes):
-    (tmp_path / "without.py").write_text(WITHOUT_DIPOLETOP)
-    command = [*SCHEDULER, "--port", "0", "--preload", tmp_path / "without.py"]
-    _, address = processes.scheduler(command)
-    assert said(tmp_path, address) == LACKS.format("scheduler")
-
-
-@pytest.mark.system
-def test_a_worker_without_dipoletop_is_refused(tmp_path, processes):
-    line = of_worker(tmp_path, processes, WITHOUT_DIPOLETOP)
-    assert line == LACKS.format("worker that has answered")
-
-
-@pytest.mark.system
-@pytest.mark.parametrize(
-    ("preload", "pattern"),
-    [
-        (
-            OTHER_PROGRAMS,
-            r"--scheduler must have workers that compute this very sweep, but the one on \S+ does "
-            rf"not \(it has dipoletop 0\.0\.1, not {re.escape(dt.__version__)}\): .*m-order-1.zarr "
-            r"holds another sweep: the program of `problem` is .*\.",
-        ),
-        (
-            OTHER_PYTHON,
-            r"--scheduler must have workers with Python 3\.\d+\.\d+, as its process has, but the "
-            r"one on \S+ has Python 3\.99\.0\.",
-        ),
-        (
-            OTHER_FOLDERS,
-            r"--output must be a path that all workers see, but is \S+m-order-1.zarr, where the "
-            r"worker on \S+ finds nothing\.",
-        ),
-    ],
-)
-def test_a_worker_that_is_another_one_is_refused(tmp_path, processes, preload, pattern):
-    line = of_worker(tmp_path, processes, preload)
-    assert re.fullmatch(pattern, line), line
+    assert re.fullmatch(f"Error: {WRONG[what]}", line), line

@@ -5,16 +5,7 @@ import dataclasses
 from command_line import invoke, refusal, said
 
 import dipoletop as dt
-
-
-def files(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-def flip(file, bit):
-    data = bytearray(file.read_bytes())
-    data[bit // 8] ^= 1 << bit % 8
-    file.write_bytes(data)
+from stored_files import files, flip
 
 
 def test_verify_lists_damaged_tiles_and_repair_computes_them(tmp_path):

@@ -14,7 +14,7 @@ import pytest
 
 import dipoletop as dt
 from benchmarks import browsing
-from dipoletop.explorer import drawing, pictures, scenes, views
+from dipoletop.explorer import pictures, recipes, scenes, views
 
 pytestmark = pytest.mark.system
 TOP = scenes.scene_of_top({})
@@ -165,15 +165,11 @@ def _with(visit, words):
     return text if words in text else None
 
 
-def test_the_code_button_writes_code_that_runs(visit, tmp_path, monkeypatch):
+def test_the_code_button_writes_the_code_of_the_view(visit):
+    """`test_recipes` runs it."""
     visit.page.get_by_role("button", name="Write code").click()
     code = visit.until(lambda: visit.page.locator(".dt-code").text_content(), "the code")
-    monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    exec(compile(code, "view.py", "exec"), names)
-    cells = views.cells_of(TOP, SMALL, 128)
-    assert names["basin"] == dt.sweep(TOP.problem_at(dt.Level.SEMI), cells.grid)
-    assert (tmp_path / "map.png").exists()
+    assert code == recipes.code_of(TOP, SMALL)
     href = visit.page.locator("a", has_text="address of this view").get_attribute("href")
     query = urllib.parse.parse_qs(href.removeprefix("?"))
     assert query["size"] == ["128"]
@@ -251,11 +247,3 @@ def test_interrupting_ends_the_server_quietly():
         _, said = process.communicate(timeout=20)
         assert process.returncode == 0
         assert "Traceback" not in said
-
-
-def test_the_drawing_is_that_of_the_page():
-    """What the browser is compared with comes from `dt.sweep`, and so does what pages draw."""
-    shown: list = []
-    for _ in drawing.Drawing(TOP).pictures(SMALL, shown.append, pytest.fail):
-        pass
-    np.testing.assert_array_equal(shown[-1].images[0], expected_image(SMALL))

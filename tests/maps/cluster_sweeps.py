@@ -1,4 +1,4 @@
-"""A script for `test_cluster`: sweeps on a scheduler with three worker processes on this machine.
+"""A script for `test_cluster`: sweeps on a scheduler with two worker processes on this machine.
 
 Workers are started anew, not forked, so a script is run that they can import.
 """
@@ -65,9 +65,9 @@ def main(folder):
     def problem(w3, phi):
         return dt.TransverseReduced(shape), dt.cylindrical(0.2, w3, phi)
 
-    def kill_two(client, store):
+    def kill_both(client, store):
         """One at once, one gently, when the first tile is there."""
-        first, second, _ = client.run(os.getpid).values()
+        first, second = client.run(os.getpid).values()
         while not list((store / "dipoletop-tiles/done").glob("c/*")):
             time.sleep(0.02)
         os.kill(first, signal.SIGKILL)
@@ -76,7 +76,7 @@ def main(folder):
 
     said = {}
     with (
-        LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as local,
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as local,
         Client(local) as client,
     ):
         large = dt.sweep(problem, POINTS, store=folder / "large.zarr", client=client)
@@ -94,7 +94,7 @@ def main(folder):
         said["joined"] = submitted_as_workers_join(problem, folder / "joined.zarr", client)
         client.run(slow_tiles, 0.2)
         store = folder / "killed.zarr"
-        killer = threading.Thread(target=kill_two, args=(client, store))
+        killer = threading.Thread(target=kill_both, args=(client, store))
         killer.start()
         killed = dt.sweep(problem, GRID, store=store, client=client)
         killer.join()

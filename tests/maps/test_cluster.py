@@ -1,4 +1,4 @@
-"""Sweeps on a Dask cluster of processes, two of which are killed: the bytes of a sweep alone."""
+"""Sweeps on a Dask cluster of two processes, which are killed: the bytes of a sweep alone."""
 
 import json
 import os
@@ -9,10 +9,7 @@ from pathlib import Path
 import pytest
 
 import dipoletop as dt
-
-
-def files(folder):
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+from stored_files import files
 
 
 @pytest.mark.system

@@ -6,49 +6,53 @@ from pathlib import Path
 
 import pytest
 
-from dask_processes import DIPOLETOP, SCHEDULER, Hold, Processes, files, until
+from dask_processes import DIPOLETOP, SCHEDULER, Hold, Processes, until
+from stored_files import files
 
 MAP = ["map", "--level", "order-1", "--size", "64", "--quiet"]
 TILES = 8
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_map_goes_on_after_its_scheduler_was_lost(tmp_path, number):
-    hold = Hold(tmp_path, tmp_path / "m-order-1.zarr", kept=2)
+def test_a_map_goes_on_after_its_scheduler_was_lost(tmp_path):
+    """Twice, in two ways; each time with a new scheduler at the same address, and a new worker."""
+    store, port, old = tmp_path / "m-order-1.zarr", "0", []
+    hold = Hold(tmp_path, store, kept=2)
     with Processes(tmp_path) as processes:
-        scheduler, address = processes.scheduler()
-        old = [processes.worker(address, preload=hold.code) for _ in range(2)]
-        command = [*DIPOLETOP, *MAP, "--output", tmp_path / "m", "--scheduler", address]
-        first = processes.start(command)
-        until(lambda: len(hold.holding()) == 2, first, *old)
-        kept = hold.kept()
-        assert 2 <= len(kept) < TILES
-        scheduler.popen.send_signal(number)
-        assert first.status() == 2
-        said = [line for line in first.said.splitlines() if line.startswith("Error: ")]
-        assert len(said) == 1
-        assert re.fullmatch(
-            rf"Error: The Dask scheduler {address} was lost, or lost its tasks \(.*\); "
-            rf"{len(kept)} of the {TILES} tiles of {tmp_path}/m-order-1.zarr are finished and "
-            r"kept, and the same sweep goes on from there\.",
-            said[0],
-        )
-        assert "Traceback" not in first.said
-        assert hold.kept() == kept
-        scheduler.status()
-        processes.scheduler([*SCHEDULER, "--port", address.rpartition(":")[2]])
-        new = [processes.worker(address, preload=hold.code) for _ in range(2)]
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            scheduler, address = processes.scheduler([*SCHEDULER, "--port", port])
+            port = address.rpartition(":")[2]
+            old.append(processes.worker(address, preload=hold.code))
+            command = [*DIPOLETOP, *MAP, "--output", tmp_path / "m", "--scheduler", address]
+            lost = processes.start(command)
+            until(lambda: len(hold.holding()) == len(old), lost, *old)
+            kept = hold.kept()
+            assert len(kept) == 2
+            scheduler.popen.send_signal(number)
+            assert lost.status() == 2
+            said = [line for line in lost.said.splitlines() if line.startswith("Error: ")]
+            assert len(said) == 1
+            assert re.fullmatch(
+                rf"Error: The Dask scheduler {address} was lost, or lost its tasks \(.*\); "
+                rf"2 of the {TILES} tiles of {store} are finished and kept, and the same sweep "
+                r"goes on from there\.",
+                said[0],
+            )
+            assert "Traceback" not in lost.said
+            assert hold.kept() == kept
+            scheduler.status()
+        processes.scheduler([*SCHEDULER, "--port", port])
+        new = processes.worker(address, preload=hold.code)
         again = processes.start(command)
         hold.release()
         assert again.status() == 0, again.said
         for worker in old:
             worker.status()  # it ends by itself
-        assert all(worker.popen.poll() is None for worker in new)
+        assert new.popen.poll() is None
         assert [hold.begun().count(tile) for tile in kept] == [1] * len(kept)
         alone = processes.start([*DIPOLETOP, *MAP, "--output", tmp_path / "alone"])
         assert alone.status() == 0, alone.said
-    assert files(tmp_path / "m-order-1.zarr") == files(tmp_path / "alone-order-1.zarr")
+    assert files(store) == files(tmp_path / "alone-order-1.zarr")
 
 
 @pytest.mark.system

@@ -183,13 +183,6 @@ def test_confirmation_at_a_second_tolerance():
     assert not dt.sweep(reduced, near, rtol=1e-11, confirm=1e-12).changed.any()
 
 
-def test_memory_and_work_do_not_grow_with_padding():
-    """The last tile is filled up with starts that take no step."""
-    found = dt.sweep(reduced, dt.Grid(w3=[0.2], phi=[np.pi / 3]))
-    assert found.shape == (1, 1)
-    assert found.steps[0, 0] > 0
-
-
 @pytest.mark.parametrize("devices", ["gpu", [], ["cpu"]])
 def test_devices_are_those_of_jax(devices):
     with pytest.raises(ValueError, match="`devices` must list at least one of JAX's devices, as"):

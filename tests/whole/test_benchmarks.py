@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import label_doubt
-from benchmarks.reporting import measure, pages, render, views
+from benchmarks.reporting import pages, render, views
 from dipoletop._runs import blocks
 
 
@@ -90,12 +90,7 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("script", ["run.py", "bench_device.py"])
-def test_scripts_start_by_their_paths(script, tmp_path):
-    command = [sys.executable, str(pages.HERE / script), "--help"]
+def test_the_script_for_a_device_starts_by_its_path(tmp_path):
+    """`.ci/run` starts the other one."""
+    command = [sys.executable, str(pages.HERE / "bench_device.py"), "--help"]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
-
-
-@pytest.mark.system
-def test_a_function_is_called_in_a_fresh_process():
-    assert measure.in_fresh_process(measure.cores) == measure.cores()

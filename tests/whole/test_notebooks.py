@@ -88,10 +88,9 @@ def test_a_notebook_is_executed_and_compared(tmp_path):
     path = tmp_path / "small.ipynb"
     source = "print(f'{2 / 3:.9f}')"
     nbformat.write(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source)]), path)
-    assert "was '(nothing)', and is '0.666666667'" in check_notebooks.check(path)
+    told = check_notebooks.check(path)
+    assert "cell 0: line 1 was '(nothing)', and is '0.666666667'" in told
     nbformat.write(check_notebooks.executed(path), path)
     assert check_notebooks.check(path) is None
-    path.write_text(path.read_text().replace("0.666666667", "0.666766667"))
-    assert "cell 0: line 1 was '0.666766667'" in check_notebooks.check(path)
     path.write_text(path.read_text().replace("print(f", "printf(f"))
     assert "does not run" in check_notebooks.check(path)

@@ -1,6 +1,6 @@
 """The integrators where it is hard: orders, tolerances, corners of the domain, the separatrix.
 
-`benchmarks/accuracy/stress.py` does the same with a million starts.
+`benchmarks/accuracy/labels.py` compares random labels with long integration.
 """
 
 import diffrax
@@ -271,7 +271,7 @@ def test_corners_of_the_domain_and_a_block_with_bad_lanes(engine):
 
 
 # δ = −1/5, ω⊥ = ω₃ = 1/5: below this φ residual, above it a stop. By Taylor series of order 26 in
-# 80-bit numbers, without any certificate: benchmarks/accuracy/stress.py.
+# 80-bit numbers, without any certificate: benchmarks/accuracy/separatrix.py.
 EDGE = 0.29626034320137483
 
 

@@ -28,20 +28,10 @@ def reduced(w3, phi, delta=-0.2):
     return dt.TransverseReduced(delta), dt.cylindrical(0.2, w3, phi)
 
 
-def files(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
 def numbers(basin):
     """Every bit of a basin."""
     arrays = {name: basin.column(name) for name in basin.columns} | basin.coords
     return {name: (x.dtype, x.shape, x.tobytes()) for name, x in arrays.items()} | basin.attrs
-
-
-def flip(file, bit):
-    data = bytearray(file.read_bytes())
-    data[bit // 8] ^= 1 << bit % 8
-    file.write_bytes(data)
 
 
 def contents(good):

@@ -9,6 +9,7 @@ from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
 from dipoletop._maps.store.arrays import StoredArray, write_at_once
 from dipoletop._maps.tiling import Tiling
+from stored_files import files
 
 PACKING = [ZstdCodec(level=0), Crc32cCodec()]
 RNG = np.random.default_rng(0)
@@ -19,10 +20,6 @@ ARRAYS = {
     "float64": RNG.normal(size=(300, 3)),
     "float32": np.zeros(300, "float32"),
 }
-
-
-def files(folder):
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
 def by_zarr(folder, values, **codecs):

@@ -3,9 +3,10 @@
 import os
 
 import pytest
-from store_helpers import files, numbers, reduced
+from store_helpers import numbers, reduced
 
 import dipoletop as dt
+from stored_files import files
 
 
 @pytest.mark.parametrize(

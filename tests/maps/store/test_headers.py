@@ -6,9 +6,10 @@ import pickle
 import numpy as np
 import pytest
 import zarr
-from store_helpers import GRID, files, reduced, rewrite
+from store_helpers import GRID, reduced, rewrite
 
 import dipoletop as dt
+from stored_files import files
 
 
 def kept(problem, over, **settings):

@@ -5,11 +5,12 @@ import shutil
 import jax
 import numpy as np
 import pytest
-from store_helpers import GRID, HEADER, RECORDS, files, flip, numbers, reduced
+from store_helpers import GRID, HEADER, RECORDS, numbers, reduced
 
 import dipoletop as dt
 from dipoletop._maps.store.tiles import Tiles
 from dipoletop._maps.sweep_plan import Plan
+from stored_files import files, flip
 
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, monkeypatch):
@@ -85,24 +86,6 @@ def test_metadata_are_not_repaired_over_the_tiles_of_another_sweep(copy):
     ):
         dt.sweep(lambda w3, phi: reduced(w3, phi, -0.3), GRID, store=copy, repair=True)
     assert files(copy) == before
-
-
-def test_a_foreign_store_is_refused_and_untouched(tmp_path):
-    place = tmp_path / "map.zarr"
-    grid = dt.Grid(w3=[0.1, 0.2], phi=[0.1, 1.0])
-    dt.sweep(reduced, grid, store=place)
-    before = files(place)
-    others = [
-        (lambda w3, phi: (dt.TransverseSemi(-0.2), dt.cylindrical(0.2, w3, phi)), grid, {}),
-        (lambda w3, phi: (dt.TransverseReduced(-0.3), dt.cylindrical(0.2, w3, phi)), grid, {}),
-        (reduced, dt.Grid(w3=[0.1, 0.3], phi=[0.1, 1.0]), {}),
-        (reduced, dt.Grid(w3=[0.1, 0.2, 0.3], phi=[0.1]), {}),
-        (reduced, grid, {"rtol": 1e-9}),
-    ]
-    for problem, over, options in others:
-        with pytest.raises(dt.StoreMismatch, match="`store` must be new or hold this very sweep"):
-            dt.sweep(problem, over, store=place, **options)
-    assert files(place) == before
 
 
 def test_what_no_trace_shows_is_seen_in_the_starts_of_a_tile(tmp_path):

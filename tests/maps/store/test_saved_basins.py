@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from store_helpers import GRID, files, numbers, reduced, rewrite
+from store_helpers import GRID, numbers, reduced, rewrite
 
 import dipoletop as dt
+from stored_files import files
 
 
 def test_save_and_load(tmp_path):

@@ -7,22 +7,11 @@ import jax
 import numpy as np
 import pytest
 import zarr
-from store_helpers import (
-    GRID,
-    HEADER,
-    KINDS,
-    RECORDS,
-    SIZE,
-    contents,
-    files,
-    flip,
-    numbers,
-    reduced,
-    victims,
-)
+from store_helpers import GRID, HEADER, KINDS, RECORDS, SIZE, contents, numbers, reduced, victims
 
 import dipoletop as dt
 from dipoletop._maps.store import arrays
+from stored_files import files, flip
 
 
 def test_what_is_stored_is_what_single_runs_find_to_the_last_bit(good):
