@@ -78,14 +78,14 @@ class Sweeper:
 
 
 def killed(name: str, kills: int, rng: random.Random, expected: Any, length: float) -> Row:
-    """So many kills by a signal, at random moments, of one of two processes at a store."""
+    """So many kills by a signal, at random moments, of processes at a store; at least one store."""
     number = getattr(signal, name)
     row: Row = {"signal": name, "kills": 0, "late": 0, "stores": 0, "other_bytes": 0}
     row |= {"computed": 0, "needed": 0, "left_behind": 0, "other_files": []}
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as room:
         place = Path(room) / "s.zarr"
-        while row["kills"] < kills:
+        while row["kills"] < kills or not row["stores"]:
             pair = [Sweeper(place, TILES) for _ in range(2)]
             rng.shuffle(pair)
             for sweeper, share in zip(pair, (0.7, 0.1), strict=True):

@@ -10,7 +10,7 @@ from dipoletop.plots.map_layout import CLASSES
 R, S, U, F = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED, Outcome.FAILED
 
 
-def made(outcome, omega_inf=0.0, stop=Stop.NONE, time=1.0, certified=True, axes=None):
+def made(outcome, omega_inf=0.0, stop=Stop.NONE, time=1.0, certified=True, axes=None, **others):
     """A basin with these columns, rows along w_perp and columns along delta."""
     outcome = np.asarray(outcome, np.int8)
     if axes is None:
@@ -24,6 +24,7 @@ def made(outcome, omega_inf=0.0, stop=Stop.NONE, time=1.0, certified=True, axes=
         "certified": np.asarray(certified),
         "stop": np.asarray(stop, np.int8),
     }
+    given |= {name: np.asarray(values) for name, values in others.items()}
     columns = {name: np.broadcast_to(v, outcome.shape).ravel() for name, v in given.items()}
     grid = dt.Grid(**axes)
     return dt.Basin(grid.dims, grid.shape, grid.coords, columns, {"level": "semi-reduced"})

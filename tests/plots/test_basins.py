@@ -1,7 +1,5 @@
 """Maps say what the data say: colours, legends, axes, comparison, refusals."""
 
-import dataclasses
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -89,10 +87,8 @@ def test_what_is_not_known_has_a_colour_of_its_own():
 
 @pytest.mark.parametrize(("least", "name"), [(0.2, CHANCE), (np.nan, "undecided")])
 def test_undecided_starts_are_a_matter_of_chance_if_all_are(least, name):
-    found = made([[R, U], [U, S]])
-    probability = np.array([1.0, least, 0.7, 0.0])
-    known = dataclasses.replace(found, columns=found.columns | {"probability": probability})
-    assert legend(plots.basin(known, shade=None)) == ["residual rotation", "stop", name]
+    found = made([[R, U], [U, S]], probability=[[1.0, least], [0.7, 0.0]])
+    assert legend(plots.basin(found, shade=None)) == ["residual rotation", "stop", name]
 
 
 def test_no_residual_rotation_no_colourbar():
@@ -128,9 +124,7 @@ def test_every_colour_bar_has_its_numbers():
 
 
 def test_steps_shade_both_outcomes():
-    found = made([[R, S, S], [R, S, U]])
-    steps = np.array([5, 50, 500, 7, 70, 700], np.int32)
-    found = dataclasses.replace(found, columns=found.columns | {"steps": steps})
+    found = made([[R, S, S], [R, S, U]], steps=np.int32([[5, 50, 500], [7, 70, 700]]))
     ax = plots.basin(found, shade="steps")
     light = pixels(ax)[..., :3].astype(int).sum(-1)
     assert light[0, 1] > light[0, 2]
@@ -142,9 +136,8 @@ def test_steps_shade_both_outcomes():
 
 
 def test_derivatives_shade_residual_rotation_by_their_sign():
-    found = made([[R, R, S], [R, R, S]], np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]]))
-    slopes = np.array([-3.0, 0.002, 0.0, 3.0, np.inf, 0.0])
-    found = dataclasses.replace(found, columns=found.columns | {"d_omega_inf_d_delta": slopes})
+    slopes = np.array([[-3.0, 0.002, 0.0], [3.0, np.inf, 0.0]])
+    found = made([[R, R, S]] * 2, [[0.1, 0.1, 0.0]] * 2, d_omega_inf_d_delta=slopes)
     ax = plots.basin(found, shade="d_omega_inf_d_delta")
     image = pixels(ax)
     np.testing.assert_allclose(image[0, 0], SIGNED(0.0, bytes=True), atol=3)
@@ -156,9 +149,8 @@ def test_derivatives_shade_residual_rotation_by_their_sign():
 
 
 def test_errors_shade_residual_rotation():
-    found = made([[R, R, S], [R, R, S]], np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]]))
-    errors = np.array([1e-12, 1e-6, 0.0, 1e-9, np.inf, 0.0])
-    found = dataclasses.replace(found, columns=found.columns | {"omega_inf_error": errors})
+    errors = np.array([[1e-12, 1e-6, 0.0], [1e-9, np.inf, 0.0]])
+    found = made([[R, R, S]] * 2, [[0.1, 0.1, 0.0]] * 2, omega_inf_error=errors)
     ax = plots.basin(found, shade="omega_inf_error")
     light = pixels(ax)[..., :3].astype(int).sum(-1)
     assert light[0, 0] > light[1, 0] > light[0, 1]
@@ -179,9 +171,7 @@ def test_what_is_not_certified_is_hatched():
 
 
 def test_chance_is_shaded_by_probability():
-    found = made([[R, U], [U, S]])
-    probability = np.array([1.0, 0.2, 0.7, 0.0])
-    found = dataclasses.replace(found, columns=found.columns | {"probability": probability})
+    found = made([[R, U], [U, S]], probability=[[1.0, 0.2], [0.7, 0.0]])
     ax = plots.basin(found, shade="probability")
     light = pixels(ax)[..., :3].astype(int).sum(-1)
     assert light[0, 1] > light[1, 0]
