@@ -84,6 +84,11 @@ def _derivatives(of: Row) -> Row:
     return worst | {"rows": rows, "runs": list(dict.fromkeys(row["run"] for row in rows))}
 
 
+def _stress(of: Row) -> Row:
+    rows = [row for row in of["wall"]["rows"] if row["engine"] == "native"]
+    return of | {"native": {f"{row['rtol']:.0e}": row for row in rows}}
+
+
 def _slow_flow(of: Row) -> Row:
     random, bodies = of["random"], of["bodies"]
     return of | {
