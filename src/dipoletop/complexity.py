@@ -214,7 +214,9 @@ def uncertainty_exponent(
         True
     """
     check_settings(settings)
-    steps = _displacements(epsilons)
+    steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
+    if len(np.unique(steps)) < 2 or np.any(steps <= 0):
+        refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
     count, rng = budget("n", n), np.random.default_rng(whole("seed", seed, 0))
     low, high, along = _region(over, along)
     drawn = rng.random((len(low), len(steps), count, 1))
@@ -228,13 +230,6 @@ def uncertainty_exponent(
     slope, error, _ = _fitted_slope(np.log(steps), np.log(share), weights)
     free = sum(bool(low[name] < high[name]) for name in low)
     return UncertaintyExponent(slope, error, free - slope, steps, share, share / np.sqrt(weights))
-
-
-def _displacements(epsilons: Any) -> Numbers:
-    steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
-    if len(np.unique(steps)) < 2 or np.any(steps <= 0):
-        refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
-    return steps
 
 
 def _uncertain_shares(fates: Int[np.ndarray, "k n 3"], steps: Numbers) -> Numbers:

@@ -285,17 +285,13 @@ def _vector_across(axes: Axes, x: Across) -> Float[Array, "3"]:
     return scale(x[0], axes[1]) + scale(x[1], axes[2])
 
 
-def _components_across(axes: Axes, vector: Float[Array, "3"]) -> Across:
-    """Return the components of a vector across the dipole."""
-    return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
-
-
 def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
     """Compute S of an equation without runaways, x′ = Sx, whatever its variables."""
 
     def rate(x: Across) -> Across:
         y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
-        return _components_across(axes, rate_of_omega(equation, 0.0, y))
+        omega_dot = rate_of_omega(equation, 0.0, y)
+        return jnp.stack([dot(axes[1], omega_dot), dot(axes[2], omega_dot)])
 
     return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
 
