@@ -207,11 +207,8 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
     """Refuse a value that is not an equation, or an equation without a `verdict`."""
     check_equation(equation, name)
     if not _has_method(equation, "verdict"):
-        refuse(
-            name,
-            "have a method `verdict(y)`, which says how its runs end",
-            f"is {type(equation).__name__}, which has none",
-        )
+        must = "have a method `verdict(y)`, which says how its runs end"
+        refuse(name, must, f"is {type(equation).__name__}, which has none")
 
 
 def check_body(equation: Any) -> Any:
