@@ -53,16 +53,12 @@ def classify_block(
     Blocks that do not fit into the memory of the device are divided.
     """
     every, size = (equation, omegas, limits), omegas.shape[1]
-    return in_fitting_parts(lambda runs: _classified(*runs, way), every, size, way.device)
+    return in_fitting_parts(lambda runs: _classified(runs, way), every, size, way.device)
 
 
-def _classified(
-    equation: Equation,
-    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
-    limits: Limits,
-    way: RunOptions,
-) -> Classification:
-    """Return the classifications of all N runs at once."""
+def _classified(runs: tuple[Any, Any, Limits], way: RunOptions) -> Classification:
+    """Return the classifications of all N runs at once, by their equation, starts and limits."""
+    equation, omegas, limits = runs
     value, slow_flow = way.value, way.slow_flow
     block = RunBlock(physical(equation), omegas, way)
 
