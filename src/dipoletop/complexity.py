@@ -161,7 +161,9 @@ def boundary_dimension(labels: Any, *, scales: Any = None) -> BoundaryDimension:
     if len(sides) < 3 or sides[-1] >= min(plane.shape):
         must = f"hold three different sides or more, all below {min(plane.shape)}"
         refuse("scales", must, f"holds {sides.tolist()}")
-    mixed = _mixed_squares(plane)
+    # Whether the four corners of each square have different labels.
+    first, others = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
+    mixed = np.any([first != other for other in others], axis=0)
     if not mixed.any():
         refuse("labels", "have a boundary", "have the same value everywhere")
     counts = np.array([_count_boxes(mixed, int(side)) for side in sides])
@@ -214,7 +216,9 @@ def uncertainty_exponent(
         True
     """
     check_settings(settings)
-    steps = _displacements(epsilons)
+    steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
+    if len(np.unique(steps)) < 2 or np.any(steps <= 0):
+        refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
     count, rng = budget("n", n), np.random.default_rng(whole("seed", seed, 0))
     low, high, along = _region(over, along)
     drawn = rng.random((len(low), len(steps), count, 1))
@@ -228,13 +232,6 @@ def uncertainty_exponent(
     slope, error, _ = _fitted_slope(np.log(steps), np.log(share), weights)
     free = sum(bool(low[name] < high[name]) for name in low)
     return UncertaintyExponent(slope, error, free - slope, steps, share, share / np.sqrt(weights))
-
-
-def _displacements(epsilons: Any) -> Numbers:
-    steps = np.asarray(finite("epsilons", epsilons, (-1,), batch=False))
-    if len(np.unique(steps)) < 2 or np.any(steps <= 0):
-        refuse("epsilons", "hold two different positive numbers or more", f"is {epsilons}")
-    return steps
 
 
 def _uncertain_shares(fates: Int[np.ndarray, "k n 3"], steps: Numbers) -> Numbers:
@@ -277,12 +274,6 @@ def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
         was = f"have shape {array.shape} and dtype {array.dtype}"
         refuse("labels", must, was)
     return array
-
-
-def _mixed_squares(plane: Integer[np.ndarray, "n m"]) -> Bool[np.ndarray, "n-1 m-1"]:
-    """Return whether the four corners of each square have different labels."""
-    first, others = plane[:-1, :-1], (plane[1:, :-1], plane[:-1, 1:], plane[1:, 1:])
-    return np.any([first != other for other in others], axis=0)
 
 
 def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float
 
 from . import planar
 from ._base.checks import finite, instance, names_of, positive, refuse, where_valid
@@ -95,16 +95,12 @@ class Continuation:
             Arrays of shape (levels, values). An interval holds for a single value; differences
             between values or levels are known much better, since the starts are the same.
         """
-        counts = np.stack([_counts(basin, outcome, stop) for basin in self.basins])
+        members = [
+            (basin.outcome == outcome) & (stop is None or basin.stop == stop)
+            for basin in self.basins
+        ]
+        counts = np.stack([np.sum(each, axis=-1).ravel() for each in members])
         return Fractions(counts / self.n, *wilson(counts, self.n))
-
-
-def _counts(basin: Basin, outcome: Outcome, stop: Stop | None) -> Int[np.ndarray, "values"]:
-    """Return the number of starts with an outcome, at each value of the parameter."""
-    members = basin.outcome == outcome
-    if stop is not None:
-        members &= basin.stop == stop
-    return np.sum(members, axis=-1).ravel()
 
 
 def continuation(

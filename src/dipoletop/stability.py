@@ -34,7 +34,7 @@ from ._base.linalg import dot, scale
 from ._base.types import Equation
 from .bodies import Body
 from .equations._common import is_full, rate_of_omega
-from .equations._verdicts.dipole_frame import rounding, seen_from_dipole
+from .equations._verdicts.dipole_frame import body_frame, rounding
 from .equations.torque_driven import DrivenEquation
 from .equations.transverse_approximations import TransverseAveraged
 
@@ -252,7 +252,7 @@ def _body_on_line(equation: Any) -> Body:
 
 @eqx.filter_jit
 def _direction(equation: Equation) -> Float[Array, "3"]:
-    frame = seen_from_dipole(_body_on_line(equation), jnp.eye(3))
+    frame = body_frame(_body_on_line(equation)).of(jnp.eye(3))
     return or_nan(frame.w, frame.principal)
 
 
@@ -260,7 +260,7 @@ def _direction(equation: Equation) -> Float[Array, "3"]:
 def _spectrum(equation: Equation, omega: Float[Array, "3"]) -> tuple[Spectrum, Bool[Array, ""]]:
     """Return the spectrum, NaN unless ω is an equilibrium to rounding, and whether it is one."""
     # The columns of the unit matrix give the components of n, a and b.
-    frame = seen_from_dipole(_body_on_line(equation), jnp.column_stack([jnp.eye(3), omega]))
+    frame = body_frame(_body_on_line(equation)).of(jnp.column_stack([jnp.eye(3), omega]))
     components = jnp.stack([frame.w, frame.xa, frame.xb])
     axes, w, off_line = components[:, :3], components[0, 3], components[1:, 3]
     at_rest = jnp.all(omega == 0)
@@ -285,17 +285,13 @@ def _vector_across(axes: Axes, x: Across) -> Float[Array, "3"]:
     return scale(x[0], axes[1]) + scale(x[1], axes[2])
 
 
-def _components_across(axes: Axes, vector: Float[Array, "3"]) -> Across:
-    """Return the components of a vector across the dipole."""
-    return jnp.stack([dot(axes[1], vector), dot(axes[2], vector)])
-
-
 def _first_order(equation: Equation, axes: Axes, w: Scalar) -> AcrossMatrix:
     """Compute S of an equation without runaways, x′ = Sx, whatever its variables."""
 
     def rate(x: Across) -> Across:
         y = equation.lift(scale(w, axes[0]) + _vector_across(axes, x))
-        return _components_across(axes, rate_of_omega(equation, 0.0, y))
+        omega_dot = rate_of_omega(equation, 0.0, y)
+        return jnp.stack([dot(axes[1], omega_dot), dot(axes[2], omega_dot)])
 
     return jax.jacfwd(rate)(jnp.zeros(2, w.dtype))
 

@@ -63,7 +63,7 @@ def test_averages_are_those_of_the_free_rotation(name, reverse):
             r, growth = _sampled(moments, x)
             rest = jnp.asarray(float(1 - x))
             means = averages(jnp.asarray([float(j) for j in moments]), jnp.asarray(float(x)), rest)
-            for exact, here in ((r, means.r), (growth, means.growth)):
+            for exact, here in zip((r, growth), means, strict=True):
                 size = max(map(abs, exact))  # near a zero of F only its place is certain
                 for v, e in zip(here, exact, strict=True):
                     assert abs(float(v) - e) < 1e-12 * abs(e) + 2e-16 * size, (place, v, e)

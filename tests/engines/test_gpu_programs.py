@@ -1,6 +1,5 @@
 """The programs of the JAX engine lower for GPUs without calls of libraries; no GPU is needed."""
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.export
@@ -9,7 +8,7 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._engines.interface import Limits, Queue
-from dipoletop._engines.jax_engine import ON_ACCELERATOR, _classify, _Method
+from dipoletop._engines.jax_engine import ON_ACCELERATOR, JaxEngine, _classify
 from dipoletop._runs.label_doubt import finish_of
 
 N = 256
@@ -39,15 +38,15 @@ def test_a_block_that_fills_a_gpu_is_exported_for_cuda():
     n = 2 * ON_ACCELERATOR
     limits = Limits(jnp.asarray(1e-8), jnp.zeros(n), jnp.full(n, jnp.inf), jnp.asarray(1000))
     equation = dt.TransverseReduced(jnp.full(n, -0.2))
-    method = _Method(diffrax.Dopri8(), None, "cuda")
-    assert method.width_for(n) == ON_ACCELERATOR
+    method = JaxEngine().method("cuda")
+    assert min(method[1], n) == ON_ACCELERATOR
     assert is_exported_without_calls(Queue(equation, jnp.ones((3, n)), limits, "outcome"))
 
 
 def is_exported_without_calls(queue):
     """All that `classify` runs: it lifts, integrates and finishes."""
     arrays, static = eqx.partition(queue, eqx.is_array)
-    method = _Method(diffrax.Dopri8(), None, "cuda")
+    method = JaxEngine().method("cuda")
 
     def program(arrays):
         return _classify(finish_of(queue.until != "outcome"), eqx.combine(arrays, static), method)

@@ -45,7 +45,7 @@ def start_error(rotation: FreeRotation, weakness: Real) -> Real:
     high, z = rotation.place
     side = rotation.side(high)
     x, rest = from_logit(z)
-    parts = side.weights * averages(side.moments, x, rest).r
+    parts = side.weights * averages(side.moments, x, rest)[0]
     rate = jnp.sum(safe_sqrt(parts)) ** 4 / safe_divisor(jnp.sum(parts))
     return ERROR * weakness * rate * period(side.moments, x, rest) / jnp.pi + QUADRATURE
 

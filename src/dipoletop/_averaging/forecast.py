@@ -205,8 +205,7 @@ def coverage(variables: Variables, strength: Real) -> tuple[Bool[Array, "2"], Fl
     """
     rotation, units = scaled_rotation(variables, strength)
     each = [_coverage(rotation, axial, units.weakness) for axial in (0, 2)]
-    turns, errors = zip(*each, strict=True)
-    return jnp.stack(turns), jnp.stack(errors)
+    return jax.tree.map(lambda *x: jnp.stack(x), *each)
 
 
 def _coverage(rotation: FreeRotation, axial: int, weakness: Real) -> tuple[Bool[Array, ""], Real]:

@@ -37,7 +37,7 @@ separatrix.
 
 import math
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,18 +61,11 @@ def path(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> tuple[Real,
     return to_a, to_b, a_to_b, q, a_to_b * x / q, rest * to_a / q
 
 
-class Averages(NamedTuple):
-    """Averages over free rotation for a dipole along a, b and c, which stand on axis 0."""
-
-    r: Float[Array, "3 *#lanes"]
-    """r = ⟨R⟩/L⁴, so that d ln L²/ds = −r."""
-    growth: Float[Array, "3 *#lanes"]
-    """F = f/(x Db), so that d ln x/ds = F."""
-
-
 @jax.jit
-def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Averages:
-    """Return the rates r and F of a dipole along each principal axis.
+def averages(
+    moments: Float[Array, "3 *#lanes"], x: Real, rest: Real
+) -> tuple[Float[Array, "3 *#lanes"], Float[Array, "3 *#lanes"]]:
+    """Return the rates r = −d ln L²/ds and F = d ln x/ds of a dipole along a, b and c.
 
     Args:
         moments: J_a, J_b, J_c: the axis that L moves round comes last, the middle one second.
@@ -117,7 +110,7 @@ def averages(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Average
         return r, growth
 
     r, growth = zip(*(of_dipole(axis) for axis in range(3)), strict=True)
-    return Averages(jnp.stack(r), jnp.stack(growth))
+    return jnp.stack(r), jnp.stack(growth)
 
 
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:

@@ -97,8 +97,8 @@ def capture_follows(
     """Return whether a needle of nearly equal moments has left the slow flow at given times."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
-    entry = entry_of(rotation, slow_motion(rotation), top_of(rotation, axial, units.weakness))
-    return jnp.log(times / units.time) > entry.log_time
+    top = top_of(rotation, axial, units.weakness)
+    return jnp.log(times / units.time) > entry_of(rotation, slow_motion(rotation), top)[0]
 
 
 @compiled_soon

@@ -197,12 +197,8 @@ class SlowMotion(eqx.Module):
         stage = self.stage(second.astype(int))
         reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
         piece = stage.piece(jnp.searchsorted(reached, log_time) - 1)
-        part = root(
-            lambda part: piece.at(part)[1].log_time - log_time,
-            jnp.zeros_like(log_time),
-            jnp.ones_like(log_time),
-            HALVINGS,
-        )
+        zero = jnp.zeros_like(log_time)
+        part = root(lambda part: piece.at(part)[1].log_time - log_time, zero, zero + 1, HALVINGS)
         y, state = piece.at(part)
         x, rest = stage.interval.position(y)
         limit = stage.limit

@@ -49,8 +49,8 @@ class Side(eqx.Module):
 
     def rates(self, x: Real, rest: Real) -> tuple[Real, Real]:
         """Compute the rates r and F at x, with rest = 1 − x."""
-        means = averages(self.moments, x, rest)
-        return self.weights @ means.r, self.weights @ means.growth
+        r, growth = averages(self.moments, x, rest)
+        return self.weights @ r, self.weights @ growth
 
     def growth(self, z: Real) -> Real:
         """Compute the rate F at z = logit x."""

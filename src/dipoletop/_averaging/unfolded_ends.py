@@ -40,10 +40,10 @@ def order_error(top: Top, log_u: Real) -> Real:
 
 def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[SlowEnd, Real]:
     """Return the end of a needle that is captured at a random phase, and its relative error."""
-    entry = entry_of(rotation, motion, top)
-    plane = PlanarMotion(top.delta, top.eta * jnp.exp(-entry.log_u))
-    lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, entry.q))
-    logs = lanes.log_ratio + _log_momentum(top, entry.log_u)
+    log_time, q, log_u = entry_of(rotation, motion, top)
+    plane = PlanarMotion(top.delta, top.eta * jnp.exp(-log_u))
+    lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, q))
+    logs = lanes.log_ratio + _log_momentum(top, log_u)
     known = jnp.all(lanes.residual | lanes.stops)
     share = jnp.mean(jnp.where(lanes.residual, 1.0, 0.0))
     # A dipole on the axis of the largest moment makes every phase residual in the end. On the
@@ -55,8 +55,8 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[
     ends = residual / 2 * (_one(0) + _one(1)) + (1 - residual) * _one(5)
     end = _end_of(rotation, top, ends, logs)
     half = time_at(motion, (end.energy + end.last_energy) / 2)
-    half_time = jnp.where(jnp.log(half) < entry.log_time, half, jnp.nan)
-    error = order_error(top, entry.log_u) + _sampling_error(logs)
+    half_time = jnp.where(jnp.log(half) < log_time, half, jnp.nan)
+    error = order_error(top, log_u) + _sampling_error(logs)
     error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
     return end._replace(half_time=half_time), error
 

@@ -214,18 +214,11 @@ def asymmetry_at_entry(top: Top) -> Real:
     return asymmetry(root(above, low, low + 80.0, HALVINGS))
 
 
-class CaptureEntry(NamedTuple):
-    """Where the slow flow of a needle leads into the unfolded system."""
+def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[Real, Real, Real]:
+    """Return where the slow flow of a needle leads into the unfolded system: ln time, q and ln u.
 
-    log_time: Real
-    """The logarithm of the time, in the unit of `SlowMotion`."""
-    q: Real
-    log_u: Real
-    """The logarithm of u where φ = 0."""
-
-
-def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEntry:
-    """Return where q has fallen to `entry_q`, or the start if q is smaller there.
+    It is where q has fallen to `entry_q`, or the start if q is smaller there. The time is in the
+    unit of `SlowMotion`, and u is that where φ = 0.
 
     From there to capture q²u/δ² is small, and W of `capture` is constant. W follows from the slow
     flow, which includes corrections of that order, and u in the plane follows from W.
@@ -262,7 +255,7 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> CaptureEnt
     log_w = log_scale_of(top.delta, log_w1, log_w3, zero)
     expansion = Expansion(-1.5 * top.delta / (1 - top.delta))
     q = jnp.exp(log_q)
-    return CaptureEntry(state.log_time, q, 2 * (log_w - expansion.log_w(q)))
+    return state.log_time, q, 2 * (log_w - expansion.log_w(q))
 
 
 def phases(plane: PlanarMotion, q: Real, number: int = PHASES) -> Float[Array, "n 3"]:

@@ -99,11 +99,8 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[ManyEnds, Real, Bo
     apart = rotation.replaced_where(is_sphere | is_spin)
     leads = outline(apart)
     last = apart.moments[jnp.where(leads.ends_high, 0, 2)]
-    end = (
-        slow_probability(apart, leads.crosses, leads.ends_high, leads.spins),
-        leads.log / 2,
-        last,
-    )
+    probability = slow_probability(apart, leads.crosses, leads.ends_high, leads.spins)
+    end = probability, leads.log / 2, last
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         exact = known.probability, known.log_ratio, known.last_moment
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)

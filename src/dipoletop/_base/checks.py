@@ -15,7 +15,6 @@ from jaxtyping import Real as RealOrInteger
 from .forks import refuse_orphan
 
 LONGEST = 2000  # characters of a value that a message shows
-FLAG = (bool, np.bool_)
 NumberLike = float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""]
 """A real number as an argument."""
 ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."]
@@ -61,7 +60,7 @@ def instance(name: str, value: Any, kind: Any, must: str = "") -> Any:
 
 def flag(name: str, value: Any) -> bool:
     """Return a boolean; refuse a value that is merely truthy or falsy."""
-    return bool(instance(name, value, FLAG, "be True or False"))
+    return bool(instance(name, value, bool | np.bool_, "be True or False"))
 
 
 def names_of(name: str, value: Any) -> tuple[str, ...]:
@@ -208,11 +207,8 @@ def check_verdict(equation: Any, name: str = "equation") -> None:
     """Refuse a value that is not an equation, or an equation without a `verdict`."""
     check_equation(equation, name)
     if not _has_method(equation, "verdict"):
-        refuse(
-            name,
-            "have a method `verdict(y)`, which says how its runs end",
-            f"is {type(equation).__name__}, which has none",
-        )
+        must = "have a method `verdict(y)`, which says how its runs end"
+        refuse(name, must, f"is {type(equation).__name__}, which has none")
 
 
 def check_body(equation: Any) -> Any:

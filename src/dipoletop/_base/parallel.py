@@ -33,11 +33,8 @@ def worker_devices(devices: Sequence[Any] | None = None) -> list[Device]:
     together have as many threads as the process may use cores.
     """
     if getattr(_thread, "is_worker", False):  # it would wait for itself
-        refuse(
-            "problem",
-            "not itself call `sweep` or `classify_many`, whose workers would wait for each other",
-            "does (find what it needs beforehand, and let it use the numbers)",
-        )
+        must = "not itself call `sweep` or `classify_many`, whose workers would wait for each other"
+        refuse("problem", must, "does (find what it needs beforehand, and let it use the numbers)")
     devices = jax.local_devices() if devices is None else _device_list(devices)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hosts = [device for device in devices if device.platform == "cpu"]
@@ -50,11 +47,8 @@ def _device_list(devices: Any) -> list[Device]:
     several = isinstance(devices, Iterable) and not isinstance(devices, str)
     listed = list(devices) if several else []
     if not listed or not all(isinstance(device, Device) for device in listed):
-        refuse(
-            "devices",
-            "list at least one of JAX's devices, as `jax.devices('cpu')` does, or be None",
-            f"is {devices!r}",
-        )
+        must = "list at least one of JAX's devices, as `jax.devices('cpu')` does, or be None"
+        refuse("devices", must, f"is {devices!r}")
     return listed
 
 

@@ -35,7 +35,7 @@ def decided(
     certain = certain & settled(verdict, tolerances, VALUE_MARGIN)
     if until == "value":
         return certain
-    return certain & (slopes_settled(verdict, tolerances.rtol) | (verdict.outcome == Outcome.STOP))
+    return certain & ((verdict.slope <= tolerances.rtol) | (verdict.outcome == Outcome.STOP))
 
 
 def prepared_verdicts(equation: Any) -> Any:
@@ -56,11 +56,6 @@ def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Arr
     size = jnp.abs(verdict.omega_inf)
     within = verdict.error * size <= margin * (rtol * size + atol)
     return within | (verdict.outcome != Outcome.RESIDUAL)
-
-
-def slopes_settled(verdict: Verdict, rtol: Real) -> Bool[Array, "*lanes"]:
-    """Return whether the (conservative) estimated error of the derivatives of ω∞ is within rtol."""
-    return verdict.slope <= rtol
 
 
 def sound(t: Real, y: State, rate: State) -> Bool[Array, "*lanes"]:

@@ -86,15 +86,13 @@ def apply(eqn: Any, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         if name == "argmax" and kinds == {"b"}:
             (axis,) = params["axes"]
             return [np.asarray(np.argmax(values[0], axis), params["index_dtype"])]
-        # JAX saturates numbers that are out of the range of integers.
-        if name == "convert_element_type" and not ("f" in kinds and _to_integer(params)):
-            return [values[0].astype(params["new_dtype"])]
+        if name == "convert_element_type":
+            new = np.dtype(params["new_dtype"])
+            # JAX saturates numbers that are out of the range of integers.
+            if "f" not in kinds or new.kind in "fb":
+                return [values[0].astype(new)]
     results = eqn.primitive.bind(*values, **params)
     return [np.asarray(x) for x in (results if eqn.primitive.multiple_results else [results])]
-
-
-def _to_integer(params: dict[str, Any]) -> bool:
-    return np.dtype(params["new_dtype"]).kind not in "fb"
 
 
 def _flushed(values: Any) -> Any:

@@ -7,7 +7,7 @@ stored.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import diffrax
 import equinox as eqx
@@ -28,6 +28,8 @@ WIDE = 32  # number of lanes from which a block is wide
 ON_PROCESSOR, ON_ACCELERATOR = 128, 65536
 """Lanes of a block: the overhead of an operation equals the work on ten lanes on a processor, and
 on some ten thousand on an accelerator (not measured)."""
+_Method = tuple[diffrax.AbstractERK, int]
+"""The solver and the number of lanes of a block, known when the program is compiled."""
 LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # faster if the CPU has them
 
 
@@ -52,26 +54,17 @@ class JaxEngine:
     ) -> EndStates:
         """Integrate from the states `y0`, on their device."""
         platform = next(iter(y0.devices())).platform
-        method = _Method(self.solver, self.width, platform)
-        return _INTEGRATE[platform == "cpu"](equation, y0, limits, until, method)
+        return _INTEGRATE[platform == "cpu"](equation, y0, limits, until, self.method(platform))
 
     def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
         """Lift, integrate and finish the runs in one program."""
-        method = _Method(self.solver, self.width, device.platform)
-        return _CLASSIFY[device.platform == "cpu"](finish, on_device(queue, device), method)
+        jitted, method = _CLASSIFY[device.platform == "cpu"], self.method(device.platform)
+        return jitted(finish, on_device(queue, device), method)
 
-
-class _Method(NamedTuple):
-    """The method of integration, known when the program is compiled."""
-
-    solver: diffrax.AbstractERK
-    width: int | None
-    platform: str
-
-    def width_for(self, runs: int) -> int:
-        """Return the number of lanes of a block."""
-        width = ON_PROCESSOR if self.platform == "cpu" else ON_ACCELERATOR
-        return min(self.width or width, runs)
+    def method(self, platform: str) -> "_Method":
+        """Return the solver, and the number of lanes of a block on a platform."""
+        width = ON_PROCESSOR if platform == "cpu" else ON_ACCELERATOR
+        return self.solver, self.width or width
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
@@ -104,14 +97,15 @@ def _integrate(
     equation: Equation, y0: Float[Array, "n N"], limits: Limits, until: Until, method: _Method
 ) -> EndStates:
     size = y0.shape[1]
-    width = method.width_for(size)
+    solver, width = method
+    width = min(width, size)
     narrow = width // NARROW if width >= WIDE else 0
-    begun = begin(equation, y0, limits, int(method.solver.order(None) or 0), until)
+    begun = begin(equation, y0, limits, int(solver.order(None) or 0), until)
     queue, many = _queue(begun, width)
 
     def step(carry: Any) -> Any:
         block, count = carry
-        lanes = advance(block.lanes, limits.rtol, limits.max_steps, method.solver, until)
+        lanes = advance(block.lanes, limits.rtol, limits.max_steps, solver, until)
         return _Lanes(block.slot, lanes), count + 1
 
     def work(carry: Any) -> Any:

@@ -183,7 +183,6 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "integer_pow": lambda op, a: op.w.power(a, op.params["y"]),
     "round": lambda op, a: op.w.function(_ROUND[int(op.params["rounding_method"])], a),
     "is_finite": lambda op, a: op.w.compare("lt", op.w.absolute(a, op.dtype), op.constant(np.inf)),
-    "not": lambda op, a: op.w.bitwise_not(a),
     "select_n": lambda op, which, *cases: _select(which, cases, op.dtype, op.w),
     "clamp": lambda op, low, a, high: op.w.extreme("min", op.w.extreme("max", low, a), high),
     "convert_element_type": lambda op, a: op.w.convert(a, op.dtype, op.result_dtype),

@@ -3,7 +3,7 @@
 import functools
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -17,25 +17,16 @@ from .branch_engine import BranchEngine
 from .interface import Engine, Finish, Unsupported
 from .jax_engine import JaxEngine
 
-if TYPE_CHECKING:
-    from .native_engine import NativeEngine
-
 
 def select_engines(
-    name: str,
-    equation: Equation,
-    devices: Sequence[Device],
-    until: Until,
-    finish: Finish[Any],
-    *,
-    warn: bool = True,
+    name: str, equation: Equation, devices: Sequence[Device], *rule: Any, warn: bool = True
 ) -> dict[Device, Engine]:
-    """Choose the engine of each device for the physical motions of an equation."""
-    equation = physical(equation)
-    return {
-        device: select_engine(name, equation, device, until, finish, warn=warn)
-        for device in set(devices)
-    }
+    """Choose the engine of each device for the physical motions of an equation.
+
+    The `rule` is `until`, and perhaps `finish`, of `select_engine`.
+    """
+    motion = physical(equation)
+    return {each: select_engine(name, motion, each, *rule, warn=warn) for each in set(devices)}
 
 
 def select_engine(
@@ -84,7 +75,7 @@ def select_engine(
 
 
 @functools.cache
-def _native_engine() -> "tuple[NativeEngine | None, str]":
+def _native_engine() -> tuple[Any, str]:
     """Return the native engine, or None and the reason why it cannot be imported."""
     try:
         with report_compile_time():

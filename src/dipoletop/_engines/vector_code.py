@@ -13,7 +13,7 @@ LONGEST = 300_000  # instructions; longer code takes more time to compile than t
 FLOAT = {name: f"f{name}" for name in ("add", "sub", "mul", "div", "rem")} | {"add_any": "fadd"}
 INTEGER = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul"}
 COMPARE = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
-BITWISE = {"and": "and_", "or": "or_", "xor": "xor"}
+BITWISE = {"and": "and_", "or": "or_", "xor": "xor", "not": "not_"}
 TYPES = {"float64": ir.DoubleType(), "float32": ir.FloatType()}
 TYPES |= {"int64": ir.IntType(64), "int32": ir.IntType(32), "bool": ir.IntType(1)}
 
@@ -73,11 +73,8 @@ class VectorBuilder:
             return self._count(self.builder.fneg(a))
         return self.arithmetic("sub", self.constant(0, dtype), a)
 
-    def bitwise_not(self, a: Any) -> Any:
-        return self._count(self.builder.not_(a))
-
-    def bitwise(self, name: str, a: Any, b: Any) -> Any:
-        return self._count(getattr(self.builder, BITWISE[name])(a, b))
+    def bitwise(self, name: str, *operands: Any) -> Any:
+        return self._count(getattr(self.builder, BITWISE[name])(*operands))
 
     def select(self, flag: Any, yes: Any, no: Any) -> Any:
         return self._count(self.builder.select(flag, yes, no))

@@ -17,12 +17,11 @@ from .._base.parallel import Device
 from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Limits, Queue
 from ..equations._common import omega_scale_of, physical
-from .chosen_lanes import Lanes, part_of, put_back
 from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
 from .label_doubt import CERTAIN, finish_of, made_twice
-from .memory_limits import in_fitting_parts
-from .slow_runs import SlowFlow, is_predictable, with_predictions
+from .memory_limits import Lanes, in_fitting_parts, part_of, put_back
+from .slow_runs import SlowFlow, why_unpredictable, with_predictions
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # largest number of steps in the first pass: all longer runs would be in doubt
@@ -53,21 +52,13 @@ def classify_block(
 
     Blocks that do not fit into the memory of the device are divided.
     """
-    return in_fitting_parts(
-        lambda runs: _classified(*runs, way),
-        (equation, omegas, limits),
-        omegas.shape[1],
-        way.device,
-    )
+    every, size = (equation, omegas, limits), omegas.shape[1]
+    return in_fitting_parts(lambda runs: _classified(runs, way), every, size, way.device)
 
 
-def _classified(
-    equation: Equation,
-    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
-    limits: Limits,
-    way: RunOptions,
-) -> Classification:
-    """Return the classifications of all N runs at once."""
+def _classified(runs: tuple[Any, Any, Limits], way: RunOptions) -> Classification:
+    """Return the classifications of all N runs at once, by their equation, starts and limits."""
+    equation, omegas, limits = runs
     value, slow_flow = way.value, way.slow_flow
     block = RunBlock(physical(equation), omegas, way)
 
@@ -86,7 +77,7 @@ def _classified(
         t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
         return classified(limits._replace(t1=t1))
 
-    if slow_flow is False or not is_predictable(equation):
+    if slow_flow is False or why_unpredictable(equation):
         return classified(limits)
     every, label_only = slow_flow is True, value is False
     return with_predictions(classified_where, (equation, omegas), limits, label_only, every)

@@ -151,8 +151,6 @@ class Runs(NamedTuple):
 def _check_batch(equations: Equation, size: int) -> None:
     for leaf in jax.tree.leaves(eqx.filter(equations, eqx.is_array)):
         if leaf.ndim == 0 or leaf.shape[0] != size:
-            refuse(
-                "equations",
-                f"be a single equation or have {size} entries on the leading axis of every field",
-                f"has a field of shape {leaf.shape}",
-            )
+            entries = f"{size} entries on the leading axis of every field"
+            must = f"be a single equation or have {entries}"
+            refuse("equations", must, f"has a field of shape {leaf.shape}")

@@ -42,8 +42,8 @@ from jaxtyping import Array, Bool, Float
 from .._base.tolerances import Tolerances
 from .._base.types import OmegaScale, Outcome
 from .._engines.interface import Limits, power_of_two
-from .chosen_lanes import Lanes
 from .classification import Classification, Value
+from .memory_limits import Lanes
 
 FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
 NEIGHBOUR_RTOLS = 1e3, 3.0  # rtol of the neighbours over the run's, at the first and second try

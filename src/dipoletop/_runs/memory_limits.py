@@ -1,15 +1,21 @@
-"""Division of blocks that do not fit into the memory of a device."""
+"""Parts of many runs: division of blocks that do not fit into the memory of a device.
+
+Some of many runs are taken out of arrays along their trailing axis of lanes, and put back.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Int
 
 from .._base.parallel import Device
-from .chosen_lanes import part_of
 
 T = TypeVar("T")
+Lanes = Int[np.ndarray, "some"]
+"""The indices of some runs."""
 SMALLEST = 128  # runs of a block that is not divided further
 PER_START = 4096  # most bytes of a run, its share of the program's arrays included
 TILE = 16384  # largest number of starts of one call of an engine
@@ -58,3 +64,24 @@ def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Devi
         for lanes in (np.arange(half), np.arange(half, size))
     ]
     return jax.tree.map(lambda *fields: np.concatenate(fields, axis=-1), *parts)
+
+
+def part_of(tree: T, lanes: Lanes, size: int) -> T:
+    """Return the entries of some lanes, from arrays with a trailing axis of lanes; in NumPy."""
+
+    def chosen(leaf: Any) -> Any:
+        is_lanewise = eqx.is_array_like(leaf) and np.shape(leaf)[-1:] == (size,)
+        return np.asarray(leaf)[..., lanes] if is_lanewise else leaf
+
+    return jax.tree.map(chosen, tree)
+
+
+def put_back(whole: T, lanes: Lanes, part: T) -> T:
+    """Replace the entries of some lanes; in place if the arrays are writable."""
+
+    def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        both = old if old.flags.writeable else old.copy()
+        both[..., lanes] = new
+        return both
+
+    return jax.tree.map(replaced, whole, part)

@@ -100,16 +100,20 @@ def residual_rotation(
         >>> f"{slope:.8f}"
         '2.01941471'
     """
-    check_verdict(equation)
-    check_single(equation)
-    equation = physical(equation)
-    start = real("omega0", omega0, (3,), batch=False)
-    tolerances = step_tolerances(rtol, atol, start)
+    equation, start, tolerances = _checked(equation, omega0, rtol, atol)
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
     leaves, structure = jax.tree.flatten((arrays, start))
     return _with_gradient(_Runs(rest, structure, budget("max_steps", max_steps)))(
         leaves, tolerances
     )
+
+
+def _checked(equation: Any, omega0: Any, rtol: Any, atol: Any) -> tuple[Any, Array, Tolerances]:
+    """Return the equation to integrate, ω₀ and the tolerances."""
+    check_verdict(equation)
+    check_single(equation)
+    start = real("omega0", omega0, (3,), batch=False)
+    return physical(equation), start, step_tolerances(rtol, atol, start)
 
 
 class _Runs(eqx.Module):
@@ -262,14 +266,10 @@ def decay_time(
         >>> f"{dt.decay_time(dt.TransverseReduced(0.3), [0.0, 0.5, 0.0]):.8f}"
         '2.00000000'
     """
-    check_verdict(equation)
-    check_single(equation)
+    equation, start, tolerances = _checked(equation, omega0, rtol, atol)
     check_body(equation)
-    equation = physical(equation)
-    start = real("omega0", omega0, (3,), batch=False)
     part = real("share", share, batch=False)
     part = where_valid("share", part, (part > 0) & (part < 1), "lie between 0 and 1")
-    tolerances = step_tolerances(rtol, atol, start)
     steps = budget("max_steps", max_steps)
     rtol, atol = tolerances
     omega_inf = residual_rotation(equation, start, rtol=rtol, atol=atol, max_steps=steps)

@@ -47,6 +47,7 @@ from .._base.types import Equation, State, Vector
 from .._branch import march
 from .._engines.step_sizes import Controller
 from ..equations._common import (
+    OfOmega,
     energy_flows,
     error_scale_of,
     follows_attitude,
@@ -54,7 +55,6 @@ from ..equations._common import (
     physical,
     twist_axis,
 )
-from ..equations._members import OfOmega
 from .solver_options import Options, check_branch_options, check_options, event_of, saved_at
 from .trajectory import BranchSolution, Trajectory
 

@@ -31,8 +31,8 @@ from .._engines.interface import Limits
 from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
-from .chosen_lanes import part_of, put_back
 from .classification import Classification
+from .memory_limits import part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
@@ -196,16 +196,11 @@ def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
     is_word = isinstance(slow_flow, str) and slow_flow == "auto"
     if not (is_word or isinstance(slow_flow, bool)):
         refuse("slow_flow", "be 'auto', True or False", f"is {slow_flow!r}")
-    if slow_flow is True and (reason := why_not or _why_not(equation)):
+    if slow_flow is True and (reason := why_not or why_unpredictable(equation)):
         refuse("slow_flow", "be 'auto' or False here", f"is True, but {reason}")
 
 
-def is_predictable(equation: Any) -> bool:
-    """Return whether the runs of an equation can be predicted."""
-    return not _why_not(equation)
-
-
-def _why_not(equation: Any) -> str:
+def why_unpredictable(equation: Any) -> str:
     """Return the reason why the runs of an equation cannot be predicted, or an empty text.
 
     A class of the user, or one with a torque from outside, has another slow motion.

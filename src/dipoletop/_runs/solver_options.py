@@ -8,7 +8,7 @@ import diffrax
 import jax
 from jaxtyping import Array, Float
 
-from .._base.checks import FLAG, ArrayLike, NumberLike, instance, positive, refuse
+from .._base.checks import ArrayLike, NumberLike, flag, instance, positive, refuse
 from .._base.types import State
 
 
@@ -28,26 +28,15 @@ class Options(TypedDict, total=False):
     attitude: ArrayLike | None
 
 
-OPTIONS = {
-    "solver": (diffrax.AbstractSolver, "be a solver of diffrax, such as `diffrax.Tsit5()`"),
-    "stepsize_controller": (
-        diffrax.AbstractStepSizeController,
-        "be a step size controller of diffrax, such as `diffrax.PIDController(1e-8, 1e-10)`",
-    ),
-    "dt0": (object, ""),  # checked below
-    "event": (diffrax.Event, "be an event of diffrax, `diffrax.Event(condition)`"),
-    "saveat": (diffrax.SaveAt, "be what diffrax saves, such as `diffrax.SaveAt(steps=True)`"),
-    "progress_meter": (
-        diffrax.AbstractProgressMeter,
-        "be a progress meter of diffrax, such as `diffrax.TqdmProgressMeter()`",
-    ),
-    "adjoint": (
-        diffrax.AbstractAdjoint,
-        "be an adjoint of diffrax, such as `diffrax.ForwardMode()`",
-    ),
-    "attitude": (object, ""),  # checked by `unit_quaternion`
-} | dict.fromkeys(("throw", "dense", "balance"), (FLAG, "be True or False"))
-"""The class of each of the `Options`, and how a refusal describes it."""
+OF_DIFFRAX = {
+    "solver": "a solver of diffrax, such as `diffrax.Tsit5()`",
+    "stepsize_controller": "a step size controller, such as `diffrax.PIDController(1e-8, 1e-10)`",
+    "event": "an event of diffrax, `diffrax.Event(condition)`",
+    "saveat": "what diffrax saves, such as `diffrax.SaveAt(steps=True)`",
+    "progress_meter": "a progress meter of diffrax, such as `diffrax.TqdmProgressMeter()`",
+    "adjoint": "an adjoint of diffrax, such as `diffrax.ForwardMode()`",
+}
+"""The description of each of the `Options` that is an object of diffrax."""
 OF_BRANCH = ("throw", "balance", "attitude")
 """The options of a motion along a physical branch."""
 SAVED_STATE: Any = diffrax.SaveAt(t1=True).subs
@@ -55,12 +44,14 @@ SAVED_STATE: Any = diffrax.SaveAt(t1=True).subs
 
 def check_options(options: Options) -> None:
     """Refuse options of other names, and values that they cannot have; numbers become arrays."""
+    kinds = Options.__annotations__
     for name, value in options.items():
-        if name not in OPTIONS:
-            refuse("options", f"be among {', '.join(OPTIONS)}", f"one is `{name}`")
-        kind, must = OPTIONS[name]
-        if value is not None or kind is FLAG:
-            instance(name, value, kind, must)
+        if name not in kinds:
+            refuse("options", f"be among {', '.join(kinds)}", f"one is `{name}`")
+        if name in OF_DIFFRAX:
+            instance(name, value, kinds[name], f"be {OF_DIFFRAX[name]}")
+        elif kinds[name] is bool:
+            flag(name, value)
     step = options.get("dt0")
     if step is not None:
         options["dt0"] = positive("dt0", step, batch=False)  # an array, so that nothing recompiles
@@ -102,16 +93,13 @@ def event_of(options: Options, n: int) -> diffrax.Event | None:
         return None
 
     def of_state(condition: Callable[..., Any]) -> Callable[..., Any]:
+        kinds = {x.kind for x in inspect.signature(condition).parameters.values()}
+        takes_more = inspect.Parameter.VAR_KEYWORD in kinds  # the keywords that diffrax passes
+
         def seen(t: Any, y: State, args: Any, **rest: Any) -> Any:
-            return condition(t, y[:n], args, **(rest if _takes_more(condition) else {}))
+            return condition(t, y[:n], args, **(rest if takes_more else {}))
 
         return seen
 
     conditions = jax.tree.map(of_state, event.cond_fn, is_leaf=callable)
     return diffrax.Event(conditions, event.root_finder, event.direction)
-
-
-def _takes_more(condition: Callable[..., Any]) -> bool:
-    """Return whether a condition takes the keywords with which diffrax calls it."""
-    kinds = {x.kind for x in inspect.signature(condition).parameters.values()}
-    return inspect.Parameter.VAR_KEYWORD in kinds

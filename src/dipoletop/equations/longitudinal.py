@@ -14,8 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
-from ._common import one_order_up
-from ._members import LongitudinalTop, OfFull, OfOmega, OfOrder
+from ._common import LongitudinalTop, OfFull, OfOmega, OfOrder, one_order_up
 from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]

@@ -15,8 +15,7 @@ from .._base.linalg import dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import gyroscopic_torque, radiation_torque
-from ._common import one_order_up
-from ._members import OfBody, OfFull, OfOmega, OfOrder
+from ._common import OfBody, OfFull, OfOmega, OfOrder, one_order_up
 from ._verdicts import any_body
 from .levels import Level
 

@@ -43,7 +43,7 @@ def critical_manifold(w: Any) -> Float[Array, "*n"]:
         >>> print(f"{dt.critical_manifold(0.3):.12f}")
         -0.022428220160
     """
-    return _curve(-1, _real(w))
+    return _curve(-1, real("w", w, np.shape(w)))
 
 
 def separatrix(w: Any) -> Float[Array, "*n"]:
@@ -55,7 +55,7 @@ def separatrix(w: Any) -> Float[Array, "*n"]:
     Returns:
         g, of the shape of `w`: ω′ on that curve.
     """
-    return _curve(1, _real(w))
+    return _curve(1, real("w", w, np.shape(w)))
 
 
 def closed_manifold(w: Any) -> Float[Array, "*n"]:
@@ -69,12 +69,8 @@ def closed_manifold(w: Any) -> Float[Array, "*n"]:
     Returns:
         The approximation, of the shape of `w`.
     """
-    w = _real(w)
+    w = real("w", w, np.shape(w))
     return -(w**3) / jnp.sqrt(1 + 2 * w**2)
-
-
-def _real(w: Any) -> Float[Array, "*n"]:
-    return real("w", w, np.shape(w))
 
 
 @functools.partial(jax.jit, static_argnums=0)

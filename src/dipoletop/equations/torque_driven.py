@@ -23,9 +23,8 @@ from .._base.linalg import inverse, matvec
 from .._base.types import OmegaScale, Real, State, Vector
 from ..bodies import Body
 from ..radiation import gyroscopic_torque
-from ._common import omega_scale_of
+from ._common import OmegaFirst, omega_scale_of
 from ._families import LONGITUDINAL, RIGID, TRANSVERSE
-from ._members import OmegaFirst
 from .levels import WITH_TORQUE, Level
 from .rigid import (
     across_dipole,

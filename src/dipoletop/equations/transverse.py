@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.types import Real, Vector, Verdict
-from ._common import one_order_up, reciprocal
-from ._members import OfFull, OfOmega, OfOrder, TransverseTop
+from ._common import OfFull, OfOmega, OfOrder, TransverseTop, one_order_up, reciprocal
 from ._verdicts import transverse as regions
 from .levels import Level
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from .._base.checks import finite
 from .._base.types import Real, Vector, Verdict
-from ._members import Cylindrical, TransverseTop
+from ._common import Cylindrical, TransverseTop
 from ._verdicts import transverse as regions
 from .levels import Level
 

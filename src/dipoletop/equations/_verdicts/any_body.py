@@ -118,11 +118,8 @@ def verdict(body: SeenBody, y: Vector, level: Level) -> Verdict:
     attraction = _attraction(frame, level, excess)
     trapped = behind_barrier(frame, body.flow)
     general = _of_general_body(frame, level, excess, (axis_along, trapped), attraction)
-    return jax.tree.map(
-        lambda of_top, of_body: jnp.where(axis_across, of_top, of_body),
-        _of_transverse_top(frame, level, attraction),
-        general,
-    )
+    top = _of_transverse_top(frame, level, attraction)
+    return jax.tree.map(lambda a, b: jnp.where(axis_across, a, b), top, general)
 
 
 def _of_general_body(

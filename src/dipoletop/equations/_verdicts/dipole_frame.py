@@ -60,11 +60,6 @@ class DipoleFrame(NamedTuple):
         return self._replace(speed=safe_sqrt(dot(omega, omega)), w=w, xa=xa, xb=xb)
 
 
-def seen_from_dipole(body: Body, omega: Vector) -> DipoleFrame:
-    """Return a state in the frame (n, a, b) of its body."""
-    return body_frame(body).of(omega)
-
-
 def body_frame(body: Body) -> DipoleFrame:
     """Return the frame (n, a, b), right-handed, by one Jacobi rotation about n."""
     inertia, d = body.inertia, body.dipole
@@ -148,7 +143,7 @@ def constraints(body: Body, omega: Vector, level: Level) -> tuple[Vector, Vector
     state leaves a set on which w is constant: w = 0 with J_a = J_b, or the plane of
     `stays_in_plane`.
     """
-    frame = seen_from_dipole(body, omega)
+    frame = body_frame(body).of(omega)
     axis_along, axis_across = symmetry_axis(frame)
     no_spin = axis_along & frame.principal & spins_across(frame, axis_along)
     delta, _, top = transverse_top(frame)
