@@ -163,19 +163,6 @@ def test_a_torque_in_time_sets_a_body_in_motion():
     np.testing.assert_allclose(run.omega[:, 2] / size, exact, atol=1e-8)
 
 
-@pytest.mark.slow  # compiles for long
-def test_drag_along_the_physical_branch_is_classified_and_swept():
-    def problem(gamma, w3):
-        top = dt.TransverseFull(-0.3)
-        equation = torques.with_torque(top, torques.drag(gamma), verdict=rests)
-        return equation, dt.cylindrical(0.2, w3, 1.0)
-
-    basin = dt.sweep(problem, dt.Grid(gamma=[0.05, 0.1], w3=[0.1]), value="unchecked")
-    assert np.all(basin.outcome == Outcome.STOP)
-    run = dt.simulate(problem(0.1, 0.1)[0], problem(0.1, 0.1)[1], [0.0, float(basin.time[1, 0])])
-    assert jnp.linalg.norm(run.omega[-1]) < 0.01 < jnp.linalg.norm(run.omega[0])
-
-
 def test_a_field_is_added_to_a_field():
     top, fields = dt.TransverseReduced(-0.2), np.array([[0.0, 0.01, 0.0], [0.0, 0.0, 0.02]])
     one, other, both = (torques.field_on_dipole(top, f) for f in (*fields, fields.sum(axis=0)))
@@ -240,20 +227,6 @@ def test_the_regions_of_the_equation_do_not_decide_with_a_torque():
     equation = torques.with_torque(dt.TransverseReduced(0.3), torques.drag(GAMMA))
     with pytest.raises(ValueError, match="have a method `verdict"):
         dt.sweep(lambda w3: (equation, dt.cylindrical(0.2, w3, 0.1)), dt.Grid(w3=[0.1]))
-
-
-@pytest.mark.slow
-def test_a_verdict_may_depend_on_the_attitude():
-    def turned(y):
-        done = y[3] ** 2 < 0.5  # by more than a quarter of a turn
-        return jnp.where(done, int(Outcome.STOP), 0), jnp.zeros_like(y[0]), done & False
-
-    top = dt.TransverseReduced(0.0)
-    pulled = torques.field_on_dipole(top, [0.0, 0.0, 0.0])
-    equation = torques.with_torque(top, pulled, verdict=turned, attitude=LEVEL)
-    found = dt.classify(equation, SPIN)
-    angle = np.sqrt(1 + 2 * float(found.time)) - 1  # ∫ω dτ by (2.4)
-    assert np.pi / 2 <= angle < np.pi
 
 
 @pytest.mark.slow

@@ -82,7 +82,7 @@ def test_a_vanishing_asymmetry_leaves_the_capture_of_the_axisymmetric_top():
         np.testing.assert_allclose(quantiles, found, rtol=1e-2)
 
 
-KNOWN = [(1e-3, 0.4, -0.3), (1e-3, 0.4, 30), (1e-3, -0.2, -3), (1e-3, -0.2, 0.3), (1e-4, 0.4, 0.3)]
+KNOWN = [(0.4, r) for r in (-3, -0.3, 0.3, 30)] + [(-0.2, r) for r in (-3, 0, 0.3, 30)]
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_starts_of_known_phase_end_as_resolved_runs_do():
     """Labels agree, and ω∞ within the estimated error, for discs and needles of any η/u."""
     rng = np.random.default_rng(3)
     compared = 0
-    for size, delta, asymmetry in KNOWN:
+    for size, delta, asymmetry in [(1e-3, *x) for x in KNOWN] + [(1e-4, 0.4, 0.3), (1e-4, -0.2, 0)]:
         eta = asymmetry * size**2
         angles, z = rng.uniform(0, 2 * np.pi, 4), rng.uniform(-4, 4, 4) / abs(delta)
         starts = np.array([_start(size, *each) for each in zip(angles, z, strict=True)])
@@ -105,13 +105,11 @@ def test_starts_of_known_phase_end_as_resolved_runs_do():
             if runs.outcome[k] == dt.Outcome.RESIDUAL and jnp.isfinite(end.omega_inf):
                 assert abs(float(end.omega_inf / runs.omega_inf[k] - 1)) < end.error
                 compared += 1
-    assert compared > 6
+    assert compared > 12
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("delta", "asymmetry"), [(0.8, -0.1), (0.9, -0.025), (0.8, 1e-3), (0.3, 0.0)]
-)
+@pytest.mark.parametrize(("delta", "asymmetry"), [(0.8, -0.1), (0.9, -0.025), (0.8, 1e-3)])
 def test_random_phases_end_as_often_residual_as_resolved_runs(delta, asymmetry):
     rng = np.random.default_rng(11)
     starts = np.empty((200, 3))
@@ -138,17 +136,19 @@ def test_random_phases_end_as_often_residual_as_resolved_runs(delta, asymmetry):
 def test_slow_flow_and_unfolding_agree_within_their_errors():
     """And the smaller error is taken; a slow flow of small error is not compared."""
     regimes = []
-    for asymmetry in (1e-2, 1.0, 1e2, 1e6):
-        variables = _variables(0.4, asymmetry * 1e-10, 1e-5 * DIRECTION)
-        slow, best = forecast(variables, ONE, False), best_forecast(variables, ONE, False)
-        turns, errors = coverage(variables, ONE)
-        regimes.append(int(best.regime))
-        if not jnp.isfinite(errors[0]):
-            assert best.regime == dt.Regime.SLOW_FLOW
-            continue
-        assert turns[0]
-        end = unfolded_forecast(variables, ONE, 0, True)
-        assert abs(float(end.ratio / slow.ratio - 1)) < slow.error + end.error
-        np.testing.assert_allclose(end.ratio_quantiles[1:], slow.ratio, rtol=float(slow.error))
-        assert best.error == jnp.minimum(slow.error, end.error)
+    for delta in (0.4, 0.8):
+        for asymmetry in (1e-2, 1.0, 1e2, 1e6):
+            variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
+            slow = forecast(variables, ONE, False)
+            turns, errors = coverage(variables, ONE)
+            best = best_forecast(variables, ONE, False)
+            regimes.append(int(best.regime))
+            if not jnp.isfinite(errors[0]):
+                assert best.regime == dt.Regime.SLOW_FLOW
+                continue
+            assert turns[0]
+            end = unfolded_forecast(variables, ONE, 0, True)
+            assert abs(float(end.ratio / slow.ratio - 1)) < slow.error + end.error
+            np.testing.assert_allclose(end.ratio_quantiles[1:], slow.ratio, rtol=float(slow.error))
+            assert best.error == jnp.minimum(slow.error, end.error)
     assert set(regimes) == {dt.Regime.SLOW_FLOW, dt.Regime.UNFOLDED}

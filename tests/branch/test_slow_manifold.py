@@ -128,23 +128,6 @@ def test_derivatives_of_the_branch():
     assert float(slopes[0] + slopes[1] @ way) == pytest.approx(float(found), rel=1e-10)
 
 
-@pytest.mark.slow  # compiles for long
-def test_derivatives_by_the_body_of_a_sphere():
-    """Where both runaways have the same rate, they are those by the shape, I₃ = 1 − δ."""
-    start = jnp.array([0.1, 0.2, 0.1])
-
-    def general(delta):
-        inertia = jnp.diag(jnp.stack([1.0 + 0 * delta, 1.0 + 0 * delta, 1 - delta]))
-        full = dt.Full(dt.Body(inertia, [1.0, 0.0, 0.0]))
-        return dt.slow_manifold(WithShortLevels(full, dt.TransverseFull(delta)), start)
-
-    def special(delta):
-        return dt.slow_manifold(dt.TransverseFull(delta), start)
-
-    slopes = [jax.jit(jax.jacfwd(each))(0.0) for each in (general, special)]
-    np.testing.assert_allclose(*slopes, rtol=1e-9)
-
-
 def test_small_amplitudes_have_the_series():
     """The orders approach the branch, each by a power of ω more."""
     start = jnp.array([0.3, 0.5, -0.4])

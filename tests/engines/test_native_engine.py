@@ -59,13 +59,6 @@ def test_both_engines_agree():
     assert at_a_given_time(equation, y0, limits, solver=solver) > 0.5
 
 
-@pytest.mark.slow
-def test_both_engines_agree_on_any_body():
-    """Without the verdict, which takes the engines a minute to compile; it is tested below."""
-    made = problem(lambda d: dt.Reduced(dt.axisymmetric(d)))
-    assert at_a_given_time(*made, solver=diffrax.Tsit5(), until="time") == 1
-
-
 def test_a_second_call_with_other_values_compiles_nothing():
     for shift in (0.0, 0.1):
         starts = jnp.ones((3, 5)) * (0.1 + shift)

@@ -117,29 +117,6 @@ def test_a_sign_that_is_not_certain_is_not_given(sign_change):
     assert np.isnan(value)
 
 
-def bodies(n):
-    """General bodies with a principal axis along the dipole, and starts."""
-    rng = np.random.default_rng(11)
-    moments = 1 - rng.dirichlet(np.ones(3), n)
-    starts = rng.normal(size=(n, 3)) * 10 ** rng.uniform(-1.5, -0.3, (n, 1))
-    inertia = jnp.asarray(moments[:, None, :] * np.eye(3))
-    return dt.Body(inertia, jnp.tile(jnp.array([1.0, 0.0, 0.0]), (n, 1))), jnp.asarray(starts)
-
-
-@pytest.mark.slow
-def test_bodies_against_a_closer_tolerance():
-    body, starts = bodies(128)
-    found = dt.classify_many(dt.Reduced(body), starts, max_steps=5000)
-    exact = dt.classify_many(
-        dt.Reduced(body), starts, rtol=1e-13, value="unchecked", max_steps=20000
-    )
-    residual = (found.outcome == Outcome.RESIDUAL) & np.isfinite(found.omega_inf + exact.omega_inf)
-    assert residual.sum() > 40
-    off = np.abs(found.omega_inf - exact.omega_inf)[residual]
-    assert np.all(off <= TRUSTED * found.omega_inf_error[residual])
-    assert np.median(found.omega_inf_error[residual] / np.abs(exact.omega_inf[residual])) < 1e-6
-
-
 def test_what_needs_no_estimate_has_none():
     """Exact values, stops, labels, and an absolute tolerance, which makes errors larger."""
     starts = jnp.array([[0.2, 0.1, 0.0], [0.0, 0.2, 0.0], [0.1, 0.1, 0.9], [0.2, 0.1, 0.1]])

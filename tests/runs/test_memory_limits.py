@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._runs import memory_limits
 
@@ -40,11 +39,10 @@ def little_memory(monkeypatch):
     return limited
 
 
-@pytest.mark.parametrize("engine", [NativeEngine, pytest.param(JaxEngine, marks=pytest.mark.slow)])
-def test_blocks_are_halved_until_they_fit(engine, little_memory):
-    settings = {"engine": engine.name, "slow_flow": False}
+def test_blocks_are_halved_until_they_fit(little_memory):
+    settings = {"engine": "native", "slow_flow": False}
     whole = dt.classify_many(TOPS, STARTS, **settings)
-    tried = little_memory(engine, 200, EXHAUSTED)
+    tried = little_memory(NativeEngine, 200, EXHAUSTED)
     parts = dt.classify_many(TOPS, STARTS, **settings)
     for name in ("outcome", "omega_inf", "omega_inf_error", "time", "steps"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
