@@ -10,6 +10,7 @@ from benchmarks.problems import random_bodies as labels
 from dipoletop import Level
 from dipoletop._base.types import Outcome, Stop
 from dipoletop.bodies import Body
+from dipoletop.equations._verdicts import any_body
 from dipoletop.equations.rigid import Full, Reduced, SemiReduced
 from dipoletop.equations.transverse import TransverseReduced, TransverseSemi
 
@@ -218,3 +219,42 @@ def test_one_top_and_lanes_agree():
     for field in many._fields[:-1]:  # the last is the class of equation
         each = np.array([getattr(verdict, field) for verdict in one])
         np.testing.assert_allclose(each, getattr(many, field)[: len(few)], rtol=1e-10)
+
+
+def test_the_odd_terms_of_the_first_order_keep_their_bound():
+    """Of odd order in the part x of Ω across the dipole, beside the linear terms of x′."""
+
+    @jax.jit
+    @jax.vmap
+    def share(j, omega):
+        equation = Reduced(Body(jnp.diag(j), jnp.array([1.0, 0.0, 0.0])))
+        line, x = omega * jnp.array([1.0, 0.0, 0.0]), omega * jnp.array([0.0, 1.0, 1.0])
+        ahead, back = equation(0.0, line + x), equation(0.0, line - x)
+        linear = jax.jvp(lambda x: equation(0.0, line + x), (jnp.zeros(3),), (x,))[1]
+        odd = (ahead - back) / 2 - linear
+        return jnp.max(jnp.abs(odd * j / x)[1:]) / jnp.sum(x**2)
+
+    rng = np.random.default_rng(1)
+    largest = share(1 - rng.dirichlet(np.ones(3), 4000), rng.normal(size=(4000, 3))).max()
+    assert 0.9 * any_body.ODD_TERMS < largest < any_body.ODD_TERMS
+
+
+def test_the_slope_by_a_tilt_of_the_axes_is_that_of_the_turned_body():
+    """Half a turn about axis 1 changes the signs of Ω₂, Ω₃ and J₁₂: ω∞ changes its sign."""
+
+    @jax.jit
+    @jax.vmap
+    def value_and_slope(omega):
+        def value(tilt):
+            inertia = jnp.diag(jnp.array([0.8, 0.9, 1.1])).at[0, 1].add(tilt).at[1, 0].add(tilt)
+            return Reduced(Body(inertia, jnp.array([0.0, 0.0, 1.0]))).verdict(omega).omega_inf
+
+        return jax.value_and_grad(value)(0.0)
+
+    start = np.array([0.003, 0.004, 0.1])
+    found = value_and_slope(jnp.asarray([start, start * [1, -1, -1]]))
+    (here, there), slopes = (np.asarray(part) for part in found)
+    assert here == pytest.approx(-there, rel=1e-14)
+    assert here > 0.09
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-12)
+    assert slopes[1] > 1e-4

@@ -525,3 +525,13 @@ def test_decay_times_and_their_slopes():
     assert float(slopes[0]) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
     assert np.all(np.isnan(values[1:]))
     assert np.all(np.isnan(slopes[1:]))
+
+
+def test_the_residual_rotation_keeps_its_energy():
+    """At order 1 with ω₃ = 0, u = ω₂² obeys u′ = −2(ω₁² + u)u, and ω₁ is constant."""
+    w1, w2, share = 0.3, 0.4, 0.5
+    u, rest = w2**2, w1**2
+    left = (1 - share) * u
+    exact = np.log(u / (rest + u) * (rest + left) / left) / (2 * rest)
+    found = decay_time(dt.TransverseReduced(0.3), [w1, w2, 0.0], share)
+    assert float(found) == pytest.approx(exact, rel=1e-9)

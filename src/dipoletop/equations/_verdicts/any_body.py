@@ -57,10 +57,11 @@ continues, nor has the bound of the odd terms been tested.
 """
 
 ODD_TERMS = 3.0
-"""The bound C of the odd terms of x′_i: at most C |d|²|x|²|x_i|/J_i.
+"""The bound C of the odd terms of x′, at most C |d|²|x|³/min(J_a, J_b).
 
-It holds at order 1, because J_a ≤ J_b + J_d and so on. In samples C is at most 1.0 at order 1 and
-2.1 at the other levels, for orders 2–4 up to `SMALL`.
+At order 1 those of x′_i are at most C |d|²|x|²|x_i|/J_i, because J_a ≤ J_b + J_d and so on. In
+samples the former C is at most 1.0 at order 1 and 2.1 at the other levels, for orders 2–4 up to
+`SMALL`.
 """
 ODD_GROWTH = 6  # beyond `SMALL` C grows with this power of |Ω|: at order 4 the terms reach |Ω|⁹
 
