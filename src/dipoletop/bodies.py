@@ -220,14 +220,12 @@ def _inertia(value: Any) -> Float[Array, "*batch 3 3"]:
     size = abs(inertia).max(axis=(-1, -2), keepdims=True)
     symmetric = abs(inertia - transposed) <= _tolerance() * size
     inertia = where_valid("inertia", inertia, symmetric, "be symmetric")
-    sums = inertia.trace(axis1=-2, axis2=-1)
-    isotropic = diagonal(sums, sums, sums)
-    positive = _positive_definite(inertia - _rounding() * isotropic)  # beyond rounding
-    inertia = (inertia + transposed) / 2
+    mean = (inertia + transposed) / 2
+    positive = _positive_definite(inertia - _rounding() * _isotropic(inertia))  # beyond rounding
     must = "be positive definite (masses on one line have a principal moment of zero)"
-    inertia = _where_moments(inertia, positive, must)
+    inertia = _where_moments(mean, positive, must)
     # J₁ + J₂ ≥ J₃: ½ tr(I) 1 − I = Σ mρρᵀ has no negative eigenvalue.
-    triangle = _positive_definite((0.5 + _tolerance()) * isotropic - inertia)
+    triangle = _positive_definite((0.5 + _tolerance()) * _isotropic(inertia) - inertia)
     must = "have principal moments with J1 + J2 >= J3"
     return on_device(_where_moments(inertia, triangle, must))
 
@@ -248,6 +246,12 @@ def _rounding() -> float:
 def _tolerance() -> float:
     """Return the relative error that a symmetry or an equality of the user's numbers may have."""
     return max(1e-12, _rounding())
+
+
+def _isotropic(inertia: Inertia) -> Any:
+    """Return tensors whose three moments are the traces of others."""
+    sums = inertia.trace(axis1=-2, axis2=-1)
+    return diagonal(sums, sums, sums)
 
 
 def _positive_definite(matrices: Any) -> Any:
