@@ -23,7 +23,7 @@ from ...bodies import Body
 from ..levels import Level
 
 ULPS = 4096  # roundings up to which moments or directions count as equal
-STILL = 8  # roundings of |Ω| up to which a component of Ω counts as 0
+STILL = 8  # roundings of |Ω| or J up to which a component of Ω, or a moment's difference, is 0
 
 
 class DipoleFrame(NamedTuple):
@@ -73,7 +73,8 @@ def body_frame(body: Body) -> DipoleFrame:
     f = cross(n, e)
     ie, jf = matvec(inertia, e), matvec(inertia, f)
     half, mixed = (dot(e, ie) - dot(f, jf)) / 2, dot(e, jf)
-    equal = (half == 0) & (mixed == 0)  # then any two directions across n are principal
+    # Up to rounding any two directions across n are principal then.
+    equal = jnp.abs(half) + jnp.abs(mixed) <= STILL * float(jnp.finfo(n.dtype).eps) * dot(e, ie)
     opposite = jnp.where(half < 0, -mixed, mixed)
     angle = jnp.arctan2(opposite, jnp.where(equal, 1.0, jnp.abs(half))) / 2
     cos, sin = jnp.cos(angle), jnp.sin(angle)
