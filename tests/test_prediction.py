@@ -28,6 +28,7 @@ def _slow_flow(body, omega, is_needle=False):
     return forecast(jnp.asarray(variables), jnp.asarray(1.0), is_needle)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [ON_3, ON_1], ids=["largest moment", "smallest moment"])
 def test_turn_by_turn_integration_tends_to_the_prediction(body):
     """The error of ω∞ falls in proportion to |ω|, and is within the estimate."""
@@ -323,7 +324,7 @@ def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
     assert float(predicted.half_time) == _approx(0.5e12, rel=1e-7)
 
 
-@pytest.mark.parametrize("delta", [-0.7, 0.5])
+@pytest.mark.parametrize("delta", [-0.7, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
     """The closed solution (4.16)–(4.19), from before braking sets in until long after."""
     omega, times = jnp.array([3e-9, 4e-9, 7e-9]), jnp.array([1e15, 1e17, 1e19, 1e21])

@@ -88,7 +88,7 @@ def test_labels_are_those_of_one_pass(level, deltas, sizes, in_one_pass):
         # The certified region of order 1 reaches up to the boundary.
         ("order-1", (-0.5, -0.01), (3e-3, 1)),
         # Needles turn often before they are captured: of all tops their labels need most care.
-        ("semi", (0.76, 0.98), (1e-3, 0.05)),
+        pytest.param("semi", (0.76, 0.98), (1e-3, 0.05), marks=pytest.mark.slow),
     ],
 )
 def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, in_one_pass, monkeypatch):
