@@ -55,6 +55,7 @@ def checked_modules():
 
 
 install_import_hook(list(checked_modules()), "beartype.beartype")
+quick.compile_without_optimisation()
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -64,8 +65,6 @@ def lanes_as_users_compile_them():
 
 MOST_PROGRAMS = 170
 """Programs that the tests of one file may compile; a file that needs more has its own number."""
-MOST_MEMORY = 1200
-"""MB of a worker beyond which it gives up what it has compiled."""
 compiled = collections.Counter()
 
 
@@ -79,13 +78,23 @@ jax.monitoring.register_event_duration_secs_listener(count_programs)
 
 @pytest.fixture(autouse=True, scope="module")
 def limit_of_a_file(request):
-    """No file compiles too many programs."""
+    """No file compiles too many programs, and it begins with few in memory."""
+    give_programs_up(1000)
     before = compiled["programs"]
     yield
     number = compiled["programs"] - before
     if request.config.option.markexpr == PLAIN:
         most = getattr(request.module, "MOST_PROGRAMS", MOST_PROGRAMS)
         assert number <= most, f"{number} programs were compiled, where {most} are allowed"
+
+
+def give_programs_up(most):
+    """Give up what was compiled if the process has more than so many MB."""
+    if resident_memory() > most:
+        jax.clear_caches()
+        compiled.clear()  # a file that compiles them again has no ceiling
+        gc.collect()
+        give_memory_back()
 
 
 def resident_memory():
@@ -128,7 +137,4 @@ def nothing_is_left():
     """No picture outlives its test, and no worker keeps too many programs in its memory."""
     yield
     plt.close("all")
-    if resident_memory() > MOST_MEMORY:
-        jax.clear_caches()
-        gc.collect()
-        give_memory_back()
+    give_programs_up(1300)
