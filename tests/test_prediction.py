@@ -60,6 +60,7 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     assert np.all(off < float(averaged.error))
 
 
+@pytest.mark.slow
 def test_the_end_does_not_depend_on_the_amplitude():
     ends = [dt.predict(ON_3, scale * STARTS[0]) for scale in (1e-6, 1e-25)]
     assert float(ends[0].ratio) == _approx(ends[1].ratio, rel=1e-13)
@@ -317,6 +318,7 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     assert float(predicted.ratio) == _approx(capture.ratio, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_disc_that_spins_across_its_axis_and_dipole_stops():
     """u = u₀/(1 + 2u₀τ), without any neighbour that ends so."""
     predicted = dt.predict(dt.axisymmetric(-0.2), [0.0, 1e-6, 0.0])

@@ -32,6 +32,7 @@ def test_drag_and_radiation_brake_a_rotator(equation):
     assert run.level == f"{equation.level}, with a torque"
 
 
+@pytest.mark.slow
 def test_a_given_torque_in_time():
     """Along the dipole nothing radiates: I₁ω₁′ = M(τ), and the energy changes by the work alone."""
 
@@ -108,7 +109,10 @@ def test_radiation_damps_a_swing_by_the_closed_form():
     assert_damped(run, np.roots([1.0, -b, -a]))
 
 
-@pytest.mark.parametrize("level", ["order-1", "order-2", "order-3", "semi"])
+ORDER_3 = pytest.param("order-3", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("level", ["order-1", "order-2", ORDER_3, "semi"])
 def test_radiation_of_a_swing_at_every_level(level):
     strength, small = 0.07, 1e-7
     top = dt.equation_at(level, -0.5)
@@ -173,6 +177,7 @@ def test_a_field_is_added_to_a_field():
     np.testing.assert_allclose(*rates(added, known), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_semi_reduced_with_drag_against_another_integrator():
     """Ω̈ in the torque is that of I Ω̇ = −N − γΩ, by finite differences of the free motion."""
     gamma, top = 0.1, dt.TransverseSemi(-0.2)

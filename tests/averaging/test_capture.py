@@ -103,6 +103,7 @@ def test_direct_integration_keeps_as_much(delta):
     assert abs(np.mean(stops[~known]) - share) <= 3 * np.sqrt(share * (1 - share) / n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delta", [0.02, 0.3, 0.9])
 def test_scale_is_the_constant_of_the_averaged_top(delta):
     start, sizes = np.array([0.6, 0.0, 0.8]), np.resize([1e-3, 1e-20, 1e-25], N)

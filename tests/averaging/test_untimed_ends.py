@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoletop._averaging.forecast import forecast
@@ -11,6 +12,7 @@ from dipoletop._base.types import Outcome
 RNG = np.random.default_rng(0)
 
 
+@pytest.mark.slow
 def test_ends_are_those_of_single_motions():
     """Another quadrature, and signs on a grid in place of zeros of F, lead to the same ends."""
     n = 60

@@ -47,6 +47,7 @@ def test_a_fibre_with_a_given_start(tmp_path):
     assert (tmp_path / "s.svg").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_fibre_from_isotropic_directions(tmp_path):
     """A dipole along the axis of symmetry leaves L∥: L∞/L₀ = |cos θ|, uniform from 0 to 1."""
     text = said("predict", "--particle", "cellulose", "--directions", 30, "--output", tmp_path)

@@ -248,6 +248,7 @@ def test_a_traced_bad_attitude_is_not_a_number():
     np.testing.assert_allclose(traced(TILTED), TILTED, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_an_attitude_that_is_nearly_a_unit_quaternion_is_normalised():
     rotator, ts = (dt.RotatorReduced(), [0.0, 0.0, 1.0]), jnp.linspace(0.0, 1.0, 11)
     run = dt.simulate(*rotator, ts, attitude=TILTED * (1 + 5e-7))

@@ -58,6 +58,7 @@ def test_values_of_many_are_as_exact_as_they_say(level, engine):
         assert np.all(found.omega_inf_error <= largest * np.abs(exact))
 
 
+@pytest.mark.slow
 def test_values_of_one_are_as_exact_as_they_say():
     deltas, starts, exact = of_level("semi")
 

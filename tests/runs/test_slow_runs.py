@@ -37,6 +37,7 @@ def predicted():
     return dt.classify_many(dt.Reduced(BODIES), starts(1e-3), value="unchecked", slow_flow=True)
 
 
+@pytest.mark.slow
 def test_predictions_of_asymmetric_bodies_agree_with_integration(resolved, predicted):
     assert np.all(resolved.regime == Regime.RESOLVED)
     assert np.all(predicted.regime == Regime.SLOW_FLOW)
@@ -55,6 +56,7 @@ def test_predictions_of_asymmetric_bodies_agree_with_integration(resolved, predi
     assert np.all(np.isnan(predicted.time))
 
 
+@pytest.mark.slow
 def test_predictions_of_a_transverse_top_agree_with_integration():
     """The phase of capture is known where the precession is slow at the start already."""
     rng = np.random.default_rng(2)

@@ -61,6 +61,7 @@ def test_dense_output_and_statistics():
     assert repr(run) == shown
 
 
+@pytest.mark.slow
 def test_a_batch_of_trajectories_has_all_properties_with_its_axes_in_front():
     """From states by NumPy: I = (1, 1, 1−δ), d = (1, 0, 0), d₁ = Ω×d, d₂ = Ω×d₁ + Ω̇×d."""
     starts = jnp.asarray(np.random.default_rng(4).normal(size=(2, 3)))
