@@ -101,7 +101,7 @@ CASES = {
     "plots.compare(basin, basin, axes=[1])": "`axes` must be a pair of axes, or None, but has 1",
     "plots.trajectory('x')": "`trajectory` must be a Trajectory, or a dict of them, but is 'x'",
     "plots.basin(basin, at=1.0)": "`at` must be a dict from axes to their values, or None, but is",
-    "plots.line(basin, at=1.0)": "`column` must be a column of this basin",
+    "plots.line(basin, at=1.0)": "`at` must be a dict from axes to their values, or None, but is",
     "plots.histogram(3)": "`found` must be a Basin or a Tally, but is 3",
     "plots.animate(3)": "`trajectory` must be a Trajectory, but is 3",
     "dt.torques.with_torque(3, dt.torques.drag(0.1))": f"`equation` {EQUATION} 3",

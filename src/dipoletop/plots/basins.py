@@ -111,8 +111,9 @@ def basin(
     basin, unfold = part_at(basin, at), flag("unfold", unfold)
     if panels is not None:
         return _panels(basin, panels, shade, unfold, (x, y), ax)
+    given = None if ax is None else axes_or_new(ax)  # checked before all else
     plane = plane_of(basin, shade, unfold, (x, y))
-    ax = axes_or_new(ax, 5.4)
+    ax = given or axes_or_new(None, 5.4)
     _draw_all([ax], [plane], shade)
     return ax
 

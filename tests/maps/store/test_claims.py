@@ -33,6 +33,8 @@ def slowly(plan, tiles, device):
     found = compute(plan, tiles, device)
     os.write(1, f"{{tiles[0]}}\\n".encode())
     time.sleep({pause})
+    while os.path.exists({wait!r}):
+        time.sleep(0.02)
     return found
 sweep_plan.Plan.compute = slowly
 grid = dt.Grid(w3=np.linspace(0.0, 0.45, 40), phi=np.linspace(0.0, 3.0, 64))
