@@ -55,12 +55,7 @@ def checked_modules():
 
 
 install_import_hook(list(checked_modules()), "beartype.beartype")
-quick.compile_without_optimisation()
-
-
-@pytest.fixture(autouse=True, scope="session")
-def lanes_as_users_compile_them():
-    quick.compile_lanes_as_users_do()
+quick.set_compiler_options()
 
 
 MOST_PROGRAMS = 170

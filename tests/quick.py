@@ -12,19 +12,17 @@ if OLDER_EMITTERS:
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 
 
-def compile_without_optimisation():
-    """Compile the programs of the host like all others, if this runs before they are imported."""
-    from dipoletop._base.compiling import COMPILED_SOON
+def set_compiler_options():
+    """Compile the host's programs like all others, but lanes by the newer emitters.
 
-    COMPILED_SOON["xla_backend_optimization_level"] = 0
+    With the older ones the last bits of a lane depend on its place. Programs take their options
+    when they are imported, so that this comes first.
+    """
+    from dipoletop._base import compiling
 
-
-def compile_lanes_as_users_do():
-    """With the older emitters the last bits of a lane depend on its place."""
-    from dipoletop._engines.jax_engine import LANE_OPTIONS
-
+    compiling.COMPILED_SOON["xla_backend_optimization_level"] = 0
     if OLDER_EMITTERS:
-        LANE_OPTIONS["xla_cpu_use_fusion_emitters"] = True
+        compiling.CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from dipoletop._averaging.isotropic_ends import (
     share_below,
     share_of_side,
 )
+from dipoletop._averaging.untimed_ends import ends_of_many
 from dipoletop._base.directions import spread_directions
 from dipoletop.atlases import Ending, cells, saddle_node_border, spin_border
 

@@ -510,7 +510,6 @@ def test_decay_times_and_their_slopes():
     """Spin about axis 2 obeys (2.4): E falls to (1 − share) when 2ω₀²τ = share/(1 − share)."""
 
     @jax.jit
-    @jax.vmap
     def times(delta, start, share):
         def time(share):
             return decay_time(dt.TransverseReduced(delta), start, share)
@@ -520,7 +519,8 @@ def test_decay_times_and_their_slopes():
     across, for_ever, nan = (0.0, 0.5, 0.0), (0.2, 0.0, 0.0), np.nan
     rows = [(0.3, across, 0.75), (0.3, for_ever, 0.5), (1.2, across, 0.5), (nan, across, 0.5)]
     rows += [(0.3, across, 1.2), (0.3, across, nan)]
-    values, slopes = times(*(jnp.array(column) for column in zip(*rows, strict=True)))
+    found = [times(*(jnp.array(part) for part in row)) for row in rows]
+    values, slopes = np.array(found).T
     assert float(values[0]) == pytest.approx(6.0, rel=1e-9)
     assert float(slopes[0]) == pytest.approx(32.0, rel=1e-7)  # 2/(1 − share)²
     assert np.all(np.isnan(values[1:]))

@@ -158,7 +158,7 @@ def test_a_forked_process_has_threads_of_its_own():
 
 
 if __name__ == "__main__":
-    from quick import compile_lanes_as_users_do
+    from quick import set_compiler_options
 
-    compile_lanes_as_users_do()
+    set_compiler_options()
     print(json.dumps({engine: everything(engine) for engine in ENGINES}))
