@@ -130,10 +130,16 @@ def runs():
         "JAX_PLATFORMS": "cpu",
         "PYTHONPATH": os.pathsep.join(sys.path),  # with that of `quick`
     }
-    command = [sys.executable, __file__]
+    # Options come first: engines take them when they are imported.
+    code = "import quick; quick.set_compiler_options(); import test_devices; test_devices.show()"
+    command = [sys.executable, "-c", code]
     run = subprocess.run(command, env=os.environ | settings, capture_output=True, check=False)
     assert run.returncode == 0, run.stderr.decode()
     return json.loads(run.stdout)
+
+
+def show():
+    print(json.dumps({engine: everything(engine) for engine in ENGINES}))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -155,10 +161,3 @@ def test_every_device_works_and_finds_the_same_bits(runs, engine):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_forked_process_has_threads_of_its_own():
     subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=120)
-
-
-if __name__ == "__main__":
-    from quick import set_compiler_options
-
-    set_compiler_options()
-    print(json.dumps({engine: everything(engine) for engine in ENGINES}))
