@@ -7,7 +7,6 @@ Of wrong kinds see `whole/test_refusals`.
 import re
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from dipoletop.adaptive import refine
 from dipoletop.complexity import basin_entropy, boundary_dimension, uncertainty_exponent
 from dipoletop.continuation import continuation, follow_spectrum
 from dipoletop.emission import lines, stokes
+from dipoletop.equations._common import OfOmega
 from dipoletop.uncertainty import propagate, sobol
 
 EQUATION, FULL = dt.TransverseReduced(-0.2), dt.TransverseFull(-0.2)
@@ -36,16 +36,11 @@ BOX, STEPS, BOUNDS = dt.Grid(a=[0.0, 1.0], b=0.0), [0.1, 0.2], {"a": (0.1, 1.0),
 MEAN, POINT = {"a": 0.0, "b": 0.0}, {"delta": -0.2, "w3": 0.1, "phi": 0.2}
 
 
-class Known(eqx.Module):
+class Known(OfOmega):
     """A motion without a body, which keeps rotating."""
 
     def __call__(self, t, y, args=None):
         return -y
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
 
     def verdict(self, y):
         return jnp.asarray(1), y[0], y[0] > 0

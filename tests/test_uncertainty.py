@@ -1,6 +1,5 @@
 """Covariances and ranges carried to a fate, against closed forms and brute force."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,23 +7,19 @@ import pytest
 from scipy.stats import norm
 
 from dipoletop._maps.basin import Share
+from dipoletop.equations._common import OfOmega
 from dipoletop.uncertainty import Estimate, Index, Propagation, SobolIndices, propagate, sobol
 
 START = jnp.array([1.0, 0.0, 0.0])
 
 
-class Told(eqx.Module):
+class Told(OfOmega):
     """An equation whose fate is known at the start: ω∞ is a number, 0 a stop, NaN not known."""
 
     value: jax.Array
 
     def __call__(self, t, y, args=None):
         return -y
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
 
     def verdict(self, y):
         outcome = jnp.where(jnp.isnan(self.value), 0, jnp.where(self.value == 0, 2, 1))
