@@ -1,6 +1,5 @@
 """Checks of arguments: a bad known value raises an error; a bad traced value becomes NaN."""
 
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -13,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
+from .structure import of_structure, state_of
 
 LONGEST = 2000  # characters of a value that a message shows
 NumberLike = float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""]
@@ -219,31 +219,23 @@ def check_body(equation: Any) -> Any:
     return body
 
 
+@of_structure
 def is_single(equation: Any) -> bool:
     """Return whether the equation maps one state to a rate of its shape, unlike a batch."""
-    leaves, structure = jax.tree.flatten(equation)
-    is_array = [isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves]
-    kinds = tuple(
-        jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if array else leaf
-        for leaf, array in zip(leaves, is_array, strict=True)
-    )
-    return _maps_one_state(structure, kinds)
 
-
-@functools.lru_cache(maxsize=256)
-def _maps_one_state(structure: Any, kinds: tuple[Any, ...]) -> bool:
     def rate(equation: Any) -> tuple[Any, Any]:
         y = equation.lift(jnp.zeros(3))
         return y, equation(0.0, y, None)
 
-    equation = jax.tree.unflatten(structure, kinds)
     try:
         y, change = eqx.filter_eval_shape(rate, equation)
     except (TypeError, ValueError):  # as JAX raises where shapes do not fit
         # In a batch all arrays have the batch axis in front, and each equation fits one state.
         # Otherwise the fault is in the equation, and its author should see it.
-        lengths = {kind.shape[:1] for kind in kinds if isinstance(kind, jax.ShapeDtypeStruct)}
-        if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
+        kinds = [x for x in jax.tree.leaves(equation) if isinstance(x, jax.ShapeDtypeStruct)]
+        if len({kind.shape[:1] for kind in kinds}) != 1 or not _fits(
+            eqx.filter_vmap(rate), equation
+        ):
             raise
         return False
     return y.shape == change.shape
@@ -285,18 +277,16 @@ def _refuse_subnormal(omega0: Any) -> None:
         refuse("omega0", must, f"has {_some(np.asarray(omega0)[lost])}")
 
 
-def initial_state(equation: Any, omega0: Any) -> Float[Array, "n"]:
-    """Return the initial state: lifted from ω₀, or a given whole state unchanged."""
-    like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
-    shape = jax.eval_shape(equation.lift, like).shape
+def checked_start(equation: Any, omega0: Any) -> Float[Array, "n"]:
+    """Return ω₀, or a given whole state of the equation."""
     initial = finite("omega0", omega0, (-1,), batch=False)
     if concrete(initial):
         _refuse_subnormal(initial)
-    if initial.shape == (3,):
-        return equation.lift(initial)
-    if initial.shape != shape:
-        also = "" if shape == (3,) else f", or {shape} for a whole state"
-        refuse("omega0", f"have shape (3,){also}", f"has shape {initial.shape}")
+    if initial.shape != (3,):
+        shape = state_of(equation).shape
+        if initial.shape != shape:
+            also = "" if shape == (3,) else f", or {shape} for a whole state"
+            refuse("omega0", f"have shape (3,){also}", f"has shape {initial.shape}")
     return initial
 
 

@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -16,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._base.bisection import bisect
 from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
+from .._base.structure import of_structure, state_of
 from ..equations._common import energy_flows
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
@@ -47,10 +49,17 @@ class MarchState(NamedTuple):
         return self.rejected >= MOST_REJECTED
 
 
-def depends_on_time(equation: Any, omega0: Float[Array, "3"]) -> bool:
+@of_structure
+def depends_on_time(equation: Any) -> bool:
     """Return whether the rates of a full equation may depend on τ."""
-    state, time = jax.eval_shape(lambda w: (equation.lift(w), w[0]), omega0)
-    return any(dependence(equation, time, state)[0])
+    kinds, rest = eqx.partition(equation, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct))
+    leaves, structure = jax.tree.flatten(kinds)
+    state = state_of(equation)
+
+    def rates(time: Any, state: Any, *leaves: Any) -> Any:
+        return eqx.combine(jax.tree.unflatten(structure, leaves), rest)(time, state)
+
+    return any(dependence(rates, jax.ShapeDtypeStruct((), state.dtype), state, *leaves)[0])
 
 
 def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchState:
@@ -171,7 +180,7 @@ def follow(
             new = new._replace(time=time)
         return new, jnp.where(wanted[:, None], here, output), total, turning
 
-    state = jax.eval_shape(equation.lift, omega0)
+    state = state_of(equation)
     n, k = state.shape[0], jax.eval_shape(flows, times[0], state).shape[0]
     # NaN that depends on ω₀, so that its derivatives are NaN, too: a constant's would be 0.
     output = jnp.broadcast_to(jnp.nan * omega0[0], (times.shape[0], n + k))

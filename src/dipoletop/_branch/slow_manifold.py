@@ -58,7 +58,7 @@ def slow_manifold(
         rate, error = _known_branch(equation, start, now, wanted)
         return (rate, error) if with_error else rate
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    varies = now if depends_on_time(equation, start) else None
+    varies = now if depends_on_time(equation) else None
     x, unravel = ravel_pytree((arrays, start, varies))
 
     def rate_and_error(x: Array, settings: Any) -> Array:

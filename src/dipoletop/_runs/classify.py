@@ -14,11 +14,10 @@ from .._base.checks import (
     NumberLike,
     check_single,
     check_verdict,
+    checked_start,
     concrete,
-    initial_state,
     is_whole_state,
     known_start,
-    real,
 )
 from .._base.compiling import compiled_soon
 from .._base.integration import integrated
@@ -172,12 +171,12 @@ def classify_with_tangents(
     from_omega = not is_whole_state(omega0)
     if from_omega:
         equation = physical(equation)
-    y0 = initial_state(equation, omega0)
+    start = checked_start(equation, omega0)
+    omega = start if from_omega else equation.omega(start)
     until = stopping_rule(equation, value)
     exact = exact_when_slow(equation, value)
-    tolerances = step_tolerances(rtol, atol, equation.omega(y0), exact)
+    tolerances = step_tolerances(rtol, atol, omega, exact)
     steps = budget("max_steps", max_steps)
-    start = real("omega0", omega0, (3,), batch=False) if from_omega else y0
     if is_full(equation) and not from_omega:
         until = "time"  # off the branch no verdict holds, and the top runs away
     return _classify(equation, (start, from_omega), tolerances, steps, until, value)

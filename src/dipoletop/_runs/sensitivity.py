@@ -299,7 +299,7 @@ def _time_of_energy(
     y0 = equation.lift(start)
     first, last = energy(y0), radiation.kinetic_energy(equation.body, residual_omega)
     level = first - share * (first - last)
-    falls = (first > last) & jnp.isfinite(omega_inf)
+    falls = (first > last) & jnp.isfinite(omega_inf) & jnp.isfinite(share)
     if is_full(equation):
         windows = jnp.where(falls, max_steps, 0)
         return crossing(equation, start, lambda y: energy(y) - level, tolerances.rtol, windows)
@@ -320,6 +320,7 @@ def _time_of_energy(
 
     with_time = Partial(lambda sizes, y: jnp.append(sizes(y[:-1]), 1.0), sizes)
     controller = Controller(*tolerances, with_time)
-    back = integrated(by_energy, (0.0, 1.0), jnp.append(end, 1.0), controller, max_steps)
+    span = 0.0, jnp.where(falls, 1.0, 0.0)
+    back = integrated(by_energy, span, jnp.append(end, 1.0), controller, max_steps)
     found = falls & diffrax.is_successful(back.result)
     return jnp.where(found, late * back.ys[-1, -1], jnp.nan * first)  # no derivative, either

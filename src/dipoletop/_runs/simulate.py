@@ -32,9 +32,9 @@ from .._base.checks import (
     NumberLike,
     check_body,
     check_single,
+    checked_start,
     concrete,
     finite,
-    initial_state,
     is_whole_state,
     on_host,
     refuse,
@@ -42,6 +42,7 @@ from .._base.checks import (
 )
 from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
+from .._base.structure import state_of
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
 from .._branch import march
@@ -144,13 +145,15 @@ def simulate(
     if not whole_state:
         motion = physical(motion)
     times = _times(ts)
-    y0 = initial_state(motion, omega0)
-    tolerances = step_tolerances(rtol, atol, motion.omega(y0))
+    start = checked_start(motion, omega0)
+    omega = motion.omega(start) if whole_state else start
+    tolerances = step_tolerances(rtol, atol, omega)
     steps = budget("max_steps", max_steps)
     if is_full(motion) and not whole_state:
-        run, reached = _follow(motion, y0, times, tolerances.rtol, steps, options, q0)
+        run, reached = _follow(motion, start, times, tolerances.rtol, steps, options, q0)
         failures = {BRANCH_LOST.format(steps): ~(reached >= times[-1])}
     else:
+        y0 = start if whole_state else motion.lift(start)
         run, result = _solve(motion, y0, times, tolerances, steps, options, q0)
         out_of_steps = result == diffrax.RESULTS.max_steps_reached
         failed = ~(diffrax.is_okay(result) | out_of_steps)
@@ -204,7 +207,7 @@ def _times(ts: ArrayLike) -> Float[Array, "T"]:
 
 def _follow(
     equation: Equation,
-    y0: State,
+    omega0: Vector,
     times: Float[Array, "T"],
     rtol: Float[Array, ""],
     max_windows: int,
@@ -214,7 +217,7 @@ def _follow(
     """Return the motion along the physical branch of a full equation, and its last known time."""
     check_branch_options(options)
     turns = q0 is not None
-    motion = _differentiable_motion(equation, equation.omega(y0), times, rtol, max_windows, turns)
+    motion = _differentiable_motion(equation, omega0, times, rtol, max_windows, turns)
     # Adding (τ − τ without derivative)·dy/dτ, which is 0, gives the states their derivatives with
     # respect to the distances of the times from the first one.
     elapsed = times - times[0]
@@ -250,7 +253,7 @@ def _differentiable_motion(
     All other times are at fixed distances from the first one.
     """
     arrays, rest = eqx.partition(equation, eqx.is_inexact_array)
-    first = times[0] if march.depends_on_time(equation, omega0) else None
+    first = times[0] if march.depends_on_time(equation) else None
     variables, unravel = ravel_pytree((arrays, omega0, first))
 
     def follow(variables: Float[Array, "n"], constants: Any) -> march.BranchMotion:
@@ -263,13 +266,15 @@ def _differentiable_motion(
         return motion._replace(windows=motion.windows.astype(variables.dtype))
 
     # `forward_mode` differentiates functions with one vector as a result, so the motion is packed.
-    constants = times, rtol
-    shapes = jax.eval_shape(follow, variables, constants)
-    _, to_motion = ravel_pytree(jax.tree.map(jnp.zeros_like, shapes))
-    raveled = forward_differentiable(
-        lambda variables, constants: ravel_pytree(follow(variables, constants))[0]
-    )
-    motion = to_motion(raveled(variables, constants))
+    packing = []
+
+    def packed(variables: Float[Array, "n"], constants: Any) -> Float[Array, "m"]:
+        vector, unpacked = ravel_pytree(follow(variables, constants))
+        packing.append(unpacked)
+        return vector
+
+    vector = forward_differentiable(packed)(variables, (times, rtol))
+    motion = packing[0](vector)
     return motion._replace(windows=motion.windows.astype(int))
 
 
@@ -278,7 +283,7 @@ def _sizes_with_energy(equation: Equation, y: State) -> State:
 
     The scale of the integrals is the largest component of ω squared, or their own size if larger.
     """
-    n = jax.eval_shape(equation.lift, jnp.zeros(3, y.dtype)).shape[0]
+    n = state_of(equation).shape[0]
     least = jnp.max(jnp.abs(equation.omega(y[:n]))) ** 2
     return jnp.concatenate([error_scale_of(equation)(y[:n]), jnp.maximum(jnp.abs(y[n:]), least)])
 
