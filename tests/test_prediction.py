@@ -14,6 +14,7 @@ from dipoletop.particles import DEBYE, RADIATION
 MOMENTS = np.diag([0.6, 0.75, 1.0])
 ON_3, ON_1 = dt.Body(MOMENTS, [0.0, 0.0, 1.0]), dt.Body(MOMENTS, [1.0, 0.0, 0.0])
 GRAIN = dt.Particle.cuboid([1e-7, 2e-8, 2.2e-8], [2400 * DEBYE, 0.0, 0.0], density=2000)
+ONE = jnp.asarray(np.float64(1))  # of the type that `predict` gives it: one program
 STARTS = np.array([[0.3, 0.4, 0.8], [0.9, -0.3, 0.2], [0.2, 0.7, -0.6]])
 averaged, transverse = jax.jit(dt.exact.averaged), jax.jit(dt.exact.transverse)
 
@@ -25,7 +26,7 @@ def _approx(value, rel=1e-12):
 def _slow_flow(body, omega, is_needle=False):
     """The prediction by the slow flow alone, whatever its error."""
     variables = np.concatenate([np.ravel(body.inertia), body.dipole, omega])
-    return forecast(jnp.asarray(variables), jnp.asarray(1.0), is_needle)
+    return forecast(jnp.asarray(variables), ONE, is_needle)
 
 
 @pytest.mark.slow
@@ -54,7 +55,7 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     times = averaged.half_time * jnp.array([0.0, 0.25, 1.0])
     run = dt.simulate(dt.SemiReduced(body), start, times)
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, start])
-    energy, *_ = history_at(variables, (times[1:], jnp.asarray(1.0)))
+    energy, *_ = history_at(variables, (times[1:], ONE))
     off = np.abs(run.energy[1:] / energy - 1)
     assert np.all(off > 0.2 * float(averaged.error))
     assert np.all(off < float(averaged.error))
@@ -311,7 +312,7 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
     assert _slow_flow(body, start).outcome == dt.Outcome.UNDECIDED
     variables = jnp.concatenate([body.inertia.ravel(), body.dipole, start])
-    predicted = best_forecast(variables, jnp.asarray(1.0), False)
+    predicted = best_forecast(variables, ONE, False)
     assert predicted.regime == dt.Regime.UNFOLDED
     assert predicted.probability[:2].sum() > 0.99
     capture = _slow_flow(_nearly(0.4, 0.0), start, is_needle=True)
@@ -340,7 +341,7 @@ def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.motion.MAX_STEPS", 5)
     variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])
     anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, False))
-    predicted = anew(variables, jnp.asarray(1.0))
+    predicted = anew(variables, ONE)
     assert predicted.outcome == dt.Outcome.FAILED
     assert np.isnan(predicted.ratio)
     assert np.isnan(predicted.omega_inf)

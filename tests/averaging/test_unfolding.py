@@ -12,7 +12,7 @@ from dipoletop._averaging.capture import Expansion, capture
 from dipoletop._averaging.forecast import best_forecast, coverage, forecast, unfolded_forecast
 from dipoletop._averaging.unfolding import PlanarMotion, entry_q, phases, settle
 
-ONE = jnp.asarray(1.0)
+ONE = jnp.asarray(np.float64(1))
 DIRECTION = np.array([0.5, 0.3, 0.8])
 rate = eqx.filter_jit(lambda equation, y: equation(0.0, y))
 

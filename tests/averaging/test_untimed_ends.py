@@ -27,7 +27,7 @@ def test_ends_are_those_of_single_motions():
     inertias = moments[:, :, None] * np.eye(3)
     many = ends_of_many(inertias, dipoles, omegas)
     variables = np.concatenate([inertias.reshape(n, 9), dipoles, omegas], axis=1)
-    single = [forecast(jnp.asarray(row), jnp.asarray(1.0), False) for row in variables]
+    single = [forecast(jnp.asarray(row), jnp.asarray(np.float64(1)), False) for row in variables]
     for name, values in many._asdict().items():
         expected = [np.asarray(getattr(one, name)) for one in single]
         rtol = 0.3 if name == "error" else 1e-9  # an estimate looks at other places of the path
