@@ -2,6 +2,8 @@
 
 import asyncio
 import sys
+import threading
+from types import SimpleNamespace
 
 import jax
 import panel
@@ -10,7 +12,7 @@ from click.testing import CliRunner
 
 import dipoletop as dt
 from dipoletop.cli import main
-from dipoletop.explorer import server
+from dipoletop.explorer import page, server
 
 
 def test_panel_has_the_delay_that_sliders_switch_off():
@@ -105,3 +107,21 @@ def test_a_server_listens_where_it_is_told_only():
     port, places, origins = asyncio.run(made())
     assert places == {("127.0.0.1", port)}
     assert origins == {f"127.0.0.1:{port}", f"localhost:{port}", "example.org:8080"}
+
+
+def test_a_page_on_a_server_is_changed_in_its_own_thread(monkeypatch):
+    """What another thread adds to a document is lost while Panel holds the document's events."""
+    threads = []
+    document = SimpleNamespace(
+        session_context=object(),
+        add_next_tick_callback=lambda change: threads.append((threading.get_ident(), change())),
+    )
+    monkeypatch.setattr(page, "pn", SimpleNamespace(state=SimpleNamespace(curdoc=document)))
+
+    async def posted():
+        outlet = page.Outlet([])
+        await asyncio.to_thread(outlet.post, lambda: "changed")
+        await asyncio.sleep(0)
+
+    asyncio.run(posted())
+    assert threads == [(threading.get_ident(), "changed")]

@@ -54,18 +54,18 @@ class Outlet:
     """
 
     def __init__(self, panes: list[Any]) -> None:
-        document = pn.state.curdoc
+        document: Any = pn.state.curdoc
         self.is_served = bool(document and document.session_context)
         """Whether the page is a session of a server."""
-        self._owner: Any = document if self.is_served else asyncio.get_running_loop()
+        self._loop = asyncio.get_running_loop()
+        # Called in the loop's thread, too: of what another thread adds to a document, some is lost
+        # while Panel changes it.
+        self._run = document.add_next_tick_callback if self.is_served else self._changed
         self._panes = panes
 
     def post(self, change: Callable[[], None]) -> None:
-        """Run a change of the page."""
-        if self.is_served:
-            self._owner.add_next_tick_callback(change)
-        else:
-            self._owner.call_soon_threadsafe(self._changed, change)
+        """Run a change of the page, asked for by any thread."""
+        self._loop.call_soon_threadsafe(self._run, change)
 
     def _changed(self, change: Callable[[], None]) -> None:
         change()
