@@ -4,8 +4,8 @@
     python -m benchmarks.speed.first_calls             three times, ten minutes
     python -m benchmarks.speed.first_calls --write     the same, kept: results/first_calls.md
 
-Each call has two fresh processes: one whose cache of machine code is empty, and a second one with
-that cache. JAX has none, and no XLA_FLAGS are set.
+Each call has fresh processes: one whose caches are empty, a second one with the machine code that
+the first has left, and one that also finds JAX's programs. No XLA_FLAGS are set.
 """
 
 import statistics
@@ -29,7 +29,7 @@ class Call(NamedTuple):
     made: Callable[[Any], Any]
     """From what was made before to its result."""
     target: float | None = None
-    """Seconds that it should take at most the first time ever, and half of them later."""
+    """Seconds that it should take at most the first time ever, and half of them with caches."""
     before: Callable[[], Any] | None = None
     """What is made before, and not counted."""
 
@@ -81,9 +81,11 @@ CALLS = {
 }
 
 
-def seconds(name: str) -> float:
-    """Processor seconds of the first call in this process."""
+def seconds(name: str, programs: str | None = None) -> float:
+    """Processor seconds of the first call in this process, with JAX's cache in a folder or none."""
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", programs)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     call = CALLS[name]
     before = call.before and jax.block_until_ready(call.before())
     begin = time.process_time()
@@ -91,21 +93,22 @@ def seconds(name: str) -> float:
     return time.process_time() - begin
 
 
-def both(name: str) -> tuple[float, float]:
-    """With an empty cache, and with the one that this leaves."""
-    with tempfile.TemporaryDirectory() as cache:
-        first, second = (measure.in_fresh_process(seconds, name, cache=cache) for _ in range(2))
-    return first, second
+def in_each_process(name: str) -> list[float]:
+    """With empty caches, with machine code, and with JAX's programs, too."""
+    with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as programs:
+        folders = (None, None, programs, programs)  # the third one fills JAX's cache
+        found = [measure.in_fresh_process(seconds, name, x, cache=cache) for x in folders]
+    return [*found[:2], found[3]]
 
 
 def measured(small: bool) -> dict[str, Any]:
     """A row for each call, medians over the repeats."""
     rows = []
     for name, call in CALLS.items():
-        runs = [both(name) for _ in range(1 if small else 3)]
-        first, second = (statistics.median(column) for column in zip(*runs, strict=True))
+        runs = [in_each_process(name) for _ in range(1 if small else 3)]
+        first, second, warm = (statistics.median(column) for column in zip(*runs, strict=True))
         later = None if call.target is None else call.target / 2
-        row = {"call": name, "repeats": len(runs), "first": first, "second": second}
+        row = {"call": name, "repeats": len(runs), "first": first, "second": second, "warm": warm}
         rows.append(row | {"target": call.target, "target_later": later})
     return {"rows": rows}
 
