@@ -9,7 +9,7 @@ from importlib.metadata import version
 FLAGS = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 OLDER_EMITTERS = version("jaxlib").startswith("0.10.")
 if OLDER_EMITTERS:
-    FLAGS += " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    FLAGS += " --xla_cpu_use_fusion_emitters=false"
 
 
 def set_compiler_options():
