@@ -60,8 +60,8 @@ quick.set_compiler_options()
 
 MOST_PROGRAMS = 170
 """Programs that the tests of one file may compile; a file that needs more has its own number."""
-MUCH = 3500
-"""Memory in MB above which a slow test gives up what was compiled; plain tests need far less."""
+MEMORY_OF_SLOW_TESTS = 3500
+"""MB above which a worker gives up what was compiled; one that runs plain tests does so earlier."""
 compiled = collections.Counter()
 
 
@@ -77,7 +77,7 @@ jax.monitoring.register_event_duration_secs_listener(count_programs)
 def limit_of_a_file(request):
     """No file compiles too many programs, and it begins with few in memory."""
     is_plain = request.config.option.markexpr == PLAIN
-    give_programs_up(1000 if is_plain else MUCH)
+    give_programs_up(1000 if is_plain else MEMORY_OF_SLOW_TESTS)
     before = compiled["programs"]
     yield
     number = compiled["programs"] - before
@@ -142,4 +142,4 @@ def nothing_is_left(request):
     """No picture outlives its test, and no worker keeps too many programs in its memory."""
     yield
     plt.close("all")
-    give_programs_up(1300 if request.config.option.markexpr == PLAIN else MUCH)
+    give_programs_up(1300 if request.config.option.markexpr == PLAIN else MEMORY_OF_SLOW_TESTS)

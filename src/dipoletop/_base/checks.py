@@ -233,9 +233,8 @@ def is_single(equation: Any) -> bool:
         # In a batch all arrays have the batch axis in front, and each equation fits one state.
         # Otherwise the fault is in the equation, and its author should see it.
         kinds = [x for x in jax.tree.leaves(equation) if isinstance(x, jax.ShapeDtypeStruct)]
-        if len({kind.shape[:1] for kind in kinds}) != 1 or not _fits(
-            eqx.filter_vmap(rate), equation
-        ):
+        lengths = {kind.shape[:1] for kind in kinds}
+        if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
             raise
         return False
     return y.shape == change.shape

@@ -13,7 +13,10 @@ Value = TypeVar("Value")
 
 
 def of_structure(function: Callable[[Any], Value]) -> Callable[[Any], Value]:
-    """Call a function with shapes in place of the arrays of an equation; remember its results."""
+    """Return the function, called with shapes in place of an equation's arrays, once for each.
+
+    It may read shapes and types, and trace the equation, but no values.
+    """
 
     @functools.lru_cache(maxsize=256)
     def remembered(structure: Any, kinds: tuple[Any, ...]) -> Value:

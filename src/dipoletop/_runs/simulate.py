@@ -266,7 +266,7 @@ def _differentiable_motion(
         return motion._replace(windows=motion.windows.astype(variables.dtype))
 
     # `forward_mode` differentiates functions with one vector as a result, so the motion is packed.
-    packing = []
+    packing = []  # the inverse of the packing, known once the function has run
 
     def packed(variables: Float[Array, "n"], constants: Any) -> Float[Array, "m"]:
         vector, unpacked = ravel_pytree(follow(variables, constants))
