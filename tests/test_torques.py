@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop import Outcome, torques
+from dipoletop._branch.march import depends_on_time
 
 GAMMA = 0.1
 SPIN = [0.0, 1.0, 0.0]
@@ -165,6 +166,20 @@ def test_a_torque_in_time_sets_a_body_in_motion():
     answer = (1 + rate / inertia) / (inertia * rate)  # ω = Im(A e^{ift}) + constant
     exact = (answer * np.exp(rate * ts)).imag - answer.imag
     np.testing.assert_allclose(run.omega[:, 2] / size, exact, atol=1e-8)
+
+
+def test_the_time_is_a_variable_of_a_full_equation_only_where_a_torque_depends_on_it():
+    def wave(size, t, omega):
+        return size * jnp.sin(t) * omega
+
+    def brake(size, t, omega):
+        return -size * omega
+
+    assert not depends_on_time(dt.TransverseFull(0.3))
+    for size in jnp.array([0.1, 0.2]):  # the second one asks what is remembered
+        for function, answer in ((wave, True), (brake, False)):
+            equation = torques.with_torque(dt.TransverseFull(0.3), Partial(function, size))
+            assert depends_on_time(equation) is answer
 
 
 def test_a_field_is_added_to_a_field():
