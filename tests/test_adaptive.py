@@ -8,6 +8,7 @@ import pytest
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop, adaptive
+from dipoletop._maps.sweep import PointSweeps
 from dipoletop.adaptive import refine
 from dipoletop.boundary import fate
 
@@ -53,12 +54,13 @@ def refined():
     """The map of the picture, and the points that were integrated for it."""
     visited = []
 
-    def watched(problem, points, **settings):
-        visited.append(np.stack([points.columns["x"], points.columns["y"]], -1))
-        return dt.sweep(problem, points, **settings)
+    class Watched(PointSweeps):
+        def __call__(self, points, derivatives=()):
+            visited.append(np.stack([points.columns["x"], points.columns["y"]], -1))
+            return super().__call__(points, derivatives)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(adaptive, "sweep", watched)
+        patch.setattr(adaptive, "PointSweeps", Watched)
         found = refine(picture, GRID, coarse=16)
     return found, np.concatenate(visited)
 

@@ -19,7 +19,7 @@ from ._maps.basin import Basin
 from ._maps.columns import COLUMNS
 from ._maps.grids import Grid, Points
 from ._maps.problems import Problem
-from ._maps.sweep import sweep
+from ._maps.sweep import PointSweeps
 from .boundary import fate
 
 Cells = Int[np.ndarray, "_ 2"]
@@ -182,7 +182,7 @@ class _Picture:
 
     def __init__(self, problem: Problem, grid: Grid, settings: Mapping[str, Any]) -> None:
         names = _long_axes(grid)
-        self.problem, self.grid, self.settings = problem, grid, settings
+        self.grid, self.sweeps = grid, PointSweeps(problem, settings)
         self.values = [grid.axes[name] for name in names]
         self.shape = tuple(len(values) for values in self.values)
         self.attrs: dict[str, Any] = {}
@@ -196,7 +196,7 @@ class _Picture:
         new = np.unique(points[~self.computed[points]])
         for part in _parts(new):
             over = Points(**self.grid.points(part))  # axes of length 1 change no number
-            basin = sweep(self.problem, over, progress=False, **self.settings)
+            basin = self.sweeps(over)
             for name in self.columns:
                 self.columns[name][part] = basin.column(name)
             self.fate[part] = fate(basin)

@@ -4,6 +4,7 @@ import numpy as np
 from slow_tops import DELTA, RESIDUAL, ROTATING, SLOPE, Z_S, across, backwards, slow
 
 from dipoletop import boundary
+from dipoletop._maps.sweep import PointSweeps
 from dipoletop.boundary.crossings import first_change
 
 
@@ -69,7 +70,8 @@ def test_derivative_is_that_of_bisected_points_and_of_the_planar_limit():
 def test_a_summary_of_crossings_has_counts():
     bracket = np.array([[0.25, 0.5], [np.nan, np.nan]])
     ends = {"z": np.zeros(2)}
-    crossings = boundary.Crossings(slow, ends, ends, bracket, np.array([[1, 5], [1, 1]]), {})
+    sides = np.array([[1, 5], [1, 1]])
+    crossings = boundary.Crossings(PointSweeps(slow, {}), ends, ends, bracket, sides)
     assert repr(crossings) == (
         "Crossings(2 segments, 1 crossed, s=0.375 and 1 NaN, width=0.25 and 1 NaN)"
     )

@@ -1,7 +1,7 @@
 """Sweeps over a grid, points or a sample, tile by tile, on all devices: outcomes, or counts."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -198,32 +198,61 @@ def tally(
 
 
 def prepared_sweep(
-    problem: Problem, grid: Grid, **settings: Any
-) -> Callable[[Grid, ArrayLike], Basin]:
-    """Prepare a sweep once for all values on the axes; `settings` are the fields of `Settings`.
+    problem: Problem, over: Grid | Points, **settings: Any
+) -> Callable[[Grid | Points, ArrayLike], Basin]:
+    """Prepare a sweep once for all values of the same names; `settings` are those of `Settings`.
 
     Tracing the problem and choosing an engine take longer than running some ten thousand starts. So
     does a division into tiles, whose Python code runs in one thread at a time. An engine with its
     own threads therefore gets all starts at once.
 
     Returns:
-        A function from a grid with these axes and a tolerance to the basin, as from `sweep`. It
-        raises a ValueError for a bad tolerance, or values that the problem refuses.
+        A function from a grid with these axes, or points with these coordinates, and a tolerance
+        to the basin, as from `sweep`. It raises a ValueError for a bad tolerance, or values that
+        the problem refuses.
 
     Raises:
         ValueError: bad arguments.
     """
-    plan = plan_of(problem, grid, Settings(**settings))
+    plan = plan_of(problem, over, Settings(**settings))
     if all(engine.has_own_threads for engine in plan.engines.values()):
         devices, threads = plan.devices[:1], len(plan.devices)
         plan = replace(plan, devices=devices, cut=lambda x: Tiling(x, x), threads=threads)
 
-    def basin_over(grid: Grid, rtol: ArrayLike) -> Basin:
+    def basin_over(over: Grid | Points, rtol: ArrayLike) -> Basin:
         began = time.perf_counter()
-        blocks = replace(plan.blocks, over=grid)
+        blocks = replace(plan.blocks, over=over)
         here = replace(plan, blocks=blocks, rtols=[tolerance("rtol", rtol)])
         columns = ColumnsInMemory(here)
         finish(here, MemoryStore(here, columns.add), False)
         return Basin(*columns.contents(), seconds=time.perf_counter() - began)
 
     return basin_over
+
+
+class PointSweeps:
+    """The sweeps of one problem over lists of points, each prepared once (`prepared_sweep`).
+
+    What the problem refers to must not change in the meantime.
+
+    Args:
+        problem: a problem as for `sweep`.
+        settings: fields of `Settings`.
+    """
+
+    def __init__(self, problem: Problem, settings: Mapping[str, Any]) -> None:
+        self.problem, self.settings = problem, dict(settings)
+        self._prepared: dict[Any, Callable[[Points, ArrayLike], Basin]] = {}
+
+    def __call__(self, points: Points, derivatives: tuple[str, ...] = ()) -> Basin:
+        """Return the basin over points, as from `sweep`."""
+        key = tuple(points.header.values), derivatives
+        if key not in self._prepared:
+            settings = self.settings | {"derivatives": derivatives}
+            self._prepared[key] = prepared_sweep(self.problem, points, **settings)
+        return self._prepared[key](points, self.rtol)
+
+    @property
+    def rtol(self) -> Any:
+        """The relative tolerance of the runs."""
+        return self.settings.get("rtol", Settings().rtol)

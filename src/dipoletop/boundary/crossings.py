@@ -25,7 +25,7 @@ from .._base.tolerances import check_settings
 from .._maps.basin import Basin
 from .._maps.grids import Points
 from .._maps.problems import Problem, check_problem
-from .._maps.sweep import sweep
+from .._maps.sweep import PointSweeps
 from .._runs.classification import UNCHECKED
 from .fates import Fate, fate, is_residual
 
@@ -43,24 +43,22 @@ class Crossings:
     """Where N segments a → b cross a basin boundary; NaN where they do not.
 
     Attributes:
-        problem: the problem whose boundary it is.
+        sweeps: the sweeps of the problem whose boundary it is.
         a: the coordinates of one end of each segment, name = values of shape (N,).
         b: the coordinates of the other end.
         bracket: fractions of the segments between which the fate changes, shape (N, 2).
         fates: the fates at the two sides of the bracket, shape (N, 2).
-        settings: the settings of the sweeps.
 
     Properties: `found`, whether a segment crosses the boundary; `s`, the fraction at which it does;
     `width` of the bracket; `before` and `after`, the coordinates of its two sides; and `at(s)`,
     the coordinates at any fractions.
     """
 
-    problem: Problem
+    sweeps: PointSweeps
     a: Coordinates
     b: Coordinates
     bracket: Float[np.ndarray, "N 2"]
     fates: Int[np.ndarray, "N 2"]
-    settings: dict[str, Any]
 
     def at(self, s: Float[np.ndarray, "N *m"]) -> dict[str, Float[np.ndarray, "N *m"]]:
         """Return the coordinates at fractions s of the segments: a + s(b − a)."""
@@ -144,7 +142,14 @@ def new_crossings(
 ) -> Crossings:
     """Check a user's segments, and return them with the whole segment as the bracket."""
     check_problem(problem)
-    return unsearched(jax.jit(problem), *_broadcast_ends(a, b), settings)
+    return unsearched(sweeps_of(jax.jit(problem), settings), *_broadcast_ends(a, b))
+
+
+def sweeps_of(problem: Problem, settings: dict[str, Any]) -> PointSweeps:
+    """Return the sweeps that find the boundary of a problem."""
+    check_settings(settings)
+    # Unchecked, since near the computed boundary the sign of ω∞ is not certain.
+    return PointSweeps(problem, {"rtol": RTOL} | settings | {"value": UNCHECKED})
 
 
 def _broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordinates, Coordinates]:
@@ -163,22 +168,19 @@ def _broadcast_ends(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Coordin
     return first, last
 
 
-def unsearched(
-    problem: Problem, a: Coordinates, b: Coordinates, settings: dict[str, Any]
-) -> Crossings:
+def unsearched(sweeps: PointSweeps, a: Coordinates, b: Coordinates) -> Crossings:
     """Return segments whose bracket is the whole segment."""
-    check_settings(settings)
     length = len(next(iter(a.values())))
     bracket = np.tile([0.0, 1.0], (length, 1))
     fates = np.full((length, 2), Fate.UNDECIDED)
-    return Crossings(problem, a, b, bracket, fates, {"rtol": RTOL} | settings)
+    return Crossings(sweeps, a, b, bracket, fates)
 
 
 def unsearched_rows(crossings: Crossings, rows: Int[np.ndarray, "n"]) -> Crossings:
     """Return the segments of the given rows, with the whole segment as the bracket."""
     a = {name: values[rows] for name, values in crossings.a.items()}
     b = {name: values[rows] for name, values in crossings.b.items()}
-    return unsearched(crossings.problem, a, b, crossings.settings)
+    return unsearched(crossings.sweeps, a, b)
 
 
 def _sweep_at(
@@ -186,9 +188,7 @@ def _sweep_at(
 ) -> Basin:
     """Sweep over the points at the given fractions, in C order."""
     points = Points(**{name: x.ravel() for name, x in crossings.at(s).items()})
-    # Unchecked, since near the computed boundary the sign of ω∞ is not certain.
-    settings = crossings.settings | {"value": UNCHECKED, "derivatives": derivatives}
-    return sweep(crossings.problem, points, **settings)
+    return crossings.sweeps(points, derivatives)
 
 
 def fates_at(crossings: Crossings, s: Float[np.ndarray, "N m"]) -> Int[np.ndarray, "N m"]:
@@ -284,7 +284,7 @@ def residual_gradient(
         if name not in crossings.a:
             refuse("names", f"be among {', '.join(crossings.a)}", f"one is {name!r}")
     if distance is None:
-        distance = DISTANCE * float(crossings.settings["rtol"])
+        distance = DISTANCE * float(crossings.sweeps.rtol)
     distance = float(positive("distance", distance, batch=False))
     at_a = residual_at_a(crossings)
     s = np.where(at_a, crossings.bracket[:, 0] - distance, crossings.bracket[:, 1] + distance)

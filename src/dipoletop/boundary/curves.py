@@ -22,6 +22,7 @@ from .._base.checks import corners_of_box, finite, instance, refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
+from .._maps.sweep import PointSweeps
 from .crossings import DISTANCE, Crossings, narrow, residual_at_a, residual_gradient, unsearched
 
 PRECISION = 1e-10  # error of the points of a curve, in units of the box
@@ -179,11 +180,14 @@ def _in_units_of_box(crossing: Crossings, plane: tuple[str, ...], size: Vector) 
     names = [*plane, *(name for name in crossing.a if name not in units)]
 
     def problem(**point: Any) -> tuple[Equation, Any]:
-        return crossing.problem(**{name: x * units.get(name, 1.0) for name, x in point.items()})
+        return crossing.sweeps.problem(
+            **{name: x * units.get(name, 1.0) for name, x in point.items()}
+        )
 
     a = {name: crossing.a[name] / units.get(name, 1.0) for name in names}
     b = {name: crossing.b[name] / units.get(name, 1.0) for name in names}
-    return replace(crossing, problem=jax.jit(problem), a=a, b=b)
+    sweeps = PointSweeps(jax.jit(problem), crossing.sweeps.settings)
+    return replace(crossing, sweeps=sweeps, a=a, b=b)
 
 
 def _in_plane(point: dict[str, np.ndarray]) -> Vector:
@@ -211,7 +215,7 @@ def _next_point(
         low, high = ahead - reach * normal, ahead + reach * normal
         a = fixed | {first: low[:1], second: low[1:]}
         b = fixed | {first: high[:1], second: high[1:]}
-        segment = unsearched(start.problem, a, b, start.settings)
+        segment = unsearched(start.sweeps, a, b)
         crossing = narrow(segment, PRECISION / reach)
         if crossing.found[0] and np.array_equal(crossing.fates, start.fates):
             new = _boundary_point(crossing, by, normal, 2 * reach)
@@ -232,7 +236,7 @@ def _boundary_point(
     the segment, and the shift is NaN.
     """
     names = (*list(crossing.a)[:2], *(() if by is None else (by,)))
-    distance = DISTANCE * float(crossing.settings["rtol"]) / length
+    distance = DISTANCE * float(crossing.sweeps.rtol) / length
     gradient = residual_gradient(crossing, names, distance)[0]
     point = _in_plane(crossing.at(crossing.s))
     steepness = np.linalg.norm(gradient[:2])

@@ -154,7 +154,7 @@ def _follow(
     settled = False
     for _ in range(rounds):
         ts = interval * np.arange(1, PARTS + 1) / PARTS
-        later = _states_at(equation, pair, ts, crossing.settings)
+        later = _states_at(equation, pair, ts, crossing.sweeps.settings)
         distance = np.linalg.norm(later[:, 1] - later[:, 0], axis=1)
         near = distance <= APART * np.linalg.norm(later[:, 0], axis=1)
         together = int(np.cumprod(near).sum())  # times up to which the two are still neighbours
@@ -185,7 +185,7 @@ def _shape_of(shape: Shape, pair: Pair) -> np.ndarray:
 def _neighbours(crossing: Crossings) -> Pair:
     """Return two states on both sides of a single crossing, as near as errors allow."""
     a, b = to_array(crossing.a)[0], to_array(crossing.b)[0]
-    gap = NEIGHBOURS * crossing.settings["rtol"] * np.linalg.norm(a) / np.linalg.norm(b - a)
+    gap = NEIGHBOURS * crossing.sweeps.rtol * np.linalg.norm(a) / np.linalg.norm(b - a)
     fractions = crossing.s[:, None] + gap * np.array([[-0.5, 0.5]])
     return to_array(crossing.at(fractions))[0]
 
@@ -198,7 +198,7 @@ def _between(crossing: Crossings, pair: Pair) -> Crossings | None:
     half = (pair[1] - pair[0]) / 2 * WIDER[:, None]
     middle = pair.mean(axis=0)
     a, b = to_coordinates(middle - half), to_coordinates(middle + half)
-    segments = unsearched(crossing.problem, a, b, crossing.settings)
+    segments = unsearched(crossing.sweeps, a, b)
     same = np.all(fates_at(segments, segments.bracket) == crossing.fates, axis=1)
     first = unsearched_rows(segments, np.flatnonzero(same)[:1])
     return narrow(first, ENCLOSED) if same.any() else None

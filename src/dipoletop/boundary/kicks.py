@@ -20,8 +20,16 @@ from .._base.checks import finite, refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation
-from .._maps.problems import Problem
-from .crossings import Crossings, fates_at, first_change, narrow, normal, unsearched
+from .._maps.sweep import PointSweeps
+from .crossings import (
+    Crossings,
+    fates_at,
+    first_change,
+    narrow,
+    normal,
+    sweeps_of,
+    unsearched,
+)
 from .edge_states import NAMES, problem_of_starts, to_array, to_coordinates
 from .fates import Fate
 
@@ -101,7 +109,8 @@ def minimal_kick(
         >>> bool(kick.size < 0.2), kick.fates.tolist()
         (True, [1, 5])
     """
-    rays = _Rays(problem_of_starts(equation), *_checked(omega0, largest, components), settings)
+    sweeps = sweeps_of(problem_of_starts(equation), settings)
+    rays = _Rays(sweeps, *_checked(omega0, largest, components))
     spread = _directions(len(rays.basis), budget("directions", directions))
     d, r = rays.nearest(spread, budget("radii", radii))
     if not len(r):
@@ -151,17 +160,16 @@ def _directions(m: int, count: int) -> Directions:
 class _Rays:
     """Rays from a start; their directions are in the components that may change."""
 
-    problem: Problem
+    sweeps: PointSweeps
     omega0: Float[np.ndarray, "3"]
     basis: Float[np.ndarray, "m 3"]
     largest: Float[np.ndarray, ""]
-    settings: dict[str, Any]
 
     def segments(self, kicks: Directions) -> Crossings:
         """Return segments from ω₀ to ω₀ + kick."""
         ends = self.omega0 + kicks @ self.basis
         starts = np.broadcast_to(self.omega0, ends.shape)
-        return unsearched(self.problem, to_coordinates(starts), to_coordinates(ends), self.settings)
+        return unsearched(self.sweeps, to_coordinates(starts), to_coordinates(ends))
 
     def nearest(self, d: Directions, radii: int) -> Chosen:
         """Return well-separated directions in which the boundary is near, and its distances."""

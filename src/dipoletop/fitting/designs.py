@@ -19,10 +19,9 @@ from .._base.summaries import summary
 from .._base.tolerances import budget, check_settings, whole
 from .._maps.grids import Points
 from .._maps.problems import Problem
-from .._maps.sweep import sweep
+from .._maps.sweep import PointSweeps
 
 RTOL = 1e-10  # default relative tolerance of the runs
-ALSO = ("progress",)  # settings of `sweep` that are allowed besides the settings of runs
 
 Objective = Callable[[Float[Array, ""], dict[str, Float[Array, ""]]], Float[Array, ""]]
 """A function in JAX from ω∞ and the parameters to the number that a design maximises."""
@@ -95,7 +94,7 @@ def design(
         seed: seed of the sequence.
         searches: number of local searches, from the best points.
         gtol: a search succeeds if its `defect` is at most this times the largest |f| found.
-        settings: rtol, here 1e-10, atol, max_steps, devices, engine and progress, as in `sweep`.
+        settings: rtol, here 1e-10, atol, max_steps, devices and engine, as in `sweep`.
 
     Returns:
         The `Design` of the best search: the global maximum if the first sweep has a point on its
@@ -115,9 +114,10 @@ def design(
     """
     from scipy.stats import qmc
 
-    check_settings(settings, ALSO)
+    check_settings(settings)
     low, high = corners_of_box("bounds", bounds)
-    landscape = _Landscape(problem, objective, tuple(bounds), low, high, {"rtol": RTOL} | settings)
+    sweeps = PointSweeps(problem, {"rtol": RTOL} | settings)
+    landscape = _Landscape(sweeps, objective, tuple(bounds), low, high)
     generator = np.random.default_rng(whole("seed", seed, 0))
     halton = qmc.Halton(len(low), seed=generator)  # pyright: ignore[reportCallIssue]
     units = halton.random(budget("n", n))
@@ -136,12 +136,11 @@ def design(
 class _Landscape(NamedTuple):
     """An objective over a box, in coordinates of the unit cube."""
 
-    problem: Problem
+    sweeps: PointSweeps
     objective: Objective
     names: tuple[str, ...]
     low: Float[np.ndarray, "m"]
     high: Float[np.ndarray, "m"]
-    settings: dict[str, Any]
 
     def parameters(self, units: Float[np.ndarray, "*k m"]) -> Float[np.ndarray, "*k m"]:
         """Return the parameters at points of the unit cube."""
@@ -150,7 +149,7 @@ class _Landscape(NamedTuple):
     def values(self, units: Float[np.ndarray, "k m"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ω∞, the objective and its gradient at k points; both NaN where ω∞ is unknown."""
         columns = dict(zip(self.names, self.parameters(units).T, strict=True))
-        basin = sweep(self.problem, Points(**columns), derivatives=self.names, **self.settings)
+        basin = self.sweeps(Points(**columns), self.names)
         omega_inf = basin.omega_inf
         partials = jax.vmap(jax.value_and_grad(self.objective, argnums=(0, 1)))
         parameters = jax.tree.map(jnp.asarray, columns)
