@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from .._base.checks import instance, on_host, real, refuse, where_valid
 from .._base.linalg import dot, largest, length, scale
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
-from ..bodies import Body, axisymmetric
+from ..bodies import Body, top_of
 from ..radiation import radiated_power
 from .coordinates import from_cylindrical, to_cylindrical
 from .levels import Level
@@ -222,7 +222,7 @@ class TransverseTop(eqx.Module):
     @property
     def body(self) -> Body:
         """The top, for energies and powers."""
-        return axisymmetric(self.delta)
+        return top_of(self.delta, "transverse")
 
 
 class LongitudinalTop(eqx.Module):
@@ -233,7 +233,7 @@ class LongitudinalTop(eqx.Module):
     @property
     def body(self) -> Body:
         """The top, for energies and powers."""
-        return axisymmetric(self.delta, "longitudinal")
+        return top_of(self.delta, "longitudinal")
 
 
 class OfBody(eqx.Module):
