@@ -153,10 +153,9 @@ class DecidingEquation(Equation, Protocol):
 class FullEquation(DecidingEquation, Protocol):
     """A full equation: runaways leave a slow manifold, its physical branch, exponentially.
 
-    The state is (s, a): a is the part of ω′ that is free; s is ω, followed by any other slow
-    variables, such as an attitude. `_branch` follows the branch by boundary-value problems and
-    needs every member. An equation with a `branch` (see `OptionalMembers`) needs only
-    `runaway_rate`.
+    The state is (s, a): a is the part of ω′ that is free; s is ω, followed by the attitude if the
+    equation has a `start` (see `OptionalMembers`). `_branch` follows the branch by boundary-value
+    problems and needs every member. An equation with a `branch` needs only `runaway_rate`.
     """
 
     @property
@@ -210,7 +209,7 @@ class OptionalMembers(Protocol):
     """A torque from outside, M(τ, y) in body axes, whose work enters the balance of energy
     (`_common.energy_flows`)."""
     start: Any
-    """The attitude at the start, if states contain one (`_common.follows_attitude`)."""
+    """The attitude at the start, if states contain one (`_common.slow_start`)."""
     attitude: Callable[[State], Any]
     """The attitude of a state, a unit quaternion, if states contain one."""
     elements: int

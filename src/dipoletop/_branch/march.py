@@ -18,7 +18,7 @@ from .._base.bisection import bisect
 from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
 from .._base.structure import of_structure, state_of
-from ..equations._common import energy_flows
+from ..equations._common import energy_flows, slow_start
 from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
@@ -64,8 +64,7 @@ def depends_on_time(equation: Any) -> bool:
 
 def start_march(equation: Any, omega0: Float[Array, "3"], time: Any) -> MarchState:
     """Return a march at ω₀, before its first window."""
-    fast = jax.eval_shape(equation.fast, omega0).shape[0]
-    slow, time = equation.lift(omega0)[:-fast], jnp.asarray(time, omega0.dtype)
+    slow, time = slow_start(equation, omega0), jnp.asarray(time, omega0.dtype)
     size, rate = (jnp.max(jnp.abs(x)) for x in (omega0, equation.semi(time, slow)[:3]))
     span = EFOLDS / equation.runaway_rate + 4 * size / jnp.where(rate > 0, rate, 1.0)
     span = jax.lax.stop_gradient(span)  # no motion depends on it

@@ -77,6 +77,12 @@ def follows_attitude(equation: Any) -> bool:
     return getattr(equation, "start", None) is not None
 
 
+def slow_start(equation: Any, omega0: Vector) -> State:
+    """Return the slow part of a state at ω₀: ω₀, followed by the attitude if a state holds one."""
+    start = getattr(equation, "start", None)
+    return omega0 if start is None else jnp.concatenate([omega0, start])
+
+
 def is_full(equation: Any) -> bool:
     """Return whether an equation has runaways, so that its physical branch has to be followed."""
     # Traced, not computed: leaves may be shapes that stand for arrays.

@@ -23,7 +23,7 @@ from .._base.linalg import inverse, matvec
 from .._base.types import OmegaScale, Real, State, Vector
 from ..bodies import Body
 from ..radiation import gyroscopic_torque
-from ._common import OmegaFirst, omega_scale_of
+from ._common import OmegaFirst, omega_scale_of, slow_start
 from ._families import LONGITUDINAL, RIGID, TRANSVERSE
 from .levels import WITH_TORQUE, Level
 from .rigid import (
@@ -128,9 +128,6 @@ class DrivenEquation(OmegaFirst):
         """The label of the level, with `WITH_TORQUE`."""
         return self.kind.label + WITH_TORQUE
 
-    def _slow_start(self, omega0: Vector) -> Slow:
-        return omega0 if self.start is None else jnp.concatenate([omega0, self.start])
-
 
 class Driven(DrivenEquation):
     """A reduced or the semi-reduced equation with torques from outside; see `torques.with_torque`.
@@ -147,7 +144,7 @@ class Driven(DrivenEquation):
 
     def lift(self, omega0: Vector) -> State:
         """Return ω₀, followed by the initial attitude if that is followed."""
-        return self._slow_start(omega0)
+        return slow_start(self, omega0)
 
     def error_scale(self, y: State) -> State:
         """Return the scale of ω; errors of the attitude are angles."""
@@ -173,7 +170,7 @@ class DrivenFull(DrivenEquation):
 
     def lift(self, omega0: Vector) -> State:
         """Compute the state near the physical branch at τ = 0, by the reduction of order 3."""
-        slow = self._slow_start(omega0)
+        slow = slow_start(self, omega0)
         rate = self.reduced(3)(jnp.zeros((), slow.dtype), slow)
         return jnp.concatenate([slow, self.fast(rate[:3])])
 
