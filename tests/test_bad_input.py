@@ -14,6 +14,7 @@ import pytest
 
 import dipoletop as dt
 from dipoletop import boundary, exact, planar, torques
+from dipoletop._maps.sweep import PointSweeps
 from dipoletop._runs.slow_runs import check_slow_flow
 from dipoletop.adaptive import refine
 from dipoletop.complexity import basin_entropy, boundary_dimension, uncertainty_exponent
@@ -59,7 +60,8 @@ def own(t, y, args=None):
 
 
 ENDS = {name: np.array([value]) for name, value in POINT.items()}
-FOUND = boundary.Crossings(problem, ENDS, ENDS, np.array([[0.2, 0.4]]), np.array([[1, 5]]), {})
+SWEEPS, SIDES = PointSweeps(problem, {}), np.array([[1, 5]])
+FOUND = boundary.Crossings(SWEEPS, ENDS, ENDS, np.array([[0.2, 0.4]]), SIDES)
 AXES = {"phi": (-1.0, 1.0), "w3": (0.0, 8.0)}
 
 CASES = {

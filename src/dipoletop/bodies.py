@@ -10,7 +10,6 @@ import functools
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -98,20 +97,6 @@ def axisymmetric(delta: Any, dipole: Any = "transverse") -> Body:
         refuse("dipole", 'be "transverse", "longitudinal" or a vector', f"is {dipole!r}")
     one = namespace(delta).ones_like(delta)
     return Body(diagonal(one, one, 1 - delta), direction)
-
-
-def top_of(delta: Any, dipole: str) -> Body:
-    """Return `axisymmetric(delta, dipole)` for a δ that has been checked, and is not again."""
-    delta = on_host(delta)
-    one = namespace(delta).ones_like(delta)
-    direction = np.broadcast_to(np.asarray(AXES[dipole], delta.dtype), (*delta.shape, 3))
-    parts = on_device(diagonal(one, one, 1 - delta)), on_device(direction)
-    return jax.tree.unflatten(_structure(), parts)
-
-
-@functools.cache
-def _structure() -> Any:
-    return jax.tree.structure(axisymmetric(0.0))
 
 
 def spheroid(mass: Any, a: Any, c: Any, *, dipole: Any) -> Body:

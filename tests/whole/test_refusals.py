@@ -19,6 +19,7 @@ jax.config.update("jax_enable_x64", True)
 import dipoletop as dt
 from dipoletop import adaptive, boundary, continuation, fitting, particles, planar, plots
 from dipoletop import radiation, uncertainty
+from dipoletop._maps.sweep import PointSweeps
 
 equation, start, times = dt.TransverseReduced(-0.2), jnp.array([0.2, 0.1, 0.2]), jnp.arange(3.0)
 grid = dt.Grid(w3=[0.1, 0.2], phi=[0.0, 1.0])
@@ -26,7 +27,8 @@ basin = dt.Basin(grid.dims, grid.shape, grid.coords, {"outcome": np.zeros(4)}, {
 many = dt.TransverseReduced(jnp.array([0.1, 0.2]))
 two = dt.Body(jnp.stack([jnp.eye(3)] * 2), start)
 ends = {"z": np.zeros(1)}
-found = boundary.Crossings(min, ends, ends, np.zeros((1, 2)), np.ones((1, 2), int), {"rtol": 1e-8})
+sweeps = PointSweeps(min, {"rtol": 1e-8})
+found = boundary.Crossings(sweeps, ends, ends, np.zeros((1, 2)), np.ones((1, 2), int))
 field = lambda t, y, args=None: -y
 for code in json.load(sys.stdin):
     try:

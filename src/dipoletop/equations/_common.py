@@ -5,18 +5,28 @@ reads it and supplies the default. The classes hold members by the kind of state
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._base.checks import instance, on_host, real, refuse, where_valid
-from .._base.linalg import dot, largest, length, scale
+from .._base.checks import (
+    instance,
+    namespace,
+    on_device,
+    on_host,
+    real,
+    refuse,
+    where_valid,
+)
+from .._base.linalg import diagonal, dot, largest, length, scale
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
-from ..bodies import Body, top_of
+from ..bodies import AXES, Body, axisymmetric
 from ..radiation import radiated_power
 from .coordinates import from_cylindrical, to_cylindrical
 from .levels import Level
@@ -218,6 +228,20 @@ class Cylindrical(eqx.Module):
         return from_cylindrical(y[0], y[1], y[2])
 
 
+def _top(delta: Real, dipole: str) -> Body:
+    """Return `axisymmetric(delta, dipole)`; δ has been checked, and is not again."""
+    delta = on_host(delta)
+    one = namespace(delta).ones_like(delta)
+    direction = np.broadcast_to(np.asarray(AXES[dipole], delta.dtype), (*delta.shape, 3))
+    parts = on_device(diagonal(one, one, 1 - delta)), on_device(direction)
+    return jax.tree.unflatten(_structure_of_body(), parts)
+
+
+@functools.cache
+def _structure_of_body() -> Any:
+    return jax.tree.structure(axisymmetric(0.0))
+
+
 class TransverseTop(eqx.Module):
     """An equation of the top with a transverse dipole."""
 
@@ -228,7 +252,7 @@ class TransverseTop(eqx.Module):
     @property
     def body(self) -> Body:
         """The top, for energies and powers."""
-        return top_of(self.delta, "transverse")
+        return _top(self.delta, "transverse")
 
 
 class LongitudinalTop(eqx.Module):
@@ -239,7 +263,7 @@ class LongitudinalTop(eqx.Module):
     @property
     def body(self) -> Body:
         """The top, for energies and powers."""
-        return top_of(self.delta, "longitudinal")
+        return _top(self.delta, "longitudinal")
 
 
 class OfBody(eqx.Module):
