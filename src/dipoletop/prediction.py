@@ -46,6 +46,7 @@ from ._base.checks import (
     where_valid,
 )
 from ._base.compiling import compiled_soon
+from ._base.quantities import ANGULAR
 from ._base.summaries import duration, with_error
 from ._base.types import Outcome, Regime
 from ._runs.resolved_forecast import HANDOVER, resolved_forecast, resolved_history
@@ -127,7 +128,8 @@ class Prediction(eqx.Module):
         Raises:
             ValueError: times that are not positive and finite.
         """
-        given = finite("times", times, (-1,), batch=False)
+        unit = "s" if self.strength != 1 else None
+        given = finite("times", times, (-1,), batch=False, unit=unit)
         given = where_valid("times", given, given > 0, "be positive")
         strength = jnp.asarray(self.strength, given.dtype)
         variables, regime = jnp.asarray(self.variables), jnp.asarray(self.regime)
@@ -227,7 +229,8 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     instance("body", body, Body | Particle, "be a Body or a Particle")
     if body.inertia.ndim != 2:
         refuse("body", "be a single one (`jax.vmap` takes a batch)", "is a batch of them")
-    omega = finite("omega0", omega0, (3,), batch=False)
+    unit = ANGULAR if isinstance(body, Particle) else None
+    omega = finite("omega0", omega0, (3,), batch=False, unit=unit)
     if omega.dtype != jnp.float64:
         hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
         refuse("omega0", "be float64", f"is {omega.dtype} ({hint})")

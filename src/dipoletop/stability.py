@@ -29,12 +29,12 @@ from ._base.checks import (
     refuse,
     where_valid,
 )
-from ._base.guards import safe_divisor, safe_sqrt
+from ._base.guards import rounding, safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
 from ._base.types import Equation
 from .bodies import Body
 from .equations._common import is_full, rate_of_omega
-from .equations._verdicts.dipole_frame import body_frame, rounding
+from .equations._verdicts.dipole_frame import body_frame
 from .equations.torque_driven import DrivenEquation
 from .equations.transverse_approximations import TransverseAveraged
 

@@ -9,12 +9,20 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 import scipy.constants
 from jaxtyping import Array, Float
 
 from ._base.attitudes import Quaternion, rotate, unit_quaternion
-from ._base.checks import ArrayLike, NumberLike, check_body, finite, instance, positive, refuse
+from ._base.checks import (
+    ArrayLike,
+    NumberLike,
+    check_body,
+    finite,
+    instance,
+    positive,
+    refuse,
+    shape_of,
+)
 from ._base.linalg import cross, matvec
 from ._base.types import Equation, State, Vector
 from .equations.torque_driven import Driven, DrivenFull, Torque, driven
@@ -96,7 +104,7 @@ def drag(gamma: NumberLike | ArrayLike) -> Drag:
     Raises:
         ValueError: another shape, or a number that is not finite.
     """
-    array = finite("gamma", gamma, np.shape(gamma))
+    array = finite("gamma", gamma, shape_of(gamma))
     if array.shape not in ((), (3, 3)):
         refuse("gamma", "be a number or have shape (3, 3)", f"has shape {array.shape}")
     return Drag(array)
@@ -173,7 +181,8 @@ def gas_drag(
     instance("particle", particle, Particle)
     if particle.radius is None:
         refuse("particle", "have a known radius", "has none")
-    p, temperature = positive("pressure", pressure), positive("temperature", temperature)
-    mass = positive("molecular_mass", molecular_mass)
+    p = positive("pressure", pressure, unit="Pa")
+    temperature = positive("temperature", temperature, unit="K")
+    mass = positive("molecular_mass", molecular_mass, unit="kg")
     speed = jnp.sqrt(8 * mass / (jnp.pi * scipy.constants.k * temperature))  # ρ v̄/p
     return 2 * jnp.pi / 3 * particle.radius**4 * p * speed

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
+from dipoletop.boundary import fate
 
 
 def reduced(w3, phi, delta=-0.2):
@@ -51,3 +52,45 @@ def test_shares_have_the_intervals_of_wilson(basin):
         assert share.share == p
         for end in (share.low, share.high):  # the roots of (p̂ − p)² = z²p(1 − p)/n
             assert abs((p - end) ** 2 - z**2 * end * (1 - end) / 260) < 1e-14
+
+
+def test_starts_are_compared_in_whatever_order_they_are(basin):
+    w3, phi = GRID.axes["w3"], GRID.axes["phi"]
+    for other in (dt.Grid(phi=phi[::-1], w3=w3), dt.Grid(w3=np.roll(w3, 3), phi=phi)):
+        assert all(here == there for here, there in dt.sweep(reduced, other).compare(basin))
+    shuffled = np.random.default_rng(2).permutation(260)
+    points = {name: x.ravel() for name, x in zip(("w3", "phi"), np.meshgrid(w3, phi), strict=True)}
+    first = dt.sweep(reduced, dt.Points(**points))
+    second = dt.sweep(reduced, dt.Points(**{name: x[shuffled] for name, x in points.items()}))
+    assert all(here == there for here, there in first.compare(second))
+    assert sum(share.count for share in first.compare(second).values()) == 260
+
+
+def test_other_starts_are_not_compared(basin):
+    with pytest.raises(ValueError, match="`other` must have the axes w3, phi, but has point"):
+        basin.compare(dt.sweep(reduced, dt.Points(w3=[0.1], phi=[0.2])))
+    moved = dt.sweep(reduced, dt.Grid(w3=GRID.axes["w3"] + 1e-3, phi=GRID.axes["phi"]))
+    with pytest.raises(ValueError, match="same values as this basin along the axis w3"):
+        basin.compare(moved)
+
+    def drawn(omega):
+        return dt.TransverseReduced(-0.2), omega
+
+    samples = [dt.sweep(drawn, dt.Sample(n=64, amplitude=0.2, seed=seed)) for seed in (1, 2, 1)]
+    assert all(here == there for here, there in samples[0].compare(samples[2]))
+    with pytest.raises(ValueError, match="same values as this basin along the axis"):
+        samples[0].compare(samples[1])
+
+
+def test_what_is_not_computed_yet_is_no_outcome(basin):
+    outcome, half = basin.outcome.ravel().copy(), 130
+    outcome[half:] = -128
+    columns = {**basin.columns, "outcome": outcome}
+    part = dt.Basin(basin.dims, basin.shape, basin.coords, columns, basin.attrs)
+    shares = part.compare(basin)
+    assert all(here == there for here, there in shares)
+    assert sum(share.count for share in shares.values()) == half
+    with pytest.raises(ValueError, match="`basin` must be finished, but lacks 130 of its 260"):
+        fate(part)
+    figure = dt.plots.compare(part, basin, unfold=False)
+    assert "outcome differs for 0" in figure.axes[0].get_title()

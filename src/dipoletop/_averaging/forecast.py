@@ -105,7 +105,8 @@ def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation,
     coupling = strength * jnp.sum(dipole**2)
     weakness = coupling / moment * (momentum / moment)
     unit = moment / momentum / (2 * weakness)
-    scaled = FreeRotation(rotation.moments / moment, rotation.dipole, rotation.momentum / momentum)
+    parts = rotation.moments / moment, rotation.dipole, rotation.momentum / momentum
+    scaled = FreeRotation(*parts, rotation.error).tipped(weakness)
     return scaled, Units(momentum, moment, unit, weakness)
 
 
@@ -131,7 +132,7 @@ def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Flo
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
     averaging = estimated_error(apart, largest_loss(motion), units.weakness)
     error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error
     values = or_nan(_numbers(end, units, error), ~motion.failed | is_sphere | is_spin)
     return values.at[-2].set(regime_of(rotation).astype(float))
 
@@ -250,4 +251,5 @@ def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: b
         error += start_error(rotation, units.weakness)
     else:
         end, error = known_end(rotation, top)
+    error += rotation.error
     return _fields(_numbers(end, units, error).at[-2].set(float(Regime.UNFOLDED)))

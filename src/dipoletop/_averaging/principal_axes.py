@@ -1,4 +1,10 @@
-"""A body and its angular momentum in the principal axes of its inertia, moments ascending."""
+"""A body and its angular momentum in the principal axes of its inertia, moments ascending.
+
+In axes that are turned against the principal ones, rounding of the inertia tensor turns the
+computed principal axes by about eps over the relative difference of two moments. Whether a dipole
+or L lies along a principal axis is therefore decided by n × In and L × Ω, which rounding changes
+by about eps, whatever the moments; the computed axes then follow n.
+"""
 
 from typing import Any
 
@@ -7,12 +13,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._base.guards import rounding, safe_divisor, safe_sqrt
+from .._base.linalg import cross, dot, trace
 from .._base.types import Real
 from .free_rotation import gaps_of
 from .slow_flow import Side
 
 OUTERMOST = 600.0  # |logit x| of a start on an axis or on the separatrix
-ROUNDING = 64.0  # roundings within which a direction cosine counts as 0, and two moments as equal
+ROUNDING = 64.0  # roundings within which two moments count as equal
+TURN = 16.0  # roundings of an inertia tensor that is written in turned axes
+LARGEST_TURN = 0.01  # largest component of a unit vector that rounding may have made
 
 
 class FreeRotation(eqx.Module):
@@ -23,7 +33,9 @@ class FreeRotation(eqx.Module):
     dipole: Float[Array, "3"]
     """The unit vector n along the dipole; components of the size of rounding are 0."""
     momentum: Float[Array, "3"]
-    """L."""
+    """L; components of the size of rounding are 0."""
+    error: Real
+    """The estimated error of the directions of the axes, an angle."""
 
     def side(self, high: Bool[Array, ""]) -> Side:
         """Return the slow flow about the axis of J₁ (high) or of J₃."""
@@ -48,12 +60,41 @@ class FreeRotation(eqx.Module):
         return (j1 < j2) & (j2 == j3) & (self.dipole[0] == 0)
 
     @property
+    def symmetry_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
+        """Whether just two moments are equal, and the index of the third axis."""
+        j1, j2, j3 = self.moments
+        return (j1 == j2) != (j2 == j3), jnp.where(j1 == j2, 2, 0)
+
+    @property
     def spin_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
-        """Whether L lies along a principal axis with a moment of its own; index of that axis."""
+        """Whether Ω is constant in the body but for its size, and the index of an axis like it.
+
+        L lies along a principal axis with a moment of its own; or across the symmetry axis of a
+        body whose dipole lies along that axis, so that any two axes across it are alike.
+        """
         j1, j2, j3 = self.moments
         alone = jnp.stack([j1 < j2, (j1 < j2) & (j2 < j3), j2 < j3])
         on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
-        return jnp.any(on_axis), jnp.argmax(on_axis)
+        has_axis, axis = self.symmetry_axis
+        end_over_end = has_axis & (jnp.abs(self.dipole[axis]) == 1) & (self.momentum[axis] == 0)
+        largest = jnp.argmax(jnp.abs(self.momentum))
+        return end_over_end | jnp.any(on_axis), jnp.where(
+            end_over_end, largest, jnp.argmax(on_axis)
+        )
+
+    def tipped(self, weakness: Real) -> "FreeRotation":
+        """Return the rotation as radiation tips it while it hardly brakes.
+
+        If L lies across the symmetry axis and the dipole does not, nor along it, the torque along
+        that axis is about κ|Ω|³ until the body precesses. By then L has turned by about √κΩ/J.
+        """
+        has_axis, axis = self.symmetry_axis
+        size, along, n = jnp.linalg.norm(self.momentum), self.momentum[axis], self.dipole[axis]
+        least = jnp.sqrt(weakness) * size
+        tips = has_axis & (n != 0) & (jnp.abs(n) != 1) & (jnp.abs(along) < least)
+        tipped = self.momentum.at[axis].set(jnp.where(along < 0, -least, least))
+        momentum = jnp.where(tips, tipped, self.momentum)
+        return FreeRotation(self.moments, self.dipole, momentum, self.error)
 
     def spin_decay(self, axis: Int[Array, ""]) -> Real:
         """Compute r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
@@ -62,7 +103,10 @@ class FreeRotation(eqx.Module):
     def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
         """Replace the rotation by an ordinary one where the condition holds, to avoid NaN."""
         other = FreeRotation(
-            jnp.array([0.5, 0.75, 1.0]), jnp.array([0.6, 0.0, 0.8]), jnp.array([0.48, 0.6, 0.64])
+            jnp.array([0.5, 0.75, 1.0]),
+            jnp.array([0.6, 0.0, 0.8]),
+            jnp.array([0.48, 0.6, 0.64]),
+            jnp.zeros(()),
         )
         return jax.tree.map(lambda a, b: jnp.where(condition, a, b), other, self)
 
@@ -84,12 +128,61 @@ def free_rotation(
     """Return the free rotation of a body that turns with the angular velocity Ω."""
     moments, axes = principal_axes(inertia)
     moments = equal_where_rounded(moments)
-    n = axes.T @ (dipole / jnp.linalg.norm(dipole))
-    small = jnp.abs(n) <= ROUNDING * jnp.finfo(n.dtype).eps
-    n = jnp.where(small, 0.0, n)
+    eps, n = float(jnp.finfo(moments.dtype).eps), dipole / jnp.linalg.norm(dipole)
+    off = cross(n, inertia @ n)
+    is_principal = dot(off, off) <= (rounding(off) * trace(inertia)) ** 2
+    along, lean = _along_axis(moments, axes.T @ n)
+    axes = jnp.where(is_principal, _turned(axes, along, n), axes)
+    direction, dropped = _without_rounding(moments, axes.T @ n, eps)
+    direction = jnp.where(is_principal, along, direction)
+    momentum = moments * (axes.T @ omega)
+    size = jnp.linalg.norm(momentum)
+    unit, _ = _without_rounding(moments, momentum / safe_divisor(size), eps)
+    momentum = jnp.where(unit == 0, 0.0, momentum)
+    turned = jnp.any(jnp.stack([inertia[0, 1], inertia[0, 2], inertia[1, 2]]) != 0)
+    rounded = jnp.where(turned, TURN * eps * moments[2] / _least_gap(moments), 0.0)
+    error = rounded + jnp.where(is_principal, lean, dropped)
+    return FreeRotation(moments, direction, momentum, jax.lax.stop_gradient(error))
+
+
+def _along_axis(moments: Float[Array, "3"], n: Float[Array, "3"]) -> tuple[Array, Real]:
+    """Return the axis nearest to a unit vector, and the angle from it to axes of other moments."""
+    nearest = jnp.argmax(jnp.abs(n))
+    along = jnp.where(jnp.arange(3) == nearest, jnp.sign(n), 0.0)
+    across = jnp.where(moments == moments[nearest], 0.0, n)
+    return along, safe_sqrt(dot(across, across))
+
+
+def _turned(axes: Float[Array, "3 3"], along: Array, n: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Turn axes (columns) the shortest way, so that `along`, in these axes, becomes n."""
+    old, new = jax.lax.stop_gradient((axes @ along, n))
+    both = old + new
+    turned = axes - both[:, None] * (both @ axes)[None] / (1 + dot(old, new))
+    return turned + 2 * new[:, None] * (old @ axes)[None]
+
+
+def _without_rounding(
+    moments: Float[Array, "3"], unit: Float[Array, "3"], eps: float
+) -> tuple[Float[Array, "3"], Real]:
+    """Return a unit vector without the components that rounding of the axes may have made.
+
+    Also return the size of the part that is left out.
+    """
+    gaps = jnp.abs(moments[:, None] - moments[None])
+    gap = jnp.min(jnp.where(gaps > 0, gaps, moments[2]), axis=1)  # to the nearest other moment
+    small = jnp.abs(unit) * gap <= ROUNDING * eps * moments[2]
+    small = small & (jnp.abs(unit) <= LARGEST_TURN)
+    left_out = jnp.where(small, unit, 0.0)
+    kept = jnp.where(small, 0.0, unit)
     # The component along an axis is exactly ±1, so that rounding leaves none across it.
-    n = jnp.where(jnp.sum(n != 0) == 1, jnp.sign(n), n)
-    return FreeRotation(moments, n, moments * (axes.T @ omega))
+    kept = jnp.where(jnp.sum(kept != 0) == 1, jnp.sign(kept), kept)
+    return kept, safe_sqrt(dot(left_out, left_out))
+
+
+def _least_gap(moments: Float[Array, "3"]) -> Real:
+    """Return the smallest difference of moments that is not 0; J₃ if there is none."""
+    gaps = jnp.stack([moments[1] - moments[0], moments[2] - moments[1]])
+    return jnp.min(jnp.where(gaps > 0, gaps, moments[2]))
 
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:

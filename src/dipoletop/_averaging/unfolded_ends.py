@@ -212,7 +212,7 @@ def _stops(
     omega = top.omega_at(y, top.log_u)
     momentum = top.frame.T @ (top.moments * omega)
     size = jnp.linalg.norm(momentum)
-    handed = FreeRotation(rotation.moments, rotation.dipole, momentum / size)
+    handed = eqx.tree_at(lambda each: each.momentum, rotation, momentum / size)
     high, z = handed.place
     end = slow_end(handed, motion_from(handed.side(high), high, z))
     log_ratio = jnp.log(size) + _log_momentum(top, top.log_u) + end.log_ratio

@@ -105,7 +105,7 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[ManyEnds, Real, Bo
         exact = known.probability, known.log_ratio, known.last_moment
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
     error = estimated_error(apart, leads.loss, units.weakness)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error
     delta, _ = needle_start(apart, units.weakness)
     doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
     return _untimed(rotation, units, end, error), jnp.where(apart.is_needle, delta, 0.0), doubtful
@@ -121,6 +121,7 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> ManyE
     end = end_of_top(delta, omega, chance)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
+    error += rotation.error
     return _untimed(rotation, units, (*needle_chances(rotation, end), rotation.moments[2]), error)
 
 

@@ -12,12 +12,15 @@ from jaxtyping import Array, Bool, Float
 from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
+from .quantities import Quantity, WrongUnitError, plain
 from .structure import of_structure, state_of
 
 LONGEST = 2000  # characters of a value that a message shows
-NumberLike = float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""]
+NumberLike = (
+    float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""] | Quantity
+)
 """A real number as an argument."""
-ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."]
+ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."] | Quantity
 """Real numbers as an argument: an array of JAX or of NumPy, or nested sequences."""
 
 
@@ -71,15 +74,41 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
     return tuple(instance(name, each, str, must) for each in instance(name, value, Iterable, must))
 
 
+def without_unit(name: str, value: Any, unit: str | None) -> Any:
+    """Return quantities of astropy or pint as plain numbers in a unit; None: dimensionless."""
+    try:
+        return plain(value, unit)
+    except WrongUnitError as error:
+        must = "be dimensionless" if unit is None else f"be in {unit} or a unit of its dimension"
+        refuse(name, must, f"is {error}")
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Return the shape of an argument; () where it has none, which a check will refuse."""
+    try:
+        return np.shape(value)
+    except (TypeError, ValueError):
+        return ()
+
+
 def real(
-    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True, xp: Any = jnp
+    name: str,
+    value: Any,
+    shape: tuple[int, ...] = (),
+    *,
+    batch: bool = True,
+    xp: Any = jnp,
+    unit: str | None = None,
 ) -> Any:
     """Return `value` as a float array of `shape`, or (if `batch`) with one more axis in front.
 
     A length of -1 in `shape` stands for any length. `xp` is `jax.numpy`, or NumPy for known values,
-    which does not copy an array of floats.
+    which does not copy an array of floats. A quantity is converted to `unit`.
     """
     refuse_orphan()  # here, since every computation checks its numbers first
+    value = without_unit(name, value, unit)
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        refuse(name, "have no masked values", f"has {np.ma.count_masked(value)}")
     wanted = str(shape).replace("-1", "n")
     kind = f"be a real array of shape {wanted}" if shape else "be a real number"
     if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
@@ -162,19 +191,29 @@ def _some(values: np.ndarray) -> str:
 
 
 def finite(
-    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
+    name: str,
+    value: Any,
+    shape: tuple[int, ...] = (),
+    *,
+    batch: bool = True,
+    unit: str | None = None,
 ) -> Float[Array, "..."]:
-    """Return a real array without NaN or inf."""
-    array = real(name, value, shape, batch=batch)
+    """Return a real array without NaN or inf; a quantity is converted to `unit`."""
+    array = real(name, value, shape, batch=batch, unit=unit)
     known = on_host(array)
     return where_valid(name, array, namespace(known).isfinite(known), "be finite")
 
 
 def positive(
-    name: str, value: Any, shape: tuple[int, ...] = (), *, batch: bool = True
+    name: str,
+    value: Any,
+    shape: tuple[int, ...] = (),
+    *,
+    batch: bool = True,
+    unit: str | None = None,
 ) -> Float[Array, "..."]:
-    """Return a real array of finite numbers above 0."""
-    array = finite(name, value, shape, batch=batch)
+    """Return a real array of finite numbers above 0; a quantity is converted to `unit`."""
+    array = finite(name, value, shape, batch=batch, unit=unit)
     return where_valid(name, array, on_host(array) > 0, "be positive")
 
 

@@ -9,6 +9,13 @@ import jax.numpy as jnp
 
 from .types import Real
 
+ULPS = 4096  # roundings up to which moments or directions count as equal
+
+
+def rounding(like: Real) -> float:
+    """Return the relative difference up to which numbers of this floating-point type are equal."""
+    return ULPS * float(jnp.finfo(like.dtype).eps)
+
 
 def safe_divisor(x: Real) -> Real:
     """Return the divisor x, or 1 where x = 0: the caller selects another branch there."""

@@ -24,7 +24,7 @@ from .columns import (
     without_versions,
 )
 from .grids import counted, described_axis
-from .selection import at_positions, positions_of
+from .selection import at_positions, places_of, positions_of
 from .store import saved_basins
 from .store.errors import StoreDamaged
 
@@ -265,14 +265,19 @@ class Basin:
         """Return the share of every pair of outcomes of the same start, here and in another basin.
 
         Args:
-            other: a basin of the same shape, such as of another level or tolerance.
+            other: a basin of the same starts, such as at another level or tolerance; their order,
+                and that of the axes, may be another one.
 
         Returns:
-            The shares by the names of both outcomes, with 95 % intervals as in `fractions`.
+            The shares by the names of both outcomes, with 95 % intervals as in `fractions`; of
+            unfinished sweeps among the starts that both have computed.
+
+        Raises:
+            ValueError: a basin of other starts.
         """
-        if instance("other", other, Basin).shape != self.shape:
-            refuse("other", f"have the shape {self.shape}", f"has {other.shape}")
-        pairs = np.stack([self.outcome.ravel(), other.outcome.ravel()])
+        places = places_of(instance("other", other, Basin)._parts, self._parts)
+        pairs = np.stack([self.outcome.ravel(), other.outcome.ravel()[places]])
+        pairs = pairs[:, np.all(pairs != MISSING["int8"], axis=0)]
         values, counts = np.unique(pairs, axis=1, return_counts=True)
         return {
             (Outcome(here).name, Outcome(there).name): share_of(count, pairs.shape[1])

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .._base.checks import described, finite, positive, real, refuse
+from .._base.quantities import Quantity
 from .._base.tolerances import budget, whole
 
 PointValues = Array | Mapping[str, Array | np.ndarray]
@@ -17,7 +18,7 @@ Draw = Callable[[Array], PointValues]
 """A function from a random key to one point."""
 BLOCK = 1 << 32  # starts of a sample that one number of 32 bits can index
 MOST_STARTS = BLOCK**2 // 2 - 1
-Numbers = ArrayLike | Sequence[Any]
+Numbers = ArrayLike | Sequence[Any] | Quantity
 """Numbers as an array, or as nested lists."""
 
 

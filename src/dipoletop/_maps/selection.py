@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._base.checks import refuse
-from .columns import BasinParts
+from .columns import BasinParts, is_result
 
 Positions = dict[str, Any]
 """The wanted positions on some axes: a number, a slice, or an integer or boolean array."""
@@ -51,6 +51,50 @@ def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | Non
             refuse(name, must, f"is {wanted!r} ({' '.join(str(error).split())})")
         positions[name] = found.values
     return positions
+
+
+def places_of(parts: BasinParts, like: BasinParts) -> np.ndarray:
+    """Return the flat places, in one basin, of all starts of another one, in its order.
+
+    Raises:
+        ValueError: they have other axes, other values on them, or other starts.
+    """
+    if sorted(parts.dims) != sorted(like.dims):
+        refuse("other", f"have the axes {', '.join(like.dims)}", f"has {', '.join(parts.dims)}")
+    on_axes = [_places_on_axis(dim, parts, like) for dim in parts.dims]
+    flat = np.ravel_multi_index(np.ix_(*on_axes), parts.shape) if on_axes else np.zeros((), int)
+    return np.transpose(flat, [parts.dims.index(dim) for dim in like.dims]).ravel()
+
+
+def _places_on_axis(dim: str, parts: BasinParts, like: BasinParts) -> np.ndarray:
+    """Return the places on an axis of the values that another basin has there, in its order."""
+    here, there = (_values_along(dim, each) for each in (parts, like))
+    must = f"have the same values as this basin along the axis {dim}"
+    if here.keys() != there.keys():
+        refuse("other", must, f"has {', '.join(here) or 'none'}, not {', '.join(there) or 'none'}")
+    sizes = [each.shape[each.dims.index(dim)] for each in (parts, like)]
+    if sizes[0] != sizes[1]:
+        refuse("other", must, f"has {sizes[0]}, not {sizes[1]}")
+    if not here:
+        return np.arange(sizes[0])
+    tables = [
+        np.column_stack([x.reshape(len(x), -1) for x in each.values()]) for each in (here, there)
+    ]
+    orders = [np.lexsort(table.T[::-1]) for table in tables]
+    first, second = (table[order] for table, order in zip(tables, orders, strict=True))
+    if not np.array_equal(first, second):
+        refuse("other", must, f"has other values of {', '.join(here)}")
+    places = np.empty_like(orders[0])
+    places[orders[1]] = orders[0]
+    return places
+
+
+def _values_along(dim: str, parts: BasinParts) -> dict[str, np.ndarray]:
+    """Return the coordinates along an axis; of a sample, its starts and their parameters."""
+    named = {name: x for name, x in parts.coords.items() if _dim_of(name, parts) == dim}
+    drawn = {name: x for name, x in parts.columns.items() if not is_result(name)}
+    whole = named | (drawn if len(parts.dims) == 1 else {})
+    return {name: np.asarray(whole[name]) for name in sorted(whole)}
 
 
 def _check_dims(parts: BasinParts, by_name: Mapping[str, Any]) -> None:

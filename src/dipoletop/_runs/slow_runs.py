@@ -89,7 +89,9 @@ class SlowMotions(NamedTuple):
         for moments that differ by rounding only, which would count as equal.
         """
         (j1, j2, j3), (along, *_) = self.ascending
-        needle = (j3 - j2 <= ROUNDING * j3) & (j2 - j1 > ROUNDING * j3) & (along <= ROUNDING)
+        needle = (
+            (j3 - j2 <= ROUNDING * j3) & (j2 - j1 > ROUNDING * j3) & _is_across(along, j2 - j1, j3)
+        )
         turned = np.any(self.inertia[:, [0, 0, 1], [1, 2, 2]] != 0, axis=1)
         rounded = [(gap > 0) & (gap <= ROUNDING * j3) for gap in (j2 - j1, j3 - j2)]
         return (self.consistent | ~needle) & (turned | ~np.any(rounded, axis=0))
@@ -295,7 +297,8 @@ def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
     (j1, j2, j3), (n1, _, n3) = motions.ascending
     first, last = (j2 - j1) <= ROUNDING * j3, (j3 - j2) <= ROUNDING * j3
     prolate, oblate = last & ~first, first & ~last
-    across = (prolate & (n1 <= ROUNDING)) | (oblate & (n3 <= ROUNDING))
+    across = prolate & _is_across(n1, j2 - j1, j3)
+    across |= oblate & _is_across(n3, j3 - j2, j3)
     of_axes = ends.probability[:, 2:5]
     about_symmetry = across * np.where(prolate, ends.probability[:, 2], ends.probability[:, 4])
     ways = {
@@ -305,6 +308,11 @@ def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
         Stop.TUMBLING: ends.probability[:, 5] + ends.probability[:, 6],
     }
     return np.select([share > CERTAIN for share in ways.values()], list(ways), Stop.NONE)
+
+
+def _is_across(component: Any, gap: Any, largest: Any) -> Any:
+    """Return whether a direction cosine is 0 to rounding, by the gap of moments about its axis."""
+    return component * gap <= ROUNDING * largest
 
 
 def _in_principal_axes(

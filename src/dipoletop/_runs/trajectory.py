@@ -21,6 +21,7 @@ from .._base.checks import (
     finite,
     real,
     refuse,
+    shape_of,
     where_valid,
 )
 from .._base.compiling import compiled_soon
@@ -207,7 +208,7 @@ class Trajectory(eqx.Module):
         """
         q = self.attitude
         wanted = (*q.shape[:-1], 3)
-        shape = np.shape(vectors)
+        shape = shape_of(vectors)
         if shape not in ((3,), wanted):
             refuse("vectors", f"have shape (3,) or {wanted}", f"has shape {shape}")
         return _rotated(q, real("vectors", vectors, shape, batch=False))
@@ -243,7 +244,7 @@ class Trajectory(eqx.Module):
         solution = self.solution
         if isinstance(solution, BranchSolution) or solution.interpolation is None:
             refuse("dense", "be True in `simulate` for values in between", "was not")
-        times = finite("t", t, np.shape(t), batch=False)
+        times = finite("t", t, shape_of(t), batch=False)
         first, last = self.ts[..., 0].max(), self.ts[..., -1].min()
         inside = (times >= first) & (times <= last)
         times = where_valid("t", times, inside, "lie within the run")

@@ -5,9 +5,10 @@ import enum
 import numpy as np
 from jaxtyping import Int
 
-from .._base.checks import instance
+from .._base.checks import instance, refuse
 from .._base.types import Outcome
 from .._maps.basin import Basin
+from .._maps.columns import MISSING
 
 
 class Fate(enum.IntEnum):
@@ -47,7 +48,7 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
         or ω∞ < 0; 3 + kind for STOP, the kind being a member of `Stop`. Shape of the basin.
 
     Raises:
-        ValueError: `basin` is not a `Basin`.
+        ValueError: `basin` is not a `Basin`, or an unfinished one.
 
     Example:
         >>> import dipoletop as dt
@@ -60,6 +61,8 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
     """
     instance("basin", basin, Basin)
     outcome, value = basin.outcome.astype(int), basin.omega_inf
+    if missing := int(np.sum(outcome == MISSING["int8"])):
+        refuse("basin", "be finished", f"lacks {missing} of its {outcome.size} starts")
     residual = np.select([value > 0, value < 0], RESIDUAL, Fate.UNDECIDED)
     ended = [outcome == Outcome.RESIDUAL, outcome == Outcome.STOP]
     return np.select(ended, [residual, Fate.STOP + basin.stop.astype(int)], outcome)

@@ -31,7 +31,7 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
     """
     across = finite("w_perp", w_perp)
     across = where_valid("w_perp", across, on_host(across) >= 0, "not be negative")
-    given = across, finite("w3", w3), finite("phi", phi)
+    given = across, finite("w3", w3), finite("phi", phi, unit="rad")
     if len({x.shape for x in given} - {()}) > 1:
         shapes = ", ".join(str(x.shape) for x in given)
         refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")

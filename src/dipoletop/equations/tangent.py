@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._base.guards import safe_divisor
+from .._base.guards import rounding, safe_divisor
 from .._base.linalg import cross, largest, matvec
 from .._base.stopping import prepared_verdicts, verdict_on
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
 from ._common import error_scale_of, has_body_field, omega_scale_of
-from ._verdicts.dipole_frame import constraints, rounding
+from ._verdicts.dipole_frame import constraints
 from ._verdicts.nonsmooth import infinite
 from .levels import Level, level_of
 

@@ -12,6 +12,7 @@ from .._base.batches import over_batch
 from .._base.checks import concrete, finite, on_device, on_host, refuse, where_valid
 from .._base.guards import safe_sqrt
 from .._base.linalg import dot
+from .._base.quantities import ANGULAR
 from ..bodies import Body
 from . import moments, shapes
 from .texts import text
@@ -76,17 +77,17 @@ class Particle(eqx.Module):
     radius: Float[Array, "*batch"] | None = None
 
     def __init__(self, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> None:
-        mass = positive_si("mass", mass)
+        mass = positive_si("mass", mass, "kg")
         self.mass = on_device(mass)
         # The conditions on a body have no scale, so they hold for SI values, too.
         body = Body(
-            finite("inertia", inertia, (3, 3), batch=False),
-            finite("dipole", dipole, (3,), batch=False),
+            finite("inertia", inertia, (3, 3), batch=False, unit="kg*m**2"),
+            finite("dipole", dipole, (3,), batch=False, unit="C*m"),
         )
         self.inertia, self.dipole = body.inertia, body.dipole
         self.radius = None
         if radius is not None:
-            given = positive_si("radius", radius)
+            given = positive_si("radius", radius, "m")
             # tr I = 2 Σ mρ² ≤ 2mR²
             least = on_host(self.inertia).trace() / (2 * mass)
             large = given**2 >= (1 - 2e-12) * least
@@ -117,7 +118,7 @@ class Particle(eqx.Module):
             ValueError: `radius`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        radius = positive_si("radius", radius)
+        radius = positive_si("radius", radius, "m")
         return cls(**shapes.spheroid(radius, radius, mass, density), dipole=dipole)
 
     @classmethod
@@ -272,7 +273,7 @@ class Particle(eqx.Module):
         """
         if isinstance(angular_velocity, str):
             return self.tau0(axis) * speed_in_rad("angular_velocity", angular_velocity)
-        return self.tau0(axis) * finite_numbers("angular_velocity", angular_velocity)
+        return self.tau0(axis) * finite_numbers("angular_velocity", angular_velocity, ANGULAR)
 
     @over_batch(_batch_axes)
     def angular_velocity(self, omega: Any, axis: Any = None) -> Float[Array, "..."]:
@@ -299,7 +300,7 @@ class Particle(eqx.Module):
         Returns:
             τ, of the same shape.
         """
-        return finite_numbers("seconds", seconds) / self.tau0(axis)
+        return finite_numbers("seconds", seconds, "s") / self.tau0(axis)
 
     @over_batch(_batch_axes)
     def seconds(self, tau: Any, axis: Any = None) -> Float[Array, "..."]:
@@ -367,8 +368,8 @@ class Particle(eqx.Module):
         if self.radius is None:
             refuse("radius", "be given to the particle, which `rim_speed` needs", "is None")
         given = angular_velocity
-        if not isinstance(given, str) and numbers("angular_velocity", given).ndim > 0:
-            squares = jnp.square(finite("angular_velocity", given, (3,)))
+        if not isinstance(given, str) and numbers("angular_velocity", given, ANGULAR).ndim > 0:
+            squares = jnp.square(finite("angular_velocity", given, (3,), unit=ANGULAR))
             speed = safe_sqrt(jnp.sum(squares, axis=-1))
         else:
             speed = speed_in_rad("angular_velocity", given)

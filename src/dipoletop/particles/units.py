@@ -5,10 +5,18 @@ import re
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, on_host, real, refuse, where_valid
+from .._base.checks import (
+    finite,
+    on_host,
+    real,
+    refuse,
+    shape_of,
+    where_valid,
+    without_unit,
+)
+from .._base.quantities import ANGULAR
 
 # CODATA 2022. `scipy.constants` has them, too, but takes 60 ms to import.
 LIGHT = 299_792_458.0
@@ -44,7 +52,8 @@ def angular_speed(spin: Any) -> Float[Array, "*batch"]:
 
     Args:
         spin: a number in rad/s, shape () or (B,); or a text, a number with its unit Hz, kHz, MHz,
-            GHz, THz, rad/s or rpm.
+            GHz, THz, rad/s or rpm; or a quantity of astropy or pint, a frequency or an angular
+            speed.
 
     Returns:
         Ω, rad/s, of the same shape; of shape () for a text.
@@ -68,31 +77,26 @@ def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
         if given is None or given[2] not in _UNITS:
             refuse(name, f"be a number with a unit among {', '.join(_UNITS)}", f"is {value!r}")
         value = float(given[1]) * _UNITS[given[2]]
-    speed = finite(name, value)
+    speed = finite(name, value, unit=ANGULAR)
     return where_valid(name, speed, on_host(speed) >= 0, "not be negative")
 
 
-def positive_si(name: str, value: Any, shape: tuple[int, ...] = ()) -> Any:
-    """Return a positive number in SI units, or an array of them; in NumPy if it is known."""
-    array = on_host(finite(name, value, shape, batch=False))
+def positive_si(name: str, value: Any, unit: str, shape: tuple[int, ...] = ()) -> Any:
+    """Return a positive number in an SI unit, or an array of them; in NumPy if it is known."""
+    array = on_host(finite(name, value, shape, batch=False, unit=unit))
     if array.dtype != jnp.float64:
         hint = 'jax.config.update("jax_enable_x64", True) switches float64 on'
         refuse(name, "be float64", f"is {array.dtype}, which ends near 1e-38 ({hint})")
     return where_valid(name, array, array > 0, "be positive")
 
 
-def numbers(name: str, value: Any) -> Float[Array, "..."]:
-    """Return real numbers of any shape."""
-    return real(name, value, _shape(value), batch=False)
+def numbers(name: str, value: Any, unit: str | None = None) -> Float[Array, "..."]:
+    """Return real numbers of any shape; a quantity is converted to `unit`."""
+    value = without_unit(name, value, unit)
+    return real(name, value, shape_of(value), batch=False)
 
 
-def finite_numbers(name: str, value: Any) -> Float[Array, "..."]:
-    """Return finite numbers of any shape."""
-    return finite(name, value, _shape(value), batch=False)
-
-
-def _shape(value: Any) -> tuple[int, ...]:
-    try:
-        return np.shape(value)
-    except (TypeError, ValueError):
-        return ()  # a check will refuse such a value
+def finite_numbers(name: str, value: Any, unit: str) -> Float[Array, "..."]:
+    """Return finite numbers of any shape; a quantity is converted to `unit`."""
+    value = without_unit(name, value, unit)
+    return finite(name, value, shape_of(value), batch=False)

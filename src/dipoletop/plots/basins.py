@@ -180,13 +180,16 @@ def compare(
     unfold = flag("unfold", unfold)
     _check_same_grid(first, second)
     pair: Any = None if axes is None else several_axes(axes, 2, "be a pair of axes, or None")
-    outcomes_differ = first.outcome != second.outcome
-    line = f"outcome differs for {percent(float(np.mean(outcomes_differ)))} of the starts (hatched)"
+    known = (first.outcome != MISSING["int8"]) & (second.outcome != MISSING["int8"])
+    outcomes_differ = first.outcome[known] != second.outcome[known]
+    share = percent(float(np.mean(outcomes_differ))) if known.any() else "none"
+    line = f"outcome differs for {share} of the starts (hatched)"
     planes = [plane_of(basin, shade, unfold, (x, y)) for basin in (first, second)]
     planes = [plane._replace(title=f"{plane.title}\n{line}") for plane in planes]
     if pair is None:
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
-    differs = planes[0].columns["outcome"] != planes[1].columns["outcome"]
+    outcomes = [plane.columns["outcome"] for plane in planes]
+    differs = (outcomes[0] != outcomes[1]) & np.all(np.not_equal(outcomes, MISSING["int8"]), axis=0)
     _draw_all(list(pair), planes, shade, {"outcome differs": differs})
     pair[1].set_ylabel("")
     return pair[0].figure

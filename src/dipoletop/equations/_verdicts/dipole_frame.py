@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..._base.guards import safe_divisor, safe_sqrt
+from ..._base.guards import rounding, safe_divisor, safe_sqrt
 from ..._base.linalg import cross, dot, matvec, scale, trace
 from ..._base.types import Flag, Real, Vector
 from ...bodies import Body
 from ..levels import Level
 
-ULPS = 4096  # roundings up to which moments or directions count as equal
 STILL = 8  # roundings of |Ω| or J up to which a component of Ω, or a moment's difference, is 0
 
 
@@ -95,11 +94,6 @@ def body_frame(body: Body) -> DipoleFrame:
         jnp.where(equal, mixed, 0.0),
         dot(off, off) <= negligible**2,
     )
-
-
-def rounding(like: Real) -> float:
-    """Return the relative difference up to which numbers of this floating-point type are equal."""
-    return ULPS * float(jnp.finfo(like.dtype).eps)
 
 
 def symmetry_axis(frame: DipoleFrame) -> tuple[Flag, Flag]:
