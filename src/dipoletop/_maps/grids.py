@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from .._base.checks import described, finite, positive, real, refuse
+from .._base.checks import described, finite, positive, real, refuse, shape_of
 from .._base.quantities import Quantity
 from .._base.tolerances import budget, whole
 
@@ -137,7 +137,7 @@ class Points:
 
 
 def _axis(name: str, values: Numbers) -> np.ndarray:
-    array = np.atleast_1d(np.asarray(real(name, values, (-1,) * np.ndim(values))))
+    array = np.atleast_1d(np.asarray(real(name, values, (-1,) * len(shape_of(values)))))
     if array.size == 0:
         refuse(name, "hold at least one value", "holds none")
     # In NumPy: JAX would compile the test for every new number of points.
