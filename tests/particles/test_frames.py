@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dipoletop as dt
+from dipoletop.stability import equilibria
 
 SPLITTINGS = 10.0 ** -np.arange(1, 13)
 DIPOLES = {
@@ -109,3 +110,13 @@ def test_rotation_end_over_end(delta, start):
     # While it precesses, n·Ω/|Ω| is 0.6 times a cosine.
     assert [float(end.half_time) for end in ends] == pytest.approx([5e39 / 0.82] * 2, rel=1e-7)
     assert float(ends[0].error) < 1e-7
+
+
+@pytest.mark.parametrize("lean", [1e-12, 1e-11])
+def test_a_prediction_and_an_equilibrium_need_the_same_principal_axis(lean):
+    """|n × In| is 0.4e-12 or 4e-12 here; 4096 roundings of tr I are 2.2e-12."""
+    body = dt.Body(np.diag([0.6, 0.8, 1.0]), [lean, 0.0, 1.0])
+    keeps = not np.isnan(equilibria(dt.Full(body)).direction).any()
+    found = dt.predict(body, START)
+    assert keeps == (lean < 5e-12) == bool(found.outcome == dt.Outcome.RESIDUAL)
+    assert not keeps or float(found.error) >= lean

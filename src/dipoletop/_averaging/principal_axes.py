@@ -98,7 +98,8 @@ class FreeRotation(eqx.Module):
 
     def spin_decay(self, axis: Int[Array, ""]) -> Real:
         """Compute r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
-        return (1 - self.dipole[axis] ** 2) / self.moments[axis] ** 3
+        across = jnp.where(jnp.arange(3) == axis, 0.0, self.dipole)  # 1 − nᵢ² would be rounded to 0
+        return dot(across, across) / self.moments[axis] ** 3
 
     def replaced_where(self, condition: Bool[Array, ""]) -> "FreeRotation":
         """Replace the rotation by an ordinary one where the condition holds, to avoid NaN."""
