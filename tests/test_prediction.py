@@ -267,6 +267,77 @@ def test_a_fast_stop_is_handed_over_to_the_averages():
     assert float(history.shape[3]) == _approx(later.shape[0], rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("moments", "dipole", "lifetime"),
+    [
+        ([0.7, 0.9, 1.2], [0.3, 0.5, 0.8], 8.99596e37),
+        ([0.7, 0.9, 1.2], [0.02, 0.01, 1.0], 4.20468e40),
+        ([0.45, 0.56, 1.0], [1.0, 1.0, 0.0], np.nan),
+    ],
+)
+def test_late_laws_are_those_of_the_history(moments, dipole, lifetime):
+    """1/L² = (t + lifetime)/(lifetime L²ₚ) for large t, unless L falls before h has settled."""
+    omega = np.array([0.6, 0.2, 0.4]) / moments
+    body = dt.Body(np.diag(moments), dipole / np.linalg.norm(dipole))
+    predicted = dt.predict(body, 1e-18 * omega / np.linalg.norm(omega))
+    found = float(predicted.lifetime)
+    np.testing.assert_allclose(found, lifetime, rtol=1e-5)
+    if np.isfinite(lifetime):
+        first, second = times = 1e3 * found * np.array([1.0, 10.0])
+        one, other = 1 / np.asarray(predicted.history(times).momentum) ** 2
+        assert (second * one - first * other) / (other - one) == _approx(found, rel=1e-8)
+
+
+@pytest.mark.parametrize(("axis", "half"), [(2, 1.21945973388e35), (0, None)])
+def test_the_half_time_of_residual_rotation_is_the_limit_of_its_neighbours(axis, half):
+    body = dt.Body(np.diag([0.7, 0.9, 1.2]), np.eye(3)[axis])
+    start = 1e-18 * np.eye(3)[axis]
+    limit = float(dt.predict(body, start).half_time)
+    assert half is None or limit == _approx(half, rel=1e-11)
+    for tilt, error in ((1e-6, 1e-10), (1e-2, 1e-3)):
+        near = dt.predict(body, start + 1e-18 * tilt * np.eye(3)[1])
+        assert float(near.half_time) == _approx(limit, rel=error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delta", [0.5, -0.4])
+def test_the_half_time_next_to_a_residual_line_is_that_of_its_linear_law(delta):
+    times = [
+        float(dt.predict(dt.axisymmetric(delta), [1e-9, tilt * 1e-9, 0.0]).half_time)
+        for tilt in (1e-8, 1e-5, 1e-2)
+    ]
+    assert times[1] == _approx(times[0], rel=1e-6)
+    assert times[2] == _approx(times[0], rel=1e-3)
+    assert np.isfinite(float(dt.predict(dt.axisymmetric(delta), [1e-9, 0.0, 0.0]).half_time))
+
+
+@pytest.mark.slow
+def test_a_fast_disc_is_handed_over_where_averages_hold():
+    """The energies are those of another integrator, up to τ = 1e5."""
+    body = dt.Body(np.diag([1.0, 1.0, 1.5335039255357503]), [1.0, 0.0, 0.0])
+    start = [-0.0050193098300037944, -0.0544049256197575, 0.01257499866423123]
+    predicted = dt.predict(body, start)
+    assert (predicted.outcome, predicted.regime) == (dt.Outcome.STOP, dt.Regime.RESOLVED)
+    energy = predicted.history([1e3, 3e3, 1e4, 1e5, 1e8]).energy
+    expected = [3.688414051e-4, 1.523209980e-4, 5.002409757e-5, 5.16918e-6]
+    off = np.abs(np.asarray(energy[:4]) / expected - 1)
+    assert np.all(off < float(predicted.error))
+    assert off[0] < 1e-7
+    assert 0 < energy[4] < 1e-8
+
+
+@pytest.mark.slow
+def test_a_disc_of_known_phase_goes_on_by_the_slow_flow():
+    start = [1e-4, -9.95e-4, 4e-6]
+    predicted = dt.predict(dt.axisymmetric(-0.3), start)
+    assert (predicted.outcome, predicted.regime) == (dt.Outcome.STOP, dt.Regime.UNFOLDED)
+    times = np.array([0.0, 1.0, 10.0, 100.0]) * float(predicted.half_time)
+    run = dt.simulate(dt.TransverseSemi(-0.3), start, times, max_steps=200_000)
+    off = np.abs(np.asarray(predicted.history(times[1:]).energy) / run.energy[1:] - 1)
+    assert np.all(off < [1e-5, 0.02, 0.02])  # the run oscillates about its averages
+    assert np.all(np.isfinite(np.asarray(predicted.history([1e3 * times[-1]]).energy)))
+
+
 @pytest.mark.slow
 def test_the_late_law_of_a_fast_rotation_counts_from_its_start():
     """The dipole 0.05 off the axis of J₃: 1/L² grows as t + lifetime."""
@@ -338,7 +409,7 @@ def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
 
 @pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
-    monkeypatch.setattr("dipoletop._averaging.motion.MAX_STEPS", 5)
+    monkeypatch.setattr("dipoletop._averaging.motion.MOST_PANELS", 5)
     variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])
     anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, False))
     predicted = anew(variables, ONE)

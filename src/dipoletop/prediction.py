@@ -92,7 +92,8 @@ class Prediction(eqx.Module):
             capture by chance begins earlier, and if capture from a known phase is traced.
         radiated_energy: E₀ − E∞.
         lifetime: the time scale of the late law L² = L²ₚ/(1 + t/lifetime); infinite for residual
-            rotation, NaN if chance decides, a stop is UNFOLDED, or a RESOLVED one has no plateau.
+            rotation, NaN if chance decides, if a stop is UNFOLDED, or if no such law holds because
+            L falls before the shape of the motion has come to its last value.
         regime: a member of `Regime`, the law that decided.
         error: estimated relative error of `ratio` and of the times; 0.5 if starts within the error
             have other ends, which then share the probability.
@@ -122,8 +123,9 @@ class Prediction(eqx.Module):
         Returns:
             A `History`, each field of shape (T,). NaN for a needle after its capture begins, if
             chance decides it. For an UNFOLDED rotation with a known phase the values are not
-            averaged, and NaN long after a stop has become certain. E and |L| of a RESOLVED
-            rotation are not averaged while it is integrated.
+            averaged until it turns fast about its symmetry axis, and NaN long after a stop by
+            tumbling has become certain. E and |L| of a RESOLVED rotation are not averaged while it
+            is integrated.
 
         Raises:
             ValueError: times that are not positive and finite.

@@ -161,6 +161,7 @@ def test_derivative_is_that_of_differences():
     np.testing.assert_allclose(slopes, secants, atol=1e-2)
 
 
-def test_too_round_and_too_thin_tops_are_not_known():
-    found = captures(jnp.array([-0.2, 0.0, 0.001, 0.999, jnp.nan]))
+@pytest.mark.slow
+def test_tops_that_are_no_needles_have_no_distribution():
+    found = captures(jnp.array([-0.2, 0.0, 1.0, jnp.nan]))
     assert all(np.all(np.isnan(field)) for field in found)

@@ -27,6 +27,8 @@ the square root of the distance in N from either end. With N = N₁ + P sin²(π
 and a polynomial through few values of s gives its distribution.
 """
 
+import functools
+import math
 from typing import Any, NamedTuple
 
 import diffrax
@@ -43,7 +45,16 @@ from .._base.types import Outcome, Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
 
-SMALLEST, LARGEST = 0.005, 0.995  # δ; beyond, the number of steps grows like 1/δ or 1/(1 − δ)
+SMALLEST, LARGEST = 0.005, 0.995  # δ between which the distribution of X is computed
+NEARLY_SPHERICAL = 0.005, 0.0075, 0.01, 0.0125  # δ from which it is extrapolated towards 0
+ADIABATIC = 0.209594686555
+"""The limit of δ ln X for δ → 0.
+
+There Z = δz obeys φ_σ = −Z − S/2, Z_σ = −Z cos 2φ, S = sin 2φ, and C = S/Z − 2 ln Z is constant. It
+rises slowly, by (ln u)_C = −∫sin²φ dφ/(Z + S/2) / δ∫(3Z cos²φ + S)Z⁻² dφ over half a turn, to the
+separatrix, C = 2 ln 2 − 2. The limit is that of ½δ Δln u + ⅓ ln 2Z, from Z → ∞ to there.
+"""
+EXTRAPOLATED, INTERPOLATED, COMPUTED = 2e-3, 3e-5, 1e-6  # errors of X
 ENTRY = 24.0  # q/(1 + |a|) where the expansion takes over; its error is then below 1e-6
 NEAR = 1e-8  # distance from a saddle at which its stable manifold is straight
 AMPLITUDE = 1e-6  # ω⊥ at which the semi-reduced regions coincide with the regions of the plane
@@ -68,6 +79,8 @@ class Capture(NamedTuple):
     """The logarithm of the mean of X over residual rotations."""
     log_table: Float[Array, "*any k"]
     """ln X in k equally probable parts of the residual rotations, ascending."""
+    error: Real | float = 0.0
+    """The estimated relative error of X."""
 
     def log_quantiles(self, levels: Any = LEVELS) -> Float[Array, "l"]:
         """Return the logarithms of the quantiles of X over residual rotations."""
@@ -116,12 +129,20 @@ class Settled(NamedTuple):
 
 
 def capture(delta: Scalar) -> Capture:
-    """Compute the distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
+    """Return the distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
+
+    It is computed for 0.005 ≤ δ ≤ 0.995. Beyond, the number of steps would grow like 1/δ or
+    1/(1 − δ). For δ → 0 a needle is captured adiabatically, and
+
+        ln X = A/δ + B ln δ + C + Dδ ln δ + Eδ + …
+
+    with A = `ADIABATIC` and B … E from four computed values. For δ → 1, ln X + (ε/3δ) ln ε,
+    ε = 1 − δ, is linear in ε up to its limit (`_of_rods`).
 
     May be jitted, vmapped, and differentiated forwards.
 
     Args:
-        delta: δ in [0.005, 0.995]; NaN outside.
+        delta: δ between 0 and 1; NaN outside.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -130,15 +151,40 @@ def capture(delta: Scalar) -> Capture:
         >>> f"{needle.residual:.4f} {jnp.exp(needle.log_mean):.4f}"
         '0.8260 0.8845'
     """
-    inside = (delta >= SMALLEST) & (delta <= LARGEST)
+    inside, low, high = (delta > 0) & (delta < 1), delta < SMALLEST, delta > LARGEST
     delta = jnp.where(inside, delta, 0.5)
+    small = np.asarray(NEARLY_SPHERICAL)
+    points = jnp.where(low, small, jnp.minimum(delta, LARGEST))
+
+    def add(number: Any, found: Float[Array, "4 n"]) -> Float[Array, "4 n"]:
+        return found.at[number].set(_computed(points[number]))
+
+    count = jnp.where(low, small.size, 1)
+    found = jax.lax.fori_loop(0, count, add, jnp.zeros((small.size, 2 + PARTS), delta.dtype))
+    first = found[0]
+    share = (1 - delta) / (1 - LARGEST)
+    is_log = np.where(np.arange(2 + PARTS) > 0, 1.0, 0.0)  # not the probability
+    stretch = is_log * _stretch(delta)
+    rod = _of_rods() + share * (first + is_log * _stretch(LARGEST) - _of_rods()) - stretch
+    factors = np.linalg.inv(_powers(small, np)) @ (found - ADIABATIC / small[:, None])
+    sphere = _powers(delta, jnp) @ factors + ADIABATIC / delta
+    residual, log_mean, *_ = values = jnp.where(low, sphere, jnp.where(high, rod, first))
+    residual = jnp.where(low, 1.0, residual)
+    # The part of X that is extrapolated or interpolated is far larger than the rest of its error.
+    error = jnp.where(low, EXTRAPOLATED, jnp.where(high, INTERPOLATED, COMPUTED))
+    residual, log_mean, table = (or_nan(x, inside) for x in (residual, log_mean, values[2:]))
+    return Capture(residual, log_mean, table, or_nan(error, inside))
+
+
+def _computed(delta: Scalar) -> Float[Array, "n"]:
+    """Compute the probability of residual rotation, ln X of the mean, and ln X in `PARTS` parts."""
     expansion = Expansion(-1.5 * delta / (1 - delta))
     first, residual = _residual_turns(delta, expansion)
     s = jnp.asarray(collocation_rule(NODES).nodes)
     q = expansion.q(first + residual * jnp.sin(jnp.pi * s[1:-1] / 2) ** 2)
     ends = jax.vmap(lambda q: settle(delta, jnp.zeros_like(q), q / (2 * delta)))(q)
     log_x = ends.log_ratio - expansion.log_w(q)
-    log_x = or_nan(log_x, inside & jnp.all(ends.residual))
+    log_x = or_nan(log_x, jnp.all(ends.residual))
     largest = jnp.max(log_x)
     values = jnp.pad(jnp.exp(log_x - largest), 1)
     coefficients = collocation_rule(NODES).coefficients @ values
@@ -151,8 +197,40 @@ def capture(delta: Scalar) -> Capture:
     # X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
     # parts have this derivative; single values in the parts do not.
     sums = jnp.interp(np.arange(PARTS + 1) / PARTS, running_sums(part), running_sums(part * x))
-    table = jnp.log(PARTS * jnp.diff(sums))
-    return Capture(or_nan(residual, inside), largest + jnp.log(sums[-1]), largest + table)
+    table = largest + jnp.log(PARTS * jnp.diff(sums))
+    return jnp.concatenate([jnp.stack([residual, largest + jnp.log(sums[-1])]), table])
+
+
+def _powers(delta: Any, xp: Any) -> Any:
+    """Return ln δ, 1, δ ln δ and δ, on the last axis."""
+    log = xp.log(delta)
+    return xp.stack([log, xp.ones_like(log), delta * log, delta], axis=-1)
+
+
+def _stretch(delta: Any) -> Any:
+    """Return (ε/3δ) ln ε, ε = 1 − δ: z then counts in units of 1/ε."""
+    return (1 - delta) / (3 * delta) * jnp.log1p(-delta)
+
+
+@functools.cache
+def _of_rods() -> np.ndarray:
+    """Return the values of `_computed` for δ → 1.
+
+    With ẑ = εz and dσ′ = dσ/ε the plane tends to φ′ = −ẑ, ẑ′ = −3ẑ cos²φ. So ẑ falls by (3/2)π
+    each half turn, and where it has come to 0, φ has a density of cos²φ. Then z is the slow
+    −sin 2φ/(3 cos²φ), and u(3 cos²φ − 2) is constant: X² = 3 cos²φ − 2 if that is positive.
+    """
+    edge = math.acos(math.sqrt(2 / 3))
+    phi = edge * (1 - _middles(FINE) ** 2)  # dense where X vanishes; X rises
+    weights = np.cos(phi) ** 2 * _middles(FINE)
+    weights, x = weights / np.sum(weights), np.sqrt(3 * np.cos(phi) ** 2 - 2)
+    sums = np.interp(np.arange(PARTS + 1) / PARTS, _sums(weights), _sums(weights * x))
+    residual = (edge + math.sin(2 * edge) / 2) / (math.pi / 2)
+    return np.concatenate([[residual, np.log(sums[-1])], np.log(PARTS * np.diff(sums))])
+
+
+def _sums(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(values)])
 
 
 def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
@@ -163,7 +241,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
     followed in the plane instead, from its own phase; so is one with ω₃ = 0.
 
     Args:
-        delta: δ in [0.005, 0.995]; NaN outside.
+        delta: δ between 0 and 1; NaN outside.
         omega0: ω₀, not 0, of any small size: it enters by logarithms.
         chance: the `capture` of this δ.
     """
@@ -174,7 +252,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
     log_perp, log_w3 = jnp.log(flat), jnp.log(jnp.where(w3 == 0, 1.0, jnp.abs(w3)))
     log_all = jnp.logaddexp(2 * log_perp, jnp.where(w3 == 0, -jnp.inf, 2 * log_w3)) / 2
     log_z = log_w3 - 2 * log_perp
-    d = jnp.where((delta >= SMALLEST) & (delta <= LARGEST), delta, 0.5)
+    d = jnp.where((delta > 0) & (delta < 1), delta, 0.5)
     log_entry = jnp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
     random = (w3 != 0) & (log_z > log_entry) & ~symmetry_axis
     stops = symmetry_axis | across
@@ -196,7 +274,10 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
         return jnp.where(random, chance + log_scale, jnp.full_like(chance, log_ratio))
 
     distribution = Capture(
-        or_nan(residual, ~lost), either(chance.log_mean), either(chance.log_table)
+        or_nan(residual, ~lost),
+        either(chance.log_mean),
+        either(chance.log_table),
+        jnp.where(random, chance.error, COMPUTED),
     )
     return TopEnd(
         or_nan(residual * along, ~lost),

@@ -8,14 +8,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import root
+from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
-from .motion import HALVINGS, Point, SlowMotion, Stage
+from .motion import HALVINGS, RTOL, Point, SlowMotion, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 
@@ -32,6 +34,13 @@ ENDS = (
 """The ends of a motion: residual rotation along and against the dipole; a stop in pure spin about
 the principal axis of J₁ (the smallest), J₂, J₃; a stop while tumbling, with h below or above 1/J₂;
 a stop while oscillating about the middle axis of a needle."""
+
+EPS = float(np.finfo(float).eps)
+EXCESS = 1e-8
+"""(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
+REACH = 15.0
+"""|y| from which r − r* counts as exp(−|y|): exp(−15) and the errors of the quadrature, which grow
+as 1/L², then matter alike."""
 
 
 class SlowEnd(NamedTuple):
@@ -53,9 +62,11 @@ class SlowEnd(NamedTuple):
     """The moment about the axis of the last rotation, if it is a pure spin."""
     decay: Real
     """The rate of the law L² = L²ₚ/(1 + decay t) at late times; 0 if the rotation is residual, NaN
-    if chance decides that."""
+    if chance decides that, or if no such law has the right t = 0."""
     known_phase: Bool[Array, ""] | bool = False
     """Whether the body is captured at once, from its own phase, so that nothing is averaged."""
+    error: Real | float = 0.0
+    """The estimated relative error of the times beyond that of the averages."""
 
 
 def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
@@ -64,21 +75,59 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     limit = stage.limit
     r, _ = stage.interval.side.rates(limit.x, limit.rest)
     axis = jnp.where(motion.ends_high, 0, 2)
-    spins = (stage.knots[stage.last] < 0) & ~limit.is_zero
+    spins = ~stage.rises & ~limit.is_zero
     residual = spins & (r == 0)
     end = stage.end
     log = jnp.where(residual, end.log, -jnp.inf)
     last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
     energy = energies(motion.stage(0))[0]
+    decay, error = late_decay(stage, r)
+    error += motion.error
+    # The excess is a difference of energies, unless it is so small that it decays exponentially.
+    excess = (energy - last_energy) / energy
+    short = residual & (excess < EXCESS)
+    error += jnp.where(residual & ~short, EPS / safe_divisor(excess), 0.0)
+    half_time = jnp.where(
+        short,
+        _half_time_of_neighbours(rotation, axis),
+        time_at(motion, (energy + last_energy) / 2),
+    )
     return SlowEnd(
         slow_probability(rotation, motion.crosses, motion.ends_high, spins),
         *_certain(log / 2),
         energy,
         last_energy,
-        time_at(motion, (energy + last_energy) / 2),
+        half_time,
         rotation.moments[axis],
-        r * jnp.exp(end.log + r * end.s),
+        decay,
+        error=error,
     )
+
+
+def late_decay(stage: Stage, last: Real) -> tuple[Real, Real]:
+    """Return the rate of the law L² = L²ₚ/(1 + rate t) of the last stage, and its relative error.
+
+    With the last r = r*, 1/L² − r*t tends to L²ₚ⁻¹ = L⁻²(1 − r*u) + ∫(r − r*)ds/L² from any point.
+    Near the end r − r* falls as exp(−|y|), and 1/L² grows as exp(ρ|y|), ρ = r*|ds/dy|. So the
+    limit exists for ρ < 1 only: otherwise L falls before h has come to its last value.
+
+    Args:
+        stage: the stage in which a motion ends.
+        last: r*.
+    """
+    first = stage.knots[0]
+    y = jnp.where(stage.rises, jnp.maximum(first, REACH), jnp.minimum(first, -REACH))
+    state = stage.state_at(y)
+    pace, r = stage.interval.pace(y)
+    pace = jnp.abs(pace)
+    exists = last * pace < 1
+    rest = (r - last) * pace / jnp.where(exists, 1 - last * pace, 1.0)
+    share = 1 - last * state.u + rest
+    exists &= share > 0
+    share = jnp.where(exists, share, 1.0)
+    error = (RTOL + jnp.abs(rest) * jnp.exp(-REACH)) / share
+    rate = jnp.where(exists, last * jnp.exp(state.log) / share, jnp.nan)
+    return jnp.where(last == 0, 0.0, rate), jnp.where((last == 0) | ~exists, 0.0, error)
 
 
 def slow_probability(
@@ -112,8 +161,20 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     energy = 1 / (2 * moment)
     log_ratio = jnp.where(residual, 0.0, -jnp.inf)
     last_energy = jnp.where(residual, energy, 0.0)
-    half_time = jnp.where(residual, 0.0, 1 / safe_divisor(r))
+    half_time = jnp.where(residual, _half_time_of_neighbours(rotation, axis), 1 / safe_divisor(r))
     return SlowEnd(probability, *_certain(log_ratio), energy, last_energy, half_time, moment, r)
+
+
+def _half_time_of_neighbours(rotation: FreeRotation, axis: Int[Array, ""]) -> Real:
+    """Return the limit of the half time of starts next to residual rotation about an axis.
+
+    E − E∞ is in proportion to x = (h − c)/Db, which falls as exp(F(0)t). NaN about the middle
+    axis, which the neighbours leave.
+    """
+    apart = rotation.replaced_where(rotation.is_sphere)
+    _, growth = apart.side(axis == 0).rates(jnp.zeros_like(apart.moments[0]), jnp.ones(()))
+    attracts = (axis != 1) & (growth < 0)
+    return or_nan(np.log(2) / jnp.where(attracts, -growth, 1.0), attracts)
 
 
 def sphere_end(rotation: FreeRotation) -> SlowEnd:
@@ -171,6 +232,7 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
         rotation.moments[2],
         jnp.where(residual == 1, 0.0, jnp.nan),
         ~end.random,
+        end.capture.error,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, or_nan
-from .._base.compiling import compiled_soon
+from .._base.compiling import compiled_soon, with_special_numbers
 from .._base.forward_mode import forward_differentiable
 from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
@@ -132,7 +132,7 @@ def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Flo
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
     averaging = estimated_error(apart, largest_loss(motion), units.weakness)
     error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error + end.error
     values = or_nan(_numbers(end, units, error), ~motion.failed | is_sphere | is_spin)
     return values.at[-2].set(regime_of(rotation).astype(float))
 
@@ -172,6 +172,7 @@ def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
     return jnp.where(rotation.is_sphere, Regime.EXACT, regime).astype(int)
 
 
+@with_special_numbers
 def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
     """Return the forecast by the slow flow or by the unfolded system, whose error is smaller.
 

@@ -109,8 +109,39 @@ def averages(
             growth -= p[other] ** 2 * variance[other]
         return r, growth
 
-    r, growth = zip(*(of_dipole(axis) for axis in range(3)), strict=True)
-    return jnp.stack(r), jnp.stack(growth)
+    r, growth = map(jnp.stack, zip(*(of_dipole(axis) for axis in range(3)), strict=True))
+    exact_r, exact_growth = _averages_of_top(moments, x, rest)
+    is_top = moments[0] == moments[1]
+    return jnp.where(is_top, _valued(exact_r, r), r), jnp.where(
+        is_top, _valued(exact_growth, growth), growth
+    )
+
+
+def _valued(exact: Array, value: Array) -> Array:
+    """Return exact numbers with the derivatives of others, where these are finite."""
+    value = jnp.where(jnp.isfinite(value), value, 0.0)
+    return exact + (value - jax.lax.stop_gradient(value))
+
+
+def _averages_of_top(
+    moments: Float[Array, "3 *#lanes"], x: Real, rest: Real
+) -> tuple[Float[Array, "3 *#lanes"], Float[Array, "3 *#lanes"]]:
+    """Return `averages` for J_a = J_b, where L moves round the symmetry axis c on a circle.
+
+    With ζ = J_c/J_a = 1 − δ (4.13)–(4.14) give, for a dipole across the axis,
+
+        r = a³x²/2 + (3/2)ac²x(1 − x) + c³(1 − x)²,
+        F = a³(1 − x){(1 + 2δ)x + (1 + δ³)(1 − x)/ζ²}/(2ζ),
+
+    whose zero is found to rounding of the moments, however near it is to an end.
+    """
+    a, c = 1 / moments[0], 1 / moments[2]
+    zeta = moments[2] / moments[0]
+    delta = 1 - zeta
+    cubic = (2 - zeta) * (zeta + delta**2)  # 1 + δ³
+    r = a**3 * x**2 / 2 + 1.5 * a * c**2 * x * rest + c**3 * rest**2
+    growth = a**3 * rest * ((3 - 2 * zeta) * x + cubic * rest / zeta**2) / (2 * zeta)
+    return jnp.stack([r, r, a**3 * x]), jnp.stack([growth, growth, -(a**3) * rest])
 
 
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:

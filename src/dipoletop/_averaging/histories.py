@@ -1,20 +1,24 @@
 """The motion of a body at given times, by the law that predicts its end."""
 
+from collections.abc import Callable
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
 from .._base.checks import concrete, or_nan
-from .._base.compiling import compiled_soon
+from .._base.compiling import compiled_soon, with_special_numbers
 from .._base.guards import safe_divisor
 from .._base.types import Real, Regime
 from .ends import shape, turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS
+from .principal_axes import FreeRotation
 from .unfolded_ends import orbit_of
-from .unfolding import entry_of, top_of
+from .unfolding import PlanarMotion, entry_of, top_of
 
 FEWEST = 8  # the smallest number of times for which a program is compiled
 
@@ -22,6 +26,7 @@ Values = tuple[Float[Array, "T"], ...]
 """E, |L|, h and √⟨Ω²⟩ at given times."""
 
 
+@with_special_numbers
 def best_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
 ) -> Values:
@@ -41,8 +46,14 @@ def best_history(
             slow = history_at(variables, constants)
             values = tuple(jnp.where(captured, jnp.nan, x) for x in slow)
         else:
-            values = orbit_history(variables, constants, 2 * place)
+            early = orbit_history(variables, constants, 2 * place)
+            late = turning_history(variables, constants, 2 * place)
+            values = tuple(map(_filled, early, late))
     return tuple(x[:size] for x in values)
+
+
+def _filled(first: Float[Array, "T"], second: Float[Array, "T"]) -> Float[Array, "T"]:
+    return jnp.where(jnp.isnan(first), second, first)
 
 
 @compiled_soon
@@ -52,15 +63,7 @@ def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) 
     rotation, units = scaled_rotation(variables, strength)
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
-    motion = slow_motion(apart)
-
-    def slow(time: Real) -> Float[Array, "3"]:
-        point = motion.at(jnp.log(time))
-        side = apart.side(point.high)
-        h = shape(side, point.x, point.rest)
-        values = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
-        captured = apart.is_needle & ~turns_fast(apart, point, units.weakness)
-        return or_nan(values, ~captured & ~motion.failed)
+    slow = _slow_values(apart, units.weakness)
 
     def spinning(time: Real) -> Float[Array, "3"]:
         moment = rotation.moments[axis]
@@ -81,6 +84,21 @@ def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) 
         jnp.where(is_spin, jax.vmap(spinning)(scaled), jax.vmap(slow)(scaled)),
     ).T
     return in_units(units, log, h, squared)
+
+
+def _slow_values(rotation: FreeRotation, weakness: Real) -> Callable[[Real], Float[Array, "3"]]:
+    """Return a function from times to ln L²/L₀², h and ⟨Ω²⟩/L² of the slow flow."""
+    motion = slow_motion(rotation)
+
+    def values(time: Real) -> Float[Array, "3"]:
+        point = motion.at(jnp.log(time))
+        side = rotation.side(point.high)
+        h = shape(side, point.x, point.rest)
+        found = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
+        captured = rotation.is_needle & ~turns_fast(rotation, point, weakness)
+        return or_nan(found, ~captured & ~motion.failed)
+
+    return values
 
 
 def in_units(units: Units, log: Real, h: Real, squared: Real) -> tuple[Real, ...]:
@@ -133,3 +151,37 @@ def orbit_history(
         2 * energy / momentum**2 / units.moment,
         speed * flat * unit,
     )
+
+
+@compiled_soon
+def turning_history(
+    variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
+) -> Values:
+    """Return the history of a disc after it has begun to turn fast about its symmetry axis.
+
+    The slow flow begins where φ is a multiple of π for the last time: there a motion does not
+    oscillate about its averages (`capture`). NaN at earlier times, and for other motions.
+    """
+    times, strength = constants
+    rotation, units = scaled_rotation(variables, strength)
+    top = top_of(rotation, axial, units.weakness)
+    orbit = orbit_of(top)
+    last, _ = orbit.at(orbit.last)
+    turns = (top.delta < 0) & PlanarMotion(top.delta, top.ratio).turns(last)
+    heading = -jnp.sign(top.delta * last[1])
+    target = heading * jnp.pi * jnp.floor(heading * last[0] / jnp.pi)
+    turn = 1.5 * jnp.pi / jnp.maximum(jnp.abs(top.delta * last[1]), 1.0)
+    before = jnp.maximum(orbit.last - turn, 0.0)
+    sigma = root(lambda s: heading * (orbit.at(s)[0][0] - target), before, orbit.last, HALVINGS)
+    state, u_time = orbit.at(sigma)
+    flat = jnp.hypot(top.omega[0], top.omega[1])
+    omega = top.omega_at(state, top.log_u) * flat
+    momentum = top.frame.T @ (top.moments * omega) * top.moment
+    size = jnp.linalg.norm(momentum)
+    handed = eqx.tree_at(lambda each: each.momentum, rotation, momentum / size)
+    handed = handed.replaced_where(~turns)
+    later = times / units.time - u_time * jnp.exp(-state[2]) * orbit.unit
+    slow = _slow_values(handed, units.weakness * size)
+    found = jax.vmap(slow)(jnp.maximum(later, 1e-300) * size**2)
+    log, h, squared = or_nan(found, (turns & (later >= 0))[:, None]).T
+    return in_units(units, log + 2 * jnp.log(size), h, squared)

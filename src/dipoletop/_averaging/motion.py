@@ -1,11 +1,12 @@
 """The slow motion in time: energy, angular momentum and h of a body that radiates weakly.
 
-A motion has one stage or two, before and after it crosses the separatrix. On each, s and ln L² are
-integrals over the parameter y of `slow_flow`. Time follows from dt = ds/(2κL²): the unknown
+A motion has one stage or two, before and after it crosses the separatrix. On each, ln L² is an
+integral over the parameter y of `slow_flow`. Time follows from dt = ds/(2κL²): the unknown
 u = 2κL²t obeys du/ds = 1 − ru and is bounded, so neither t nor L² can over- or underflow.
 
-An adaptive Runge–Kutta method chooses the knots in y and integrates from one to the next. Between
-two knots the integrands are polynomials through Chebyshev nodes (collocation).
+From one knot in y to the next, ln L² and u are polynomials through Chebyshev nodes (collocation).
+The knots are so near to each other that the last coefficients are negligible, or of the size of
+rounding.
 
 At the last y the motion has come to a zero x* of F or to an axis, and L² obeys dL²/dt = −2κr*L⁴
 exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* = 0. A body with two equal
@@ -14,7 +15,6 @@ moments that comes to its equator continues to approach it as a power of L².
 
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,24 +22,24 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
+from .._base.dense import solve_dense
 from .._base.guards import safe_divisor
-from .._base.integration import integrated
 from .._base.types import Real
-from .slow_flow import FARTHEST, SMALLEST, Bound, Interval, Side, interval_of
+from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
-RTOL = 1e-13  # of the quadratures
-MAX_STEPS = 1200
-FIRST_STEP = 0.01  # of y
+RTOL = 1e-13  # relative error of a panel
+ROUNDED = 1e-4  # error below which it may be that of rounding
+MOST_PANELS = 400
+FIRST_LENGTH = 0.5  # of a panel, in y
+SHORTEST = 1e-10
+LOWEST = -1500.0  # ln L²/L₀² at which t exceeds any floating-point number by far
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
-LATEST = 750.0  # ln t, larger than of any floating-point number
 
 
 class State(NamedTuple):
     """The integrals along y."""
 
-    s: Real
-    """∫2κL²dt."""
     log: Real
     """ln L²/L₀²."""
     u: Real
@@ -67,6 +67,8 @@ class Stage(eqx.Module):
     """The motion on one side of the separatrix."""
 
     interval: Interval
+    rises: Bool[Array, ""]
+    """Whether y grows."""
     knots: Float[Array, "K"]
     """Values of y, filled up with ∞."""
     states: State
@@ -74,18 +76,19 @@ class Stage(eqx.Module):
     last: Int[Array, ""]
     """The index of the last knot."""
     failed: Bool[Array, ""]
+    """Whether there are too many knots."""
+    error: Real
+    """The estimated error of ln L², relative to its change if that is large."""
 
     @property
     def limit(self) -> Bound:
         """The end of the interval to which the motion leads."""
-        rises = self.knots[self.last] > 0
-        ends = self.interval.low, self.interval.high
-        return jax.tree.map(lambda low, high: jnp.where(rises, high, low), *ends)
+        return self.interval.limit(self.rises)
 
     @property
     def reaches_separatrix(self) -> Bool[Array, ""]:
         """Whether it leads to the separatrix."""
-        return (self.knots[self.last] > 0) & ~self.interval.high.is_zero
+        return self.rises & ~self.interval.high.is_zero
 
     @property
     def end(self) -> State:
@@ -96,32 +99,40 @@ class Stage(eqx.Module):
         """Return the state at a knot."""
         return State(*(values[index] for values in self.states))
 
+    def state_at(self, y: Real) -> State:
+        """Return the state at a y between the first and the last knot."""
+        known = jnp.arange(self.knots.size) <= self.last
+        passed = jnp.where(self.rises, self.knots < y, self.knots > y)
+        piece = self.piece(jnp.sum(known & passed) - 1)
+        zero = jnp.zeros_like(y)
+        (first, _), (last, _) = piece.at(zero), piece.at(zero + 1)
+        part = (y - first) / jnp.where(first == last, 1.0, last - first)
+        return piece.at(jnp.clip(part, 0.0, 1.0))[1]
+
     def piece(self, index: Int[Array, ""]) -> Piece:
         """Return the motion after the knot of this index."""
-        index = jnp.clip(index, 0, jnp.maximum(self.last - 1, 0))
+        index = jnp.clip(index.astype(self.last.dtype), 0, jnp.maximum(self.last - 1, 0))
         first, start = self.knots[index], self.knot(index)
         length = jnp.where(self.last > 0, self.knots[index + 1] - first, 0.0)
-        rule = collocation_rule(NODES)
-        integrate = length * rule.integrals
-        y = first + length * rule.nodes
-        pace, r = jax.vmap(self.interval.pace)(y)
-        change = -integrate @ (r * pace)
-        u = (start.u + integrate @ (pace * jnp.exp(-change))) * jnp.exp(change)
-        values = y, start.s + integrate @ pace, start.log + change, u
-        y, *state = (jnp.asarray(rule.coefficients) @ x for x in values)
+        y, states, _ = panel(self.interval, first, length, start)
+        y, *state = (jnp.asarray(collocation_rule(NODES).coefficients) @ x for x in (y, *states))
         return Piece(y, State(*state))
 
 
-class FromFirstStep(diffrax.PIDController):
-    """The usual controller, which begins with `FIRST_STEP`.
+class _Progress(NamedTuple):
+    """The stage so far, and the next panel to try."""
 
-    A first step among the arguments of `diffeqsolve` is checked by a callback to Python, and JAX
-    does not keep a program with a callback in its cache on disk.
-    """
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order: Any):
-        """Return the first step and the initial state of the controller (diffrax's interface)."""
-        return super().init(terms, t0, t1, y0, FIRST_STEP, args, func, error_order)
+    knots: Float[Array, "K"]
+    states: State
+    last: Int[Array, ""]
+    length: Real
+    """The length of the next panel."""
+    before: Real
+    """The error of the panel that was refused before it, else ∞."""
+    rounding: Real
+    """The error of the panel before it, if that came from rounding, else 0."""
+    error: Real
+    """The sum of the errors of all panels."""
 
 
 def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
@@ -129,26 +140,83 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
     interval = interval_of(side, z)
     start = interval.parameter(z)
     pace, _ = interval.pace(start)
-    end = jnp.where(pace > 0, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
+    rises = pace > 0
+    end = jnp.where(rises, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
+    end = jnp.where(moves, end, start)
+    # On the way to a stop there is no need to go on when t exceeds any number.
+    stops_there = interval.limit(rises).is_zero | ~rises | (side.moments[0] == side.moments[1])
 
-    def field(y: Any, state: Array, args: Any) -> Array:
-        pace, r = interval.pace(y)
-        _, log, u = state
-        # Where x comes to its end far more slowly than L² falls, u = 1/r makes the system stiff.
-        counts = log > jnp.log(jnp.maximum(u, SMALLEST)) - LATEST
-        return pace * jnp.stack([jnp.ones_like(r), -r, jnp.where(counts, 1 - r * u, 0.0)])
+    def ended(now: _Progress) -> Bool[Array, ""]:
+        return (now.knots[now.last] == end) | (stops_there & (now.states.log[now.last] < LOWEST))
 
-    solution = integrated(
-        field,
-        (start, jnp.where(moves, end, start)),
-        jnp.stack(initial),
-        FromFirstStep(RTOL, RTOL),
-        MAX_STEPS,
-        saveat=diffrax.SaveAt(t0=True, steps=True),
-    )
-    last = solution.stats["num_accepted_steps"]
-    failed = ~diffrax.is_successful(solution.result)
-    return Stage(interval, solution.ts, State(*solution.ys.T), last, failed)
+    def unfinished(now: _Progress) -> Bool[Array, ""]:
+        return ~ended(now) & (now.last < MOST_PANELS)
+
+    def advance(now: _Progress) -> _Progress:
+        first = now.knots[now.last]
+        ends_here = jnp.abs(end - first) <= now.length
+        length = jnp.where(ends_here, end - first, jnp.sign(end - first) * now.length)
+        here = State(*(values[now.last] for values in now.states))
+        _, states, error = panel(interval, first, length, here)
+        # Rounding leaves an error that does not fall with the length.
+        only_rounding = (error > now.before / 4) | (error < 4 * now.rounding)
+        only_rounding &= (error > RTOL) & (error < ROUNDED)
+        accepted = (error <= RTOL) | only_rounding | (now.length < SHORTEST)
+        factor = 0.9 * (RTOL / jnp.maximum(error, 1e-30)) ** (1 / NODES)
+        factor = jnp.clip(factor, jnp.where(accepted, 1.1, 0.3), jnp.where(accepted, 2.0, 0.7))
+        factor = jnp.where(only_rounding, 2.0, factor)
+        place = jnp.where(accepted, now.last + 1, MOST_PANELS + 1)  # outside: nothing is set
+        knot = jnp.where(ends_here, end, first + length)
+        return _Progress(
+            now.knots.at[place].set(knot, mode="drop"),
+            State(
+                *(
+                    a.at[place].set(b[-1], mode="drop")
+                    for a, b in zip(now.states, states, strict=True)
+                )
+            ),
+            now.last + accepted.astype(now.last.dtype),
+            jnp.abs(jax.lax.stop_gradient(length * factor)),
+            jnp.where(accepted, jnp.inf, error),
+            jnp.where(only_rounding, error, jnp.where(accepted, 0.0, now.rounding)),
+            now.error + jnp.where(accepted, error, 0.0),
+        )
+
+    zero, infinite = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
+    knots = jnp.full(MOST_PANELS + 1, jnp.inf, start.dtype).at[0].set(start)
+    states = State(*(jnp.full_like(knots, jnp.inf).at[0].set(value) for value in initial))
+    count = jnp.zeros((), int)
+    begun = _Progress(knots, states, count, zero + FIRST_LENGTH, infinite, zero, zero)
+    done = jax.lax.while_loop(unfinished, advance, begun)
+    return Stage(interval, rises, done.knots, done.states, done.last, ~ended(done), done.error)
+
+
+def panel(
+    interval: Interval, first: Real, length: Real, start: State
+) -> tuple[Float[Array, "n"], State, Real]:
+    """Return y and the states at Chebyshev nodes behind a knot, and their relative error.
+
+    The error is that of polynomials, by their last two coefficients.
+    """
+    rule = collocation_rule(NODES)
+    y = first + length * rule.nodes
+    pace, r = jax.vmap(interval.pace)(y)
+    integrals, coefficients = jnp.asarray(rule.integrals), jnp.asarray(rule.coefficients)
+    pace = length * pace
+    fall = r * pace
+    log = start.log - integrals @ fall
+    # u = u₀ + ∫(1 − ru)ds, for (1 + |r ds|)u: ds may be large.
+    scale = 1 / (1 + jnp.abs(fall))
+    matrix = jnp.diag(scale) + integrals * (fall * scale)[None]
+    sides = start.u + integrals @ pace
+    u = scale * solve_dense(matrix, sides[:, None])[:, 0]
+
+    def tail(values: Float[Array, "n"]) -> Real:
+        return jnp.sum(jnp.abs(coefficients[-2:] @ values))
+
+    size = jnp.maximum(1.0, jnp.max(jnp.abs(log - start.log)))
+    error = jnp.maximum(tail(fall) / size, tail(u) / jnp.max(jnp.abs(u)))
+    return y, State(log, u), jax.lax.stop_gradient(error)
 
 
 class Point(NamedTuple):
@@ -184,8 +252,14 @@ class SlowMotion(eqx.Module):
 
     @property
     def failed(self) -> Bool[Array, ""]:
-        """Whether a quadrature ran out of steps."""
+        """Whether a quadrature has too many panels."""
         return jnp.any(self.stages.failed)
+
+    @property
+    def error(self) -> Real:
+        """The estimated error of ln L²."""
+        first, second = self.stages.error
+        return first + jnp.where(self.crosses, second, 0.0)
 
     def stage(self, index: Any) -> Stage:
         """Return the first or the second stage."""
@@ -198,13 +272,21 @@ class SlowMotion(eqx.Module):
         reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
         piece = stage.piece(jnp.searchsorted(reached, log_time) - 1)
         zero = jnp.zeros_like(log_time)
-        part = root(lambda part: piece.at(part)[1].log_time - log_time, zero, zero + 1, HALVINGS)
+
+        def late(part: Real) -> Real:  # by u = L²t, which is near 0 at first, and has rounding
+            state = piece.at(part)[1]
+            return state.u - jnp.exp(state.log + log_time)
+
+        part = root(late, zero, zero + 1, HALVINGS)
         y, state = piece.at(part)
         x, rest = stage.interval.position(y)
         limit = stage.limit
         r, _ = stage.interval.side.rates(limit.x, limit.rest)
         # After the last knot 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1), and dy = −d ln L²/(r ds/dy).
-        later = state.u * jnp.expm1(jnp.maximum(log_time - state.log_time, 0.0))
+        end = stage.end.log_time
+        later = jnp.where(
+            log_time > end, state.u * jnp.expm1(jnp.maximum(log_time - end, 0.0)), 0.0
+        )
         fall = -jnp.log1p(r * later)
         pace, _ = stage.interval.pace(y)
         farther = fall / safe_divisor(r * pace)
@@ -227,6 +309,6 @@ def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion
         return (side.other, jnp.full_like(z, FARTHEST), stage.end, arrives), (stage, arrives)
 
     zero = jnp.zeros_like(z)
-    carry = side, z, State(zero, zero, zero), jnp.asarray(True)
+    carry = side, z, State(zero, zero), jnp.asarray(True)
     _, (stages, arrives) = jax.lax.scan(next_stage, carry, jnp.arange(2))
     return SlowMotion(starts_high, stages, arrives[0])

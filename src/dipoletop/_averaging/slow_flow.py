@@ -138,6 +138,10 @@ class Interval(eqx.Module):
         """The length of the interval, x₊ − x₋."""
         return self._between(self.low, self.high)
 
+    def limit(self, rises: Bool[Array, ""]) -> Bound:
+        """Return the end to which a motion leads if x grows, or falls."""
+        return jax.tree.map(lambda low, high: jnp.where(rises, high, low), self.low, self.high)
+
     @staticmethod
     def _between(low: Any, high: Any) -> Real:
         return jnp.where(high.x < 0.5, high.x - low.x, low.rest - high.rest)

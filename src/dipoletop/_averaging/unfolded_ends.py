@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
+from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS, Settled, follow
@@ -28,6 +29,7 @@ TURNING = 2.0  # value of q above which no phase is captured
 SHIFT = 3.0  # distance of neighbours, in units of the error
 UNCERTAIN = 0.5  # the error where a neighbour ends in another way
 ORBIT_STEPS = 16_384
+ORBITS = 1e-9  # the error of orbits
 TIGHT = 1e-12  # the loss ln u that an orbit leaves out
 
 
@@ -72,7 +74,7 @@ def _sampling_error(logs: Float[Array, "n"]) -> Real:
 def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
     """Return the end of a start whose phase is known, and its relative error."""
     log_u = top.log_u
-    error = order_error(top, log_u)
+    error = order_error(top, log_u) + ORBITS
     start, ratio = top.start, top.ratio
     size = jnp.stack([jnp.ones_like(error), jnp.abs(start[1]) + 1, jnp.zeros_like(error)])
     plane = PlanarMotion(top.delta, ratio)
@@ -87,6 +89,9 @@ def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
     alike = alike & jnp.all(jnp.where(lanes.residual, lanes.along == lanes.along[0], True))
     spread = jnp.where(jnp.isfinite(logs), jnp.abs(logs - logs[0]), 0.0)
     error = jnp.where(alike, error + jnp.max(spread), UNCERTAIN)
+    # A disc comes to turn fast, where the neglected ω₃²/ω⊥² = z²u is largest.
+    _, z, fall = lanes.state[0]
+    error += jnp.where((top.delta < 0) & ~lanes.residual[0], z**2 * jnp.exp(log_u + fall), 0.0)
     error = jnp.where(jnp.all(lanes.residual | lanes.stops), error, jnp.inf)
     probability = jnp.where(alike, each[0], jnp.mean(each, axis=0))
     end = _end_of(rotation, top, probability, jnp.where(alike, logs[:1], logs))
@@ -111,7 +116,9 @@ def half_time_of(top: Top, last_part: Real) -> Real:
     zero = jnp.zeros_like(target)
     sigma = root(lost, zero, orbit.last, HALVINGS)
     state, u_time = orbit.at(sigma)
-    return jnp.where(lost(orbit.last) >= 0, u_time * jnp.exp(-state[2]) * orbit.unit, jnp.nan)
+    half = or_nan(u_time * jnp.exp(-state[2]), lost(orbit.last) >= 0)
+    near, linear = PlanarMotion(top.delta, top.ratio).half_life(top.start)
+    return jnp.where(near, linear, half) * orbit.unit
 
 
 class PlaneOrbit(eqx.Module):

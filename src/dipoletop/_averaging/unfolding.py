@@ -38,6 +38,7 @@ from .motion import HALVINGS, SlowMotion
 from .principal_axes import FreeRotation
 
 PHASES = 256  # phases that sample a random start
+EXCESS = 1e-6  # the loss ln u below which states next to the residual line obey its linear law
 NEAR = 1e-5  # the loss ln u at the residual line that is left to the linear law
 MAX_STEPS = 60_000
 FAST = 4.0  # q/√|η/u| above which a body rotates all the way round in spite of the asymmetry
@@ -138,6 +139,33 @@ class PlanarMotion(NamedTuple):
         det = (1 + d * self.asymmetry(y)) / (1 - d)
         square = det * phi**2 + ((1 + 2 * d) / (1 - d) * phi - d * z) ** 2
         return det, square * (1 - d) / (2 + d) / jnp.where(det > 0, det, 1.0)
+
+    def half_life(self, y: Float[Array, "n"]) -> tuple[Bool[Array, ""], Real]:
+        """Return whether a state is next to a stable residual line, and σ until its loss halves.
+
+        There x = (φ, z) obeys x′ = Lx, so that x(σ) = e^{mσ}{C x + S (L − m)x}, m = tr L/2,
+        C = cosh sσ, S = sinh(sσ)/s, s² = m² − det L. On the line itself the slower rate counts.
+        """
+        det, left = self.line(y)
+        m = -(2 + self.delta) / (1 - self.delta) / 2
+        square = m**2 - det
+        s = safe_sqrt(jnp.abs(square))
+        rate = -m - jnp.where(square > 0, s, 0.0)
+        near = (det > 0) & (left < EXCESS)
+        x = jnp.stack([y[0] - jnp.pi * jnp.round(y[0] / jnp.pi), y[1]])
+        moved = planar_rates(self.delta, 1 - self.asymmetry(y) / 2, x) - m * x
+
+        def excess(sigma: Real) -> Real:
+            up, down = jnp.exp((m + s) * sigma), jnp.exp((m - s) * sigma)
+            swing = jnp.exp(m * sigma) * jnp.cos(s * sigma), jnp.exp(m * sigma) * jnp.sin(s * sigma)
+            first = jnp.where(square > 0, (up + down) / 2, swing[0])
+            second = jnp.where(square > 0, (up - down) / 2, swing[1]) / safe_divisor(s)
+            at = first * x + jnp.where(s > 0, second, first * sigma) * moved
+            return left / 2 - self.line(jnp.append(at, y[2]))[1]
+
+        longest = 10 / jnp.where(near, rate, 1.0)
+        half = root(excess, jnp.zeros_like(rate), longest, HALVINGS)
+        return near, jnp.where(left == 0, np.log(2) / (2 * rate), half)
 
     def settles(self, y: Float[Array, "n"], loss: float = NEAR) -> Bool[Array, ""]:
         """Return whether the residual line attracts the state, and the remaining loss is small."""

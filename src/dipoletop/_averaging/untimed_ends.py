@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._base.compiling import with_special_numbers
 from .._base.types import Real
 from .capture import Capture, capture, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
@@ -44,6 +45,7 @@ class ManyEnds(NamedTuple):
     error: Any
 
 
+@with_special_numbers
 def ends_of_many(
     inertia: Float[np.ndarray, "N 3 3"],
     dipole: Float[np.ndarray, "N 3"],
@@ -121,7 +123,7 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> ManyE
     end = end_of_top(delta, omega, chance)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
-    error += rotation.error
+    error += rotation.error + end.capture.error
     return _untimed(rotation, units, (*needle_chances(rotation, end), rotation.moments[2]), error)
 
 

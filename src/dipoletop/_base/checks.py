@@ -30,9 +30,14 @@ def concrete(*values: Any) -> bool:
 
 
 def one_line(value: Any) -> str:
-    """Return a value as text on one line, cut if it is long."""
-    shown = " ".join(str(value).split())  # some values print over many lines
+    """Return a value as text on one line, cut if it is long, without control characters."""
+    shown = printable(" ".join(str(value).split()))  # some values print over many lines
     return shown[:LONGEST] + " …" if len(shown) > LONGEST else shown
+
+
+def printable(text: str) -> str:
+    """Return a text in which characters that control a terminal are written as escapes."""
+    return "".join(x if x.isprintable() else ascii(x)[1:-1] for x in text)
 
 
 def refusal(name: str, must: str, was: Any) -> str:
@@ -71,7 +76,9 @@ def names_of(name: str, value: Any) -> tuple[str, ...]:
     if isinstance(value, str):
         return (value,)
     must = "be a name or a sequence of names"
-    return tuple(instance(name, each, str, must) for each in instance(name, value, Iterable, must))
+    if not isinstance(value, Iterable) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        refuse(name, must, described(value))
+    return tuple(instance(name, each, str, must) for each in value)
 
 
 def without_unit(name: str, value: Any, unit: str | None) -> Any:

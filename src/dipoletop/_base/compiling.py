@@ -30,6 +30,20 @@ Not level 0: XLA's code for a derivative of a verdict was then wrong, 0 (jaxlib 
 """
 
 
+def with_special_numbers(function: Function) -> Function:
+    """Return the function, which JAX does not interrupt where it debugs NaN and inf.
+
+    Here both are values: of what is not known, or has no end.
+    """
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with jax.debug_nans(False), jax.debug_infs(False):
+            return function(*args, **kwargs)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
 def compiled_soon(function: Function) -> Function:
     """Return `eqx.filter_jit(function)`, compiled with `COMPILED_SOON` where that is allowed.
 
@@ -41,6 +55,7 @@ def compiled_soon(function: Function) -> Function:
     in_trace, on_host = jit(function), jit(function, compiler_options=COMPILED_SOON)
 
     @functools.wraps(function)
+    @with_special_numbers
     def call(*args: Any, **kwargs: Any) -> Any:
         if not _is_host_call(args, kwargs):
             return in_trace(*args, **kwargs)

@@ -9,6 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import jax
+import jax.numpy as jnp
 
 from .checks import refuse
 
@@ -91,6 +92,8 @@ class ParallelJobs(Generic[T]):
         self, task: Callable[[int, Device], T], jobs: Iterable[int], devices: Sequence[Device]
     ) -> None:
         self._task, self._jobs, self._workers = task, iter(jobs), len(devices)
+        # A thread does not inherit the context of the one that begins it.
+        self._is_64_bit = jnp.result_type(float) == jnp.float64
         self._idle = list(devices)
         self._pending: set[Future[tuple[int, T]]] = set()
 
@@ -133,7 +136,7 @@ class ParallelJobs(Generic[T]):
         device = self._idle.pop()  # `pop` and `append` of a list are atomic
         _busy.append(device)
         try:
-            with jax.default_device(device), as_worker():
+            with jax.enable_x64(self._is_64_bit), jax.default_device(device), as_worker():
                 return job, self._task(job, device)
         finally:
             _busy.remove(device)

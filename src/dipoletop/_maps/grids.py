@@ -1,6 +1,7 @@
 """The points of a sweep: a grid of named axes, listed points, or a random sample."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +19,8 @@ Draw = Callable[[Array], PointValues]
 """A function from a random key to one point."""
 BLOCK = 1 << 32  # starts of a sample that one number of 32 bits can index
 MOST_STARTS = BLOCK**2 // 2 - 1
+GENERATOR = "threefry2x32"
+"""The generator of random numbers, whatever the default of JAX is."""
 Numbers = ArrayLike | Sequence[Any] | Quantity
 """Numbers as an array, or as nested lists."""
 
@@ -237,7 +240,11 @@ class Sample:
 
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
         """Return the starts with these numbers, shape (n, 3), or a dict of arrays."""
-        key = jax.random.key(self.seed)
+        with jax.threefry_partitionable(True):  # a setting of the user may differ
+            return self._points(index)
+
+    def _points(self, index: Int[np.ndarray, "n"]) -> Any:
+        key = jax.random.key(self.seed, impl=GENERATOR)
         # A key takes 32 bits at once.
         high, low = (jnp.asarray(part, "uint32") for part in np.divmod(index, BLOCK))
 
@@ -263,15 +270,21 @@ def isotropic(amplitude: Numbers) -> Draw:
     bounds = np.atleast_1d(np.asarray(finite("amplitude", amplitude)))
     if len(bounds) not in (1, 2) or bounds[0] <= 0 or bounds[-1] < bounds[0]:
         refuse("amplitude", "be positive, or a pair 0 < least ≤ most", f"is {amplitude}")
-    low, high = np.log(bounds[0]), np.log(bounds[-1])
+    return _Isotropic(np.log(bounds[0]), np.log(bounds[-1]))
 
-    def draw(key: Array) -> Float[Array, "3"]:
+
+@dataclass(frozen=True)
+class _Isotropic:
+    """Isotropic starts with ln |ω₀| uniform between two numbers."""
+
+    low: float
+    high: float
+
+    def __call__(self, key: Array) -> Float[Array, "3"]:
         key_direction, key_size = jax.random.split(key)
         normal = jax.random.normal(key_direction, (3,), float)
         unit = normal / jnp.sqrt(jnp.sum(normal**2))
-        return jnp.exp(jax.random.uniform(key_size, (), float, low, high)) * unit
-
-    return draw
+        return jnp.exp(jax.random.uniform(key_size, (), float, self.low, self.high)) * unit
 
 
 def uniform_box(low: Numbers, high: Numbers) -> Draw:
@@ -280,8 +293,18 @@ def uniform_box(low: Numbers, high: Numbers) -> Draw:
     most = finite("high", high, (3,), batch=False)
     if bool(jnp.any(least > most)):
         refuse("low", "nowhere exceed `high`", f"is {low}")
+    return _InBox(np.asarray(least), np.asarray(most))
 
-    def draw(key: Array) -> Float[Array, "3"]:
-        return jax.random.uniform(key, (3,), float, least, most)
 
-    return draw
+@dataclass(frozen=True, eq=False)
+class _InBox:
+    """Starts uniform in a box."""
+
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+
+    def __call__(self, key: Array) -> Float[Array, "3"]:
+        return jax.random.uniform(key, (3,), float, self.low, self.high)
+
+    def __repr__(self) -> str:
+        return f"uniform_box({self.low.tolist()}, {self.high.tolist()})"

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._base.compiling import with_special_numbers
 from .._base.parallel import Device
 from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Limits, Queue
@@ -42,6 +43,7 @@ class RunOptions(NamedTuple):
     loosely: bool = True
 
 
+@with_special_numbers
 def classify_block(
     equation: Equation,
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],

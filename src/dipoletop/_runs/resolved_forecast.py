@@ -32,6 +32,7 @@ HANDOVER = 1e-2
 """The estimated error below which averages are trusted."""
 STRETCH = 0.5  # length of a stretch in units of 1/ω², about the time in which E falls
 STRETCHES = 400  # largest number of stretches
+UNFOLDED_STRETCHES = 16  # stretches for which other averages than the unfolded system are awaited
 SETTLED = 1e-9  # (E − E∞)/E₀ below which a residual rotation counts as constant
 POINTS, ROUNDS = 65, 3  # a search for a time narrows its bracket to POINTS**-ROUNDS
 
@@ -194,13 +195,22 @@ def _is_residual(run: Classification) -> bool:
 
 
 def _follow_stop(course: _Course) -> bool:
-    """Integrate a rotation that stops until averages hold and half of the energy is lost."""
+    """Integrate a rotation that stops until averages hold and half of the energy is lost.
+
+    The unfolded system neglects ω₃² beside ω⊥², which may grow later. So it is the last choice.
+    """
     half = course.energy(course.omegas[0]) / 2
+    passed = 0  # stretches that might have ended in the unfolded system
 
     def enough(omega: Vector) -> bool:
+        nonlocal passed
         if course.energy(omega) >= half:
             return False
-        return bool(course.averages().error < HANDOVER)
+        late = course.averages()
+        if not late.error < HANDOVER:
+            return False
+        passed += 1
+        return bool(late.regime != Regime.UNFOLDED) or passed > UNFOLDED_STRETCHES
 
     return course.follow(enough)
 
