@@ -24,6 +24,7 @@ import numpy as np
 from .._base.checks import one_line, refuse
 from .._base.digests import digest
 from .._base.parallel import as_worker
+from .._engines.processors import host_processor
 from .store.errors import StoreMismatch
 from .sweep_plan import Plan, plan_of
 from .sweep_stores import Store, ZarrStore
@@ -193,7 +194,7 @@ def job_of(plan: Plan, folder: Path) -> ClusterJob:
 
 def versions_here() -> dict[str, str]:
     """Return the versions of Python and of the libraries in this process."""
-    found = {"Python": platform.python_version()}
+    found = {"Python": platform.python_version(), "the processor": host_processor()}
     for name in LIBRARIES:
         try:
             found[name] = importlib.metadata.version(name)

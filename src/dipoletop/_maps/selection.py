@@ -38,6 +38,9 @@ def positions_of(parts: BasinParts, values: Mapping[str, Any], method: str | Non
     _check_dims(parts, values)
     sizes, positions = dict(zip(parts.dims, parts.shape, strict=True)), {}
     for name, wanted in values.items():
+        ends = (wanted.start, wanted.stop) if isinstance(wanted, slice) else wanted
+        if np.iscomplexobj(ends):  # xarray would drop the imaginary part
+            refuse(name, "be real values on that axis", f"is {wanted!r}")
         on_axis = parts.coords.get(name)
         if on_axis is not None and on_axis.ndim > 1:
             refuse(name, "be an axis of numbers (`isel` takes positions)", "is one of vectors")

@@ -16,6 +16,7 @@ from .._base.parallel import Device, worker_devices
 from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
 from .._base.types import Equation
 from .._engines.interface import Engine, Limits, power_of_two
+from .._engines.processors import kind_of
 from .._engines.select import select_engines
 from .._runs.blocks import RunOptions, classify_block
 from .._runs.classification import Value, stopping_rule
@@ -130,6 +131,7 @@ class Plan:
             "max_steps": given.max_steps,
             "value": given.value,
             "engine": self.engines[self.devices[0]].name,
+            "processor": kind_of(self.devices[0]),
             "slow_flow": given.slow_flow,
             **({"derivatives": derivatives} if derivatives else {}),
             **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),

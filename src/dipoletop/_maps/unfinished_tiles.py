@@ -4,6 +4,7 @@ import contextlib
 import functools
 import sys
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ from .sweep_plan import Plan
 from .sweep_stores import Store, ZarrStore
 
 POLL = 0.2  # seconds between checks for tiles that other processes have finished
+PATIENCE = 60.0  # seconds without a finished tile after which a warning names the claimed ones
 
 
 def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = None) -> None:
@@ -45,17 +47,33 @@ def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = 
             file=sys.stderr,
         )
         stack.enter_context(bar)
+        last, warned = time.monotonic(), False
         while waiting:
             for tile, counts in once(sorted(waiting)):
+                last, warned = time.monotonic(), False
                 if counts is not None:
                     totals += counts
                     bar.set_postfix_str(_shares(plan, totals), refresh=False)
                 bar.update(plan.tiling.length(tile))
                 waiting.discard(tile)
             if waiting:
+                if time.monotonic() - last > PATIENCE and not warned:
+                    warned = True
+                    _warn_of_claims(store, sorted(waiting))
                 time.sleep(POLL)
         if isinstance(store, ZarrStore) and client is not None:
             store.reopen()  # closing removes the files that killed workers left
+
+
+def _warn_of_claims(store: Store, tiles: Sequence[int]) -> None:
+    """Warn that this sweep waits for tiles that another process has claimed."""
+    shown = ", ".join(str(tile) for tile in tiles[:8]) + (", …" if len(tiles) > 8 else "")
+    where = f" of {store.tiles.folder}" if isinstance(store, ZarrStore) else ""
+    warnings.warn(
+        f"Waiting for tiles {shown}{where}, which another process has claimed, but has not written "
+        f"for {PATIENCE:g} s: it may be slow, or stopped. If it ends, they are computed here.",
+        stacklevel=4,
+    )
 
 
 def _shares(plan: Plan, totals: Int[np.ndarray, "outcomes"]) -> str:

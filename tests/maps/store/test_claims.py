@@ -13,7 +13,9 @@ import pytest
 from store_helpers import GRID, RECORDS, numbers, reduced
 
 import dipoletop as dt
+from dipoletop._maps import unfinished_tiles
 from dipoletop._maps.store.claims import Claims
+from dipoletop._maps.store.folders import LOCK
 from dipoletop._maps.store.tiles import Tiles
 from stored_files import files
 
@@ -106,13 +108,31 @@ def test_the_tiles_of_a_killed_process_are_computed_by_the_other(tmp_path, undis
 
 
 def test_a_hidden_folder_of_a_dead_process_is_removed(tmp_path):
-    """Of one that was making a store."""
+    """Of one that was making a store. The number of a process says nothing of another container."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     hidden = tmp_path / f".dipoletop-{os.uname().nodename[:60]}-{gone.pid}-abc"
-    hidden.mkdir()
-    dt.sweep(reduced, dt.Grid(w3=0.2, phi=0.1), store=tmp_path / "another.zarr")
+    alive = hidden.with_name(hidden.name + "d")
+    for folder in (hidden, alive):
+        folder.mkdir()
+        (folder / LOCK).touch()
+    code = f"import fcntl; f = open({str(alive / LOCK)!r}, 'r+b'); fcntl.flock(f, fcntl.LOCK_EX)"
+    locked = [sys.executable, "-c", f"{code}; print('ready', flush=True); input()"]
+    with subprocess.Popen(locked, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        dt.sweep(reduced, dt.Grid(w3=0.2, phi=0.1), store=tmp_path / "another.zarr")
+        assert alive.exists()
+        other.communicate(b"\n")
     assert not hidden.exists()
+
+
+def test_tiles_that_others_keep_for_long_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(unfinished_tiles, "PATIENCE", 0.1)
+    place, claim = tmp_path / "s.zarr", Claims.take
+    refused = iter([False] * 5)
+    monkeypatch.setattr(Claims, "take", lambda *args: next(refused, True) and claim(*args))
+    with pytest.warns(UserWarning, match=f"Waiting for tiles 0, 1 of {place}, which another"):
+        dt.sweep(reduced, GRID, store=place)
 
 
 @pytest.mark.system

@@ -29,6 +29,17 @@ def test_a_path_that_cannot_be_is_refused(tmp_path, monkeypatch, path, said):
     assert files(tmp_path) == before
 
 
+def test_a_home_and_a_file_url_are_paths_and_other_urls_are_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    grid = dt.Grid(w3=0.2, phi=0.1)
+    dt.sweep(reduced, grid, store="~/one.zarr")
+    dt.sweep(reduced, grid, store=f"file://{tmp_path}/t%77o.zarr")
+    assert {path.name for path in tmp_path.iterdir()} == {"one.zarr", "two.zarr"}
+    for url in ("s3://bucket/x.zarr", "file://elsewhere/x.zarr"):
+        with pytest.raises(ValueError, match="`store` must be a path, or a URL of a file of this"):
+            dt.sweep(reduced, grid, store=url)
+
+
 @pytest.mark.parametrize("path", ["n" * 255, b"bytes.zarr"])
 def test_long_names_and_bytes_are_paths(tmp_path, monkeypatch, path):
     monkeypatch.chdir(tmp_path)

@@ -78,6 +78,13 @@ def test_a_sweep_finds_damage_and_repairs_it_to_the_same_bytes(good, copy, victi
     assert files(copy) == files(good)
 
 
+def test_a_sweep_on_another_kind_of_processor_is_refused(copy, monkeypatch):
+    """Its last bits may differ."""
+    monkeypatch.setattr("dipoletop._maps.sweep_plan.kind_of", lambda device: "abacus 01234567")
+    with pytest.raises(dt.StoreMismatch, match=r"processor is .* there and abacus 01234567 here"):
+        dt.sweep(reduced, GRID, store=copy)
+
+
 def test_metadata_are_not_repaired_over_the_tiles_of_another_sweep(copy):
     flip(copy / HEADER, 4000)
     before = files(copy)

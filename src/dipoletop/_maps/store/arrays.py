@@ -8,6 +8,7 @@ import json
 import math
 import os
 import secrets
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,7 @@ PACKING = [
     {"name": "crc32c"},
 ]
 CHECKSUM = 4  # bytes of a crc32c
+LARGEST_CHUNK = 1 << 28  # bytes of a chunk that is read
 ATTEMPTS = 5  # to write a file
 
 
@@ -63,7 +65,7 @@ class StoredArray:
         Raises:
             ValueError: its format is not the one written here. Other errors if there is no array.
         """
-        metadata = json.loads((folder / METADATA).read_bytes())
+        metadata = json.loads(content_of(folder / METADATA))
         shape, packed = tuple(metadata["shape"]), len(metadata["codecs"]) > 1
         chunk = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
         dtype = np.dtype(metadata["data_type"])
@@ -72,10 +74,18 @@ class StoredArray:
         kind = "codecs", "chunk_key_encoding"
         if any(metadata[name] != array.metadata[name] for name in kind):
             raise ValueError(f"{folder} has chunks of another kind")
+        if array.chunk_bytes > LARGEST_CHUNK:
+            raise ValueError(f"{folder} has chunks of {array.chunk_bytes} bytes")
         return array
 
+    @property
+    def chunk_bytes(self) -> int:
+        """The size of a chunk in memory."""
+        return math.prod(self.chunk) * self.dtype.itemsize
+
     def create(self) -> None:
-        """Write the metadata; there are no chunks yet."""
+        """Make the folder and write the metadata; there are no chunks yet."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         write_json(self.folder / METADATA, self.metadata)
 
     @property
@@ -114,7 +124,11 @@ class StoredArray:
         if self.packed:
             content = _zstd().encode(content)
             content += _crc32c(content).to_bytes(CHECKSUM, "little")
-        write_at_once(self.file(chunk), content, self.staging)
+        file = self.file(chunk)
+        refuse_links(self.folder.parent, file.parent)
+        if not self.staging:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        write_at_once(file, content, self.staging)
 
     def write_all(self, values: np.ndarray) -> None:
         """Write every chunk."""
@@ -133,6 +147,8 @@ class StoredArray:
             content, checksum = content[:-CHECKSUM], content[-CHECKSUM:]
             if _crc32c(content).to_bytes(CHECKSUM, "little") != checksum:
                 raise ValueError("its checksum is wrong")
+            if _content_size(content) != self.chunk_bytes:
+                raise ValueError("its length is wrong")
             content = _zstd().decode(content)
         little = np.frombuffer(content, self.dtype.newbyteorder("<"))
         if little.size != math.prod(self.chunk):
@@ -146,7 +162,11 @@ def write_json(file: Path, content: dict[str, Any]) -> None:
 
 
 def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> None:
-    """Write a file in `staging`, and move it to its place when it is complete."""
+    """Write a file in `staging`, and move it to its place when it is complete.
+
+    A missing folder is made only inside the folder that holds `staging`: a store that somebody has
+    removed is not begun again.
+    """
     folder = staging or file.parent
     part = folder / f".{file.name}.{secrets.token_hex(8)}.partial"
     try:
@@ -158,13 +178,49 @@ def write_at_once(file: Path, content: bytes, staging: Path | None = None) -> No
             except FileNotFoundError:
                 # A folder is missing. Or, if locks are visible on one machine only, another machine
                 # took the partial file for one left by a killed process, and removed it.
-                if not attempts_left:
+                if not attempts_left or staging is None or not staging.parent.is_dir():
                     raise
-                folder.mkdir(parents=True, exist_ok=True)
+                staging.mkdir(exist_ok=True)
                 file.parent.mkdir(parents=True, exist_ok=True)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def content_of(file: Path) -> bytes:
+    """Return the content of a regular file.
+
+    Raises:
+        ValueError: the file is of another kind; to read a pipe could take for ever.
+    """
+    wait_not = getattr(os, "O_NONBLOCK", 0)
+    with open(file, "rb", opener=lambda path, flags: os.open(path, flags | wait_not)) as stream:
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise ValueError(f"{file} is no ordinary file")
+        return stream.read()
+
+
+def refuse_links(folder: Path, inside: Path) -> None:
+    """Refuse to write or delete in a folder inside another one if a link leads there.
+
+    Raises:
+        ValueError: a part of the path from `folder` to `inside` is a link.
+    """
+    for part in (inside, *inside.parents):
+        if part == folder:
+            return
+        if part.is_symlink():
+            raise ValueError(f"{part} is a link, and nothing is written behind links")
+
+
+def _content_size(frame: bytes) -> int | None:
+    """Return the size of the content that a Zstandard frame states; None if it states none."""
+    descriptor = frame[4]
+    single = descriptor >> 5 & 1  # then there is no byte for the window
+    length = (single, 2, 4, 8)[descriptor >> 6]
+    first = 6 - single + (0, 1, 2, 4)[descriptor & 3]
+    size = int.from_bytes(frame[first : first + length], "little")
+    return size + 256 * (length == 2) if length else None
 
 
 def _zstd() -> Any:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ..._base.checks import one_line, refusal
+from ..._base.checks import one_line, printable, refusal
 
 
 class StoreDamaged(ValueError):
@@ -17,7 +17,7 @@ class StoreDamaged(ValueError):
 
     def __init__(self, path: Path, tiles: tuple[int, ...], reason: str) -> None:
         super().__init__(path, tiles, reason)
-        self.path, self.tiles, self.reason = path, tiles, reason
+        self.path, self.tiles, self.reason = path, tiles, printable(reason)
 
     def __str__(self) -> str:
         shown = ", ".join(str(tile) for tile in self.tiles[:8])

@@ -7,20 +7,42 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from ..._base.checks import refuse
 from .errors import StoreMismatch
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 PREFIX = ".dipoletop-"
+LOCK = "lock"
+"""The file in a temporary folder that the process which made it has locked."""
+NEW = "new"
+"""The folder in a temporary one in which the new folder is filled."""
+_own: set[Path] = set()  # on some file systems a lock does not exclude one's own threads
 
 
 def absolute_path(argument: str, path: Any) -> Path:
-    """Return a path of any type as an absolute one, valid after a change of working directory."""
+    """Return a path of any type as an absolute one, valid after a change of working directory.
+
+    `~` is the home folder, and a URL may begin with `file:`; other URLs are refused.
+    """
     try:
-        return Path(os.path.abspath(os.fsdecode(path)))
+        text = os.fsdecode(path)
     except TypeError:
         refuse(argument, "be a path", f"is {path!r}")
+    scheme, mark, _ = text.partition("://")
+    if mark and scheme.isalnum():
+        url = urlsplit(text)
+        if url.scheme != "file" or url.netloc not in ("", "localhost"):
+            refuse(argument, "be a path, or a URL of a file of this machine", f"is {text!r}")
+        text = url2pathname(url.path)
+    return Path(os.path.abspath(os.path.expanduser(text)))
 
 
 def exists(argument: str, path: Path) -> bool:
@@ -45,9 +67,8 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             remove_left_folders(path.parent)
-            hidden = hidden_folder(path.parent)
-            fresh = Path(stack.enter_context(hidden)) / path.name
-            fresh.mkdir()
+            fresh = stack.enter_context(hidden_folder(path.parent)) / NEW / path.name
+            fresh.mkdir(parents=True)
         except (OSError, ValueError) as error:
             must = "be a path where a folder can be made"
             reason = f"{path} is not: {getattr(error, 'strerror', None) or error}"
@@ -61,28 +82,40 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
             raise FileExistsError(f"{path} exists") from error
 
 
-def hidden_folder(parent: Path) -> "tempfile.TemporaryDirectory[str]":
-    """Return a temporary folder whose name contains the process that made it."""
+@contextlib.contextmanager
+def hidden_folder(parent: Path) -> Iterator[Path]:
+    """Make a temporary folder, which no other process removes while this one lives."""
     # The name is short, and independent of the store's, which may have the largest allowed length.
     prefix = f"{PREFIX}{platform.node()[:60]}-{os.getpid()}-"
-    return tempfile.TemporaryDirectory(prefix=prefix, dir=parent)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=parent) as name:
+        folder = Path(name)
+        _own.add(folder)
+        try:
+            with open(folder / LOCK, "wb") as file:
+                _takes_lock(file)
+                yield folder
+        finally:
+            _own.discard(folder)
 
 
 def remove_left_folders(parent: Path) -> None:
-    """Remove temporary folders of killed processes of this machine."""
+    """Remove temporary folders of killed processes of this machine.
+
+    The number of a process does not show that it has ended: in a container others are counted.
+    """
     for folder in parent.glob(f"{PREFIX}{platform.node()[:60]}-*"):
-        process = folder.name.rsplit("-", 2)[1]
-        if process.isdigit() and not _is_alive(int(process)):
-            shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError), open(folder / LOCK, "r+b") as file:
+            if folder not in _own and _takes_lock(file):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
-def _is_alive(process: int) -> bool:
-    if os.name == "nt":  # where signal 0 is not a mere test
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+def _takes_lock(file: IO[bytes]) -> bool:
+    """Lock a file; return False if another process has locked it, or if there are no locks."""
+    locks: Any = fcntl
+    if locks is None:
         return False
-    except OSError:  # it belongs to somebody else
-        return True
+    try:
+        locks.flock(file, locks.LOCK_EX | locks.LOCK_NB)
+    except OSError:
+        return False
     return True

@@ -21,7 +21,7 @@ from ..columns import (
     plain_attributes,
 )
 from ..tiling import Tiling
-from .arrays import METADATA, StoredArray, write_json
+from .arrays import METADATA, StoredArray, content_of, write_json
 from .headers import Header, header_digest
 
 FORMAT = "dipoletop basin, version 3"
@@ -63,7 +63,7 @@ def create_arrays(folder: Path, header: Header, values: Mapping[str, np.ndarray]
     layout = {name: metadata_digest(folder, name) for name in ("", *arrays)}
     full = {"format": FORMAT, "layout": layout, **header}
     own = {**full, "digest": header_digest(full)}
-    write_json(folder / GROUP / METADATA, _group(own))
+    write_json(folder / GROUP / METADATA, _group(own))  # its folder holds the records
 
 
 def _column(folder: Path, header: Header) -> StoredArray:
@@ -113,4 +113,4 @@ def tiling_of_starts(header: Header) -> Tiling:
 
 def metadata_digest(folder: Path, array: str) -> str:
     """Return the digest of the metadata of an array, or of the store itself ("")."""
-    return digest((folder / array / METADATA).read_bytes()).hex()
+    return digest(content_of(folder / array / METADATA)).hex()

@@ -11,9 +11,9 @@ import numpy as np
 from ..._base.digests import SIZE
 from ..columns import BasinParts, is_result
 from ..tiling import TILE, Tiling
-from .arrays import METADATA
+from .arrays import METADATA, refuse_links
 from .errors import StoreDamaged, StoreMismatch
-from .folders import absolute_path, atomic_folder, exists, hidden_folder
+from .folders import NEW, absolute_path, atomic_folder, exists, hidden_folder
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
 from .layout import GROUP, create_arrays, tiling_of, tiling_of_starts
 from .tiles import TileRecord, Tiles, open_store, open_tiles
@@ -78,13 +78,15 @@ def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.nda
         reason = f"the metadata of {folder} are damaged, and it has no tiles of this sweep"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
     with hidden_folder(folder.parent) as hidden:
-        fresh = Path(hidden)
+        fresh = hidden / NEW
+        fresh.mkdir(parents=True)
         create_arrays(fresh, header, values)
         # The header is written last; until then the store counts as damaged.
         header_file = fresh / GROUP / METADATA
         for file in sorted(fresh.rglob("*"), key=lambda file: file == header_file):
             if file.is_file():
                 target = folder / file.relative_to(fresh)
+                refuse_links(folder, target.parent)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, target)
     return open_tiles("store", folder)

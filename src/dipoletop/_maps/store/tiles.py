@@ -15,14 +15,18 @@ from typing import Any
 
 import numpy as np
 
+from ..._base.checks import one_line, printable
 from ..._base.digests import SIZE, array_digest, digest
 from ..columns import MISSING, BasinParts, column_spec
-from .arrays import METADATA, StoredArray
+from .arrays import METADATA, StoredArray, content_of, refuse_links
 from .claims import Claims
 from .errors import StoreDamaged, StoreMismatch
 from .folders import absolute_path, exists
 from .headers import Header, header_digest, sweep_digest
 from .layout import CLAIMS, FORMAT, GROUP, RECORDS, STAGING, metadata_digest, tiling_of
+
+MOST_TILES = 1 << 24
+"""A store with more tiles is none of a sweep; its list of tiles would fill the memory."""
 
 
 @contextlib.contextmanager
@@ -113,12 +117,14 @@ class Tiles:
         self.folder, self.header = folder, header
         with _reading(folder, (), "its header"):
             self.tiling, self.names = tiling_of(header), list(header["columns"])
+            _check_sizes_and_names(folder, header)
             for name, expected in header["layout"].items():
                 if metadata_digest(folder, name) != expected:
                     what = f"the metadata of {name}" if name else "its attributes"
                     raise StoreDamaged(folder, (), f"{what} are not as written")
             self.swept_names = list(header["values"])
             names, staging = (*self.names, RECORDS, *self.swept_names), folder / STAGING
+            refuse_links(folder, staging)
             self._arrays = {name: StoredArray.open(folder / name, staging) for name in names}
         self._sweep = sweep_digest(header)
 
@@ -138,11 +144,24 @@ class Tiles:
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], inputs: bytes) -> None:
         """Write one tile, then its record; `inputs` is a digest."""
+        self._refuse_another()
         kept = {name: np.asarray(columns[name], self._arrays[name].dtype) for name in self.names}
         for name, part in kept.items():
             self._arrays[name].write(tile, part)
         record = TileRecord.encode(tile, self._sweep, inputs, list(kept.values()))
         self._arrays[RECORDS].write(tile, np.frombuffer(record, np.uint8))
+
+    def _refuse_another(self) -> None:
+        """Refuse to go on if the folder has been removed, or holds another store now."""
+        try:
+            header = _header_in(self.folder)
+            header.pop("digest")
+            is_same = sweep_digest(header) == self._sweep
+        except Exception:  # as in `open_tiles`
+            is_same = False
+        if not is_same:
+            reason = f"{self.folder} has been removed, renamed or replaced meanwhile"
+            raise StoreMismatch("store", self.folder, "stay in its place", reason)
 
     def claims(self) -> Claims:
         """Open the claims of this process on tiles."""
@@ -166,12 +185,15 @@ class Tiles:
 
     def discard_partial_files(self) -> None:
         """Remove what killed processes left behind; no process may be writing."""
-        with contextlib.suppress(OSError):  # they do no harm
+        with contextlib.suppress(OSError, ValueError):  # they do no harm
+            refuse_links(self.folder, self.folder / STAGING)
             shutil.rmtree(self.folder / STAGING)
 
     def forget(self, tile: int) -> None:
         """Mark a tile as not computed."""
-        self._arrays[RECORDS].file(tile).unlink(missing_ok=True)
+        record = self._arrays[RECORDS].file(tile)
+        refuse_links(self.folder, record.parent)
+        record.unlink(missing_ok=True)
 
     def is_finished(self, tile: int) -> bool:
         """Return whether a tile has been computed."""
@@ -239,7 +261,10 @@ class Tiles:
         coords = {name: self.values(name) for name in header["axes"]}
         columns = {name: StoredColumn(self, name, finished) for name in self.names}
         dims, shape = tuple(header["dims"]), tuple(header["shape"])
-        return BasinParts(dims, shape, coords, columns, dict(header["attrs"]))
+        attrs = {
+            name: printable(x) if isinstance(x, str) else x for name, x in header["attrs"].items()
+        }
+        return BasinParts(dims, shape, coords, columns, attrs)
 
     def damaged(self, tiles: Iterable[int]) -> dict[int, str]:
         """Return descriptions of the damage of finished tiles, by number of the tile."""
@@ -268,6 +293,23 @@ class Tiles:
             raise StoreDamaged(self.folder, tuple(damaged), reason)
 
 
+def _header_in(folder: Path) -> Header:
+    """Return the header in a folder, with its digest."""
+    return dict(json.loads(content_of(folder / GROUP / METADATA))["attributes"])
+
+
+def _check_sizes_and_names(folder: Path, header: Header) -> None:
+    """Refuse a header with sizes that no sweep has, or with names that lead out of the folder."""
+    sizes = [*header["shape"], *header["chunk"]]
+    count = tiling_of(header).count if all(type(n) is int and n > 0 for n in sizes) else 0
+    if not 0 < count <= MOST_TILES:
+        shown = f"its shape is {header['shape']}, in tiles of {header['chunk']}"
+        raise StoreDamaged(folder, (), one_line(shown))
+    for name in (*header["columns"], *header["values"], *header["dims"], *header["axes"]):
+        if not name or name in (".", "..") or not name.isprintable() or {"/", "\\"} & {*name}:
+            raise StoreDamaged(folder, (), f"it has a column or an axis with the name {name!r}")
+
+
 def open_store(path: Any) -> Tiles:
     """Open the store at a path for reading."""
     return open_tiles("path", absolute_path("path", path))
@@ -284,7 +326,7 @@ def open_tiles(argument: str, folder: Path) -> Tiles:
     if not exists(argument, folder):
         raise StoreMismatch(argument, folder, must, f"{folder} does not exist")
     try:
-        header = dict(json.loads((folder / GROUP / METADATA).read_bytes())["attributes"])
+        header = _header_in(folder)
     except MemoryError:
         raise
     except Exception as error:  # of any type, as in `_reading`
