@@ -149,7 +149,9 @@ CASES = {
     "dt.sweep(problem, dt.Points(**ENDS), derivatives=['w3', 'w3'])": "each argument once",
     "dt.sweep(problem, dt.Points(**ENDS), derivatives=['w3'], value=False)": "`value` must be True",
     # Torques
-    "dt.simulate(DRIVEN, START, TS, attitude=LEVEL)": "`attitude` must be None for an equation",
+    "dt.simulate(DRIVEN, np.zeros(7), TS, attitude=LEVEL)": "`attitude` must be None for a whole",
+    "torques.with_torque(EQUATION, lambda t, w: 0.1)": "`torque` must return an array of shape",
+    "torques.with_torque(EQUATION, lambda w: w)": "`torque` must take the arguments .τ, ω.",
     "torques.with_torque(DRIVEN, PULLED, attitude=LEVEL)": "`attitude` must be None, as `equation`",
     "torques.with_torque(EQUATION, PULLED, attitude=np.ones(4))": "`attitude` must be a unit quat",
     "torques.with_torque(dt.RotatorFull(), torques.drag(0.1))": "must be a level of a rigid body",

@@ -38,7 +38,7 @@ def test_the_other_levels_equal_the_general_ones():
 def test_first_order_is_that_of_the_paper():
     """(3.9)–(3.10) in cylindrical variables."""
     w, w3, phi = jnp.abs(OMEGAS[0]), OMEGAS[2], OMEGAS[1]
-    rate = dt.LongitudinalReduced(DELTAS)(0.0, dt.cylindrical(w, w3, phi))
+    rate = dt.LongitudinalReduced(DELTAS)(0.0, dt.cylindrical(w, w3, phi).T)
     across = rate[0] * jnp.cos(phi) + rate[1] * jnp.sin(phi)
     around = (rate[1] * jnp.cos(phi) - rate[0] * jnp.sin(phi)) / w
     np.testing.assert_allclose(across, -(w**2 + ((1 - DELTAS) * w3) ** 2) * w, rtol=1e-12)

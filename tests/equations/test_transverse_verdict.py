@@ -262,14 +262,26 @@ def test_wobbling_region_of_the_semi_reduced_level():
 @pytest.mark.parametrize("order", [2, 4])
 def test_higher_orders_are_decided_at_small_amplitude_and_never_certified(order):
     """|ω|² ≤ 0.1 for δ ≤ 0.3, ≤ 0.1 min(1, (1−δ)²) above."""
-    delta, *_ = random_states(7, -0.99, 0.99)
+    delta, *_ = random_states(7, -0.99, 0.9)
     limit = np.sqrt(np.where(delta <= 0.3, 0.1, 0.1 * (1 - delta) ** 2))
-    way = np.array([1.0, 1e-3, 1e-3])
+    way = np.array([1.0, 0.02, 0.02])
     for side, expected in ((1 - NEAR, True), (1 + NEAR, False)):
         omega = side * limit * (way / np.linalg.norm(way))[:, None]
         outcome, certified, _ = verdict(lambda d: dt.TransverseReduced(d, order), delta, omega)
         assert np.all((outcome == Outcome.RESIDUAL) == expected)
         assert not np.any(certified)
+
+
+@pytest.mark.parametrize(
+    ("order", "limit"), [(2, 0.32441064053), (3, 0.30185319410), (4, 0.30738733339)]
+)
+def test_a_fast_residual_rotation_is_decided_at_higher_orders(order, limit):
+    """The limits are those of integrations by diffrax up to τ = 400."""
+    found = dt.classify(dt.TransverseReduced(-0.2, order), [0.36792, 0.12264, 0.3066])
+    assert found.outcome == Outcome.RESIDUAL
+    assert not found.certified
+    assert found.steps < 50
+    assert abs(found.omega_inf - limit) < 3 * found.omega_inf_error < 1e-7
 
 
 @pytest.mark.parametrize("level", [dt.LongitudinalReduced, dt.LongitudinalSemi])

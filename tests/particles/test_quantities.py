@@ -111,4 +111,4 @@ def test_masked_values_are_refused():
     starts = np.ma.masked_invalid(np.array([[0.1, np.nan, 0.2]]))
     with pytest.raises(ValueError, match="`omegas` must have no masked values, but has 1"):
         dt.classify_many(dt.TransverseSemi(-0.2), starts)
-    same(dt.cylindrical(np.ma.masked_array([0.2, 0.3]), jnp.zeros(2), 0.0)[0], [0.2, 0.3])
+    same(dt.cylindrical(np.ma.masked_array([0.2, 0.3]), jnp.zeros(2), 0.0)[:, 0], [0.2, 0.3])

@@ -242,6 +242,17 @@ def test_what_was_not_reached_is_not_a_number(level, sentence):
         dt.simulate(level(-0.2), start, ts, **settings)
 
 
+@pytest.mark.slow
+def test_a_run_goes_on_from_the_last_attitude_of_another_one():
+    top, ts = dt.TransverseReduced(-0.2), np.array([0.0, 6.0, 12.0])
+    pulled = dt.torques.field_on_dipole(top, [0.0, 0.1, 0.05])
+    equation = dt.torques.with_torque(top, pulled, attitude=TILTED)
+    whole = dt.simulate(equation, [0.1, 0.2, 0.1], ts)
+    rest = dt.simulate(equation, whole.omega[1], ts[1:], attitude=whole.attitude[1])
+    np.testing.assert_allclose(rest.omega[-1], whole.omega[-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rest.attitude[-1], whole.attitude[-1], rtol=0, atol=1e-9)
+
+
 def test_a_traced_bad_attitude_is_not_a_number():
     traced = jax.jit(lambda q0: unit_quaternion("attitude", q0))
     assert jnp.all(jnp.isnan(traced(jnp.zeros(4))))

@@ -286,7 +286,7 @@ def test_a_wall_of_starts_at_the_separatrix(engine):
     distance = angles - EDGE
     side = np.where(distance < 0, Outcome.RESIDUAL, Outcome.STOP)
     fixed = jnp.full(200, 0.2)
-    starts = np.asarray(dt.cylindrical(fixed, fixed, angles)).T
+    starts = np.asarray(dt.cylindrical(fixed, fixed, angles))
     starts = np.resize(starts, CORNERS.shape)
     before = None
     for rtol in (1e-4, 1e-8, 1e-12):

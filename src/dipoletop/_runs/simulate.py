@@ -116,8 +116,9 @@ def simulate(
         max_steps: largest number of steps, or of windows along a physical branch; with
             `attitude` also of the pieces of 2 radians there.
         options: see the table; along a physical branch only `throw`, `balance` and `attitude`. An
-            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes. It
-            cannot be given for an equation whose state already holds one.
+            attitude is a unit quaternion, scalar first, with v_lab = q∘v∘q* for v in body axes. If
+            the equation follows an attitude, it replaces the first one of the equation: so a run
+            goes on from the last ω and attitude of another one.
 
     Returns:
         A `Trajectory`.
@@ -139,9 +140,11 @@ def simulate(
         check_body(physical(motion))
     given = options.pop("attitude", None)
     q0 = None if given is None else unit_quaternion("attitude", given)
-    if q0 is not None and follows_attitude(motion):
-        refuse("attitude", "be None for an equation whose state holds the attitude", "is given")
     whole_state = is_whole_state(omega0)
+    if q0 is not None and follows_attitude(motion):
+        if whole_state:
+            refuse("attitude", "be None for a whole state, which holds the attitude", "is given")
+        motion, q0 = eqx.tree_at(lambda equation: equation.start, motion, q0), None
     if not whole_state:
         motion = physical(motion)
     times = _times(ts)

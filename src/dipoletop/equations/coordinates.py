@@ -4,13 +4,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._base.checks import finite, on_host, refuse, where_valid
 from .._base.compiling import compiled_soon
 from .._base.types import Real, Vector
 
 
-def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
+def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Float[Array, "*batch 3"]:
     """Compute the angular velocity ω = (ω⊥ cos φ, ω⊥ sin φ, ω₃) in body axes.
 
     Args:
@@ -19,7 +20,7 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
         phi: φ from the dipole, radians.
 
     Returns:
-        Shape (3,), or (3, B) for arguments of shape (B,).
+        Shape (3,), or (B, 3) for arguments of shape (B,).
 
     Raises:
         ValueError: ω⊥ < 0, or a value that is not finite. A traced one gives NaN.
@@ -35,7 +36,12 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Vector:
     if len({x.shape for x in given} - {()}) > 1:
         shapes = ", ".join(str(x.shape) for x in given)
         refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")
-    return compiled_soon(from_cylindrical)(*given)
+    return _by_start(*given)
+
+
+@compiled_soon
+def _by_start(w_perp: Real, w3: Real, phi: Real) -> Float[Array, "*batch 3"]:
+    return jnp.moveaxis(from_cylindrical(w_perp, w3, phi), 0, -1)
 
 
 def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:

@@ -206,6 +206,7 @@ def driven(
         _check_constants(torque)
         torque = Partial(torque)  # which holds no parameters that vary
     follows = start is not None or getattr(equation, "start", None) is not None
+    _check_result(torque, follows)
     parts, follow = (torque,), (follows,)
     if isinstance(equation, DrivenEquation):  # the torque is added to its torques
         if start is not None and equation.start is not None:
@@ -222,6 +223,20 @@ def driven(
     if kind is Level.FULL:
         return DrivenFull(*shared)
     return Driven(*shared, omega_scale_of(equation))
+
+
+def _check_result(torque: Torque, follows: bool) -> None:
+    """Refuse a torque with other arguments, or with a result of another shape."""
+    arguments = [jnp.zeros(()), jnp.zeros(3), *([jnp.zeros(4)] if follows else [])]
+    listed = "(τ, ω, q)" if follows else "(τ, ω)"
+    try:
+        inspect.signature(torque).bind(*arguments)
+    except (TypeError, ValueError) as error:
+        refuse("torque", f"take the arguments {listed}", f"cannot ({error})")
+    found = jax.eval_shape(torque, *arguments)
+    if getattr(found, "shape", None) != (3,):
+        was = getattr(found, "shape", type(found).__name__)
+        refuse("torque", f"return an array of shape (3,) for {listed}", f"returns {was}")
 
 
 def _check_constants(function: Any) -> None:

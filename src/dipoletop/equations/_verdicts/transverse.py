@@ -34,6 +34,7 @@ from ..._base.types import Flag, Outcome, Real, Stop, Vector, Verdict
 from ..levels import Level
 from . import residual_series
 from .nonsmooth import piecewise_conserved
+from .residual_line import linear_part
 from .residual_series import Series, line_coordinates, quadratic_term
 
 WOBBLING_FROM = 0.7532357993909
@@ -45,7 +46,10 @@ By (4.16) C = v ξ^q with v = ω₃² and ξ = u/v, so |ω∞|² ~ C^{1/(2−q+p
 there: the power of √u is q/(2 − q + p).
 """
 NEAR_LINE = 1e-4
-"""T² + Z² up to which motions of the full equation near the residual line decay."""
+"""T² + Z² up to which motions of the full equation, and of orders 2–4, near the residual line
+decay where it is stable."""
+STRONGEST = 1.0
+"""|ω₁| up to which that was tested at orders 2–4, whose terms grow up to ω⁹."""
 
 
 def has_boundary(delta: Any, level: Level) -> Any:
@@ -257,15 +261,22 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
 def full(delta: Real, w: Vector) -> Verdict:
     """Return the verdict on the physical branch, near the residual line at any amplitude.
 
-    There T = ω₂/ω₁ and Z = ω₃/(ω₁ min(|ω₁|, 1)) decay, for the line is stable at every ω₁ ≠ 0
-    and δ: the constant term of its characteristic polynomial, ω₁⁴, is positive. Elsewhere the
-    verdict of orders 2–4 holds. Tested only.
+    The line is stable at every ω₁ ≠ 0 and δ: the constant term of its characteristic polynomial,
+    ω₁⁴, is positive. Tested only.
     """
-    q2 = quadratic_term(delta, w, Level.FULL)
-    small = _at_small_amplitude(delta, w, q2)
+    return _near_line(delta, w, Level.FULL, delta < 1)
+
+
+def _near_line(d: Real, w: Vector, level: Level, decays: Flag) -> Verdict:
+    """Return the verdict of `_at_small_amplitude`, or residual rotation next to a stable line.
+
+    There T = ω₂/ω₁ and Z = ω₃/(ω₁ min(|ω₁|, 1)) decay if the line `decays`. Tested only.
+    """
+    q2 = quadratic_term(d, w, level)
+    small = _at_small_amplitude(d, w, q2)
     w1 = safe_divisor(w[0])
     distance = (w[1] / w1) ** 2 + (w[2] / (w1 * jnp.minimum(jnp.abs(w1), 1.0))) ** 2
-    near = (small.outcome == Outcome.UNDECIDED) & (w[0] != 0) & (distance <= NEAR_LINE)
+    near = (small.outcome == Outcome.UNDECIDED) & (w[0] != 0) & decays & (distance <= NEAR_LINE)
     outcome = jnp.where(near, Outcome.RESIDUAL, small.outcome)
     otherwise = small.omega_inf, small.error, small.slope
     pairs = zip(residual_series.full(w, q2), otherwise, strict=True)
@@ -301,4 +312,6 @@ def of_level(delta: Real, w: Vector, level: Level) -> Verdict:
         return semi_reduced(delta, w)
     if level is Level.ORDER_1:
         return first_order(delta, w)
-    return _at_small_amplitude(delta, w, quadratic_term(delta, w, level))
+    m11, m12, m21, m22 = linear_part(1 + 0 * delta, 1 - delta, jnp.abs(w[0]), level)
+    stable = (m11 + m22 < 0) & (m11 * m22 > m12 * m21)
+    return _near_line(delta, w, level, stable & (jnp.abs(w[0]) <= STRONGEST))
