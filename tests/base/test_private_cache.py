@@ -125,6 +125,12 @@ def test_the_variable_switches_it_off(entry, monkeypatch, word):
     assert list(entry.parent.iterdir()) == [entry]
 
 
+def test_an_entry_above_the_limit_does_not_empty_the_cache(entry, monkeypatch):
+    monkeypatch.setattr(private_cache, "LIMIT", len(CONTENT) + 100)
+    private_cache.save(OTHER, CONTENT + bytes(200))
+    assert list(entry.parent.iterdir()) == [entry]
+
+
 def test_the_oldest_entries_make_room(entry, monkeypatch):
     monkeypatch.setattr(private_cache, "LIMIT", 3 * entry.stat().st_size)
     keys = [bytes([i]) * 16 for i in range(1, 6)]

@@ -155,6 +155,19 @@ def test_a_selection_is_exported_exactly(store, tmp_path):
     np.testing.assert_array_equal(rows["omega_inf"], table["omega_inf"])
 
 
+def test_names_of_any_alphabet_are_exported_and_a_failure_harms_no_file(tmp_path, monkeypatch):
+    place, target = tmp_path / "s.zarr", tmp_path / "x.nc"
+    dt.sweep(lambda φ: problem(-0.2, 0.1, φ), dt.Grid(φ=[0.1, 0.2]), store=place)
+    said("export", place, target)
+    with xarray.open_dataset(target, engine="h5netcdf") as data:
+        np.testing.assert_array_equal(data["φ"], [0.1, 0.2])
+    before = target.read_bytes()
+    monkeypatch.setattr("dipoletop.cli.store_commands.find_spec", lambda name: None)
+    assert "NetCDF with the name φ needs h5netcdf" in refusal("export", place, target)
+    assert target.read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"s.zarr", "x.nc"}
+
+
 def test_starts_of_samples_are_columns_of_tables(sample, tmp_path):
     said("export", sample, tmp_path / "a.csv", "--column", "outcome")
     table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True, dtype=None)

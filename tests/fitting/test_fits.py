@@ -111,6 +111,14 @@ def test_an_end_that_is_no_minimum_is_said_to_be_none():
     assert -1 <= beyond.parameters["delta"] < -0.99
 
 
+def test_a_local_minimum_that_does_not_describe_the_series_is_no_success():
+    guess = {name: GUESS[name] for name in ("delta", "w3")}
+    found = fit(lambda delta, w3: top(delta, w3, 0.9), TIMES, CLEAN, guess, sigma=1e-3)
+    assert found.chi2 > 100 * found.dof
+    assert not found.success
+    assert found.end is FitEnd.POOR
+
+
 def test_a_series_that_says_nothing_has_no_covariance():
     rest = fit(top, TIMES, 0 * CLEAN, {"delta": 0.0, "w3": 0.0, "phi": 0.0})
     assert not rest.success

@@ -40,9 +40,9 @@ def load(key: bytes) -> bytes | None:
 
 
 def save(key: bytes, content: bytes) -> None:
-    """Save the content under this key, in place of an older one."""
+    """Save the content under this key, in place of an older one; not if it exceeds the limit."""
     folder = _folder(make=True)
-    if folder is None:
+    if folder is None or len(content) > LIMIT - SIZE:
         return
     with contextlib.suppress(OSError):
         number, name = tempfile.mkstemp(prefix=".", dir=folder)  # for this user only

@@ -1,5 +1,10 @@
 """`dipoletop info`, `plot`, `export` and `store`: what is in a store, and whether it is sound."""
 
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -133,17 +138,42 @@ def export_command(path: str, target: str, **options: Any) -> None:
         raise Refusal(f"--column {unknown[0]}: the columns are {', '.join(names)}.")
     kept = options["columns"] or names
     data = data.drop_vars([name for name in names if name not in kept])
-    if suffix == ".nc":
-        data.to_netcdf(target, engine="scipy")
-    elif suffix == ".csv":
-        # 17 digits give every number back exactly.
-        _table(data, basin.dims).to_csv(target, index=False, float_format="%.17g")
-    else:
-        try:
-            _table(data, basin.dims).to_parquet(target)
-        except ImportError:
-            raise Refusal("Parquet needs pyarrow: pip install pyarrow.") from None
+    with _replaced(target) as part:
+        if suffix == ".nc":
+            _write_netcdf(data, part)
+        elif suffix == ".csv":
+            # 17 digits give every number back exactly.
+            _table(data, basin.dims).to_csv(part, index=False, float_format="%.17g")
+        else:
+            try:
+                _table(data, basin.dims).to_parquet(part)
+            except ImportError:
+                raise Refusal("Parquet needs pyarrow: pip install pyarrow.") from None
     say(f"Data: {target} ({counted(basin.shape)}, {', '.join(kept)})")
+
+
+@contextlib.contextmanager
+def _replaced(target: str) -> Iterator[Path]:
+    """A file beside the target, which replaces it once it is complete."""
+    folder = Path(target).absolute().parent
+    try:
+        with tempfile.TemporaryDirectory(prefix=".", dir=folder) as beside:
+            yield Path(beside) / Path(target).name
+            os.replace(Path(beside) / Path(target).name, target)
+    except OSError as error:
+        raise Refusal(f"{target} cannot be written: {error.strerror or error}.") from None
+
+
+def _write_netcdf(data: Any, file: Path) -> None:
+    """Write NetCDF 3, whose names are ASCII; other names need NetCDF 4."""
+    names = [str(name) for name in (*data.variables, *data.dims)]
+    if all(name.isascii() for name in names):
+        data.to_netcdf(file, engine="scipy")
+    elif find_spec("h5netcdf") and find_spec("h5py"):
+        data.to_netcdf(file, engine="h5netcdf")
+    else:
+        other = next(name for name in names if not name.isascii())
+        raise Refusal(f"NetCDF with the name {other} needs h5netcdf: pip install h5netcdf h5py.")
 
 
 def _part(path: str, at: Any, ranges: Any = ()) -> Basin:

@@ -263,7 +263,7 @@ def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> Vie
     named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
     rtol = _number("rtol", single.pop("rtol", view.rtol))
     size: Any = single.pop("size", str(view.size))
-    size = int(size) if size.isdecimal() else size
+    size = int(size) if size.isdecimal() and len(size) < 10 else size
     check_axes(scene, named)
     moved = in_system(scene, view, scene.system_of(*named.values(), *single), **named)
     ranges, values = dict(moved.ranges), dict(moved.values)

@@ -25,6 +25,7 @@ from .._runs.trajectory import Trajectory
 from ..equations._common import is_full, physical
 
 LEAST_GAIN = 1e-6  # least gain of a Gauss–Newton step, relative to chi2; below it: a minimum
+RAREST = 1e-6  # probability of so large a chi2, below which the model does not fit
 LEAST_STEP = 1e-8  # least Gauss–Newton step, relative to the parameters; below it: a minimum
 FTOL, XTOL = 1e-10, 1e-14  # relative changes of chi2 and p at which `least_squares` stops
 
@@ -40,6 +41,10 @@ class FitEnd(enum.StrEnum):
     """The reason for the end of a fit, one sentence."""
 
     MINIMUM = "A minimum: no step makes chi2 smaller."
+    POOR = (
+        "A local minimum that does not describe the series: chance makes chi2 so large less often "
+        "than once in a million. Begin from another guess."
+    )
     UNDETERMINED = "The series does not determine the parameters: others fit it as well."
     REFUSED = (
         "No minimum: chi2 still falls towards parameters that the problem or its solver refuses."
@@ -58,8 +63,8 @@ class Fit:
         chi2: Σ((observed − series)/sigma)²; with sigma = 1 if it is not given.
         dof: number of values minus number of parameters.
         steps: number of computed trajectories.
-        success: whether the search ended at a minimum that determines every parameter. It may be
-            a local minimum: check that `chi2` is about `dof`.
+        success: whether the search ended at a minimum that determines every parameter and, if
+            `sigma` is given, describes the series. If it is not, that may be a local minimum.
         message: the reason for the end, one sentence.
         end: the reason for the end, a member of `FitEnd`.
 
@@ -253,6 +258,8 @@ def _least_squares(residuals: Residuals, first: list[float], most: int) -> Any:
 
 def _fit(model: _Model, result: Any, estimate_sigma: bool) -> Fit:
     """Return a `Fit` from the result of `least_squares`."""
+    from scipy.special import chdtrc
+
     size, m = result.jac.shape
     chi2, dof = 2 * float(result.cost), size - m
     units = np.linalg.norm(result.jac, axis=0)
@@ -270,6 +277,8 @@ def _fit(model: _Model, result: Any, estimate_sigma: bool) -> Fit:
     else:
         at_minimum = gain @ gain <= LEAST_GAIN * chi2 or small_step
         end = FitEnd.MINIMUM if at_minimum else FitEnd.REFUSED
+        if at_minimum and not estimate_sigma and chdtrc(dof, chi2) < RAREST:
+            end = FitEnd.POOR
     parameters = dict(zip(model.names, result.x.tolist(), strict=True))
     covariance = root @ root.T * (chi2 / dof if estimate_sigma else 1.0)
     steps, good = int(result.nfev), end is FitEnd.MINIMUM

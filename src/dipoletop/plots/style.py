@@ -1,5 +1,6 @@
 """The common style of pictures: colours, line styles, sizes, hatching, labels, file formats."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from .._base.checks import instance
 from .._maps.columns import DERIVATIVE_PREFIX
 from ..equations.levels import Level
 
@@ -75,7 +77,12 @@ def save(figure: Figure, path: str | Path) -> None:
     Args:
         figure: a figure of `paper.figures`, or of `plots.diagram`.
         path: the file; the suffix of its name is its format: pdf, png or svg.
+
+    Raises:
+        ValueError: arguments of other types.
     """
+    instance("figure", figure, Figure, "be a figure of matplotlib")
+    instance("path", path, str | os.PathLike, "be a path")
     suffix = Path(path).suffix[1:]
     with mpl.rc_context(STYLE):
         figure.savefig(path, dpi=300, metadata=UNDATED.get(suffix))
