@@ -158,6 +158,10 @@ def test_boundaries_of_the_top_are_smooth():
     grid = dt.Grid(w3=np.linspace(0.05, 0.4, 216), phi=np.linspace(0.1, 1.5, 225))
     basin = dt.sweep(problem, grid)
     assert abs(boundary_dimension(basin).dimension - 1) < 0.05
+    in_disorder = basin.isel(
+        w3=np.random.default_rng(0).permutation(216), phi=slice(None, None, -1)
+    )
+    assert boundary_dimension(in_disorder).dimension == boundary_dimension(basin).dimension
     labels = np.sign(basin.omega_inf).astype(int)
     assert basin_entropy(basin) == basin_entropy(labels)
 

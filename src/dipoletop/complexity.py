@@ -93,7 +93,7 @@ def basin_entropy(labels: Any, *, box: Any = 5) -> BasinEntropy:
 
     Args:
         labels: whole numbers or booleans, shape (n, m), or a `Basin` over two axes, whose fates
-            are used; UNDECIDED and FAILED are labels like any other.
+            are used in the order of rising values; UNDECIDED and FAILED are labels like any other.
         box: side of a box in points; last rows and columns that do not fill a box are not used.
 
     Returns:
@@ -265,7 +265,7 @@ def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
     """Return the labels, or the fates of a basin over two axes."""
     must = "be whole numbers over two axes"
     try:
-        array = fate(labels).squeeze() if isinstance(labels, Basin) else np.asarray(labels)
+        array = _ordered_fates(labels) if isinstance(labels, Basin) else np.asarray(labels)
     except ValueError:  # rows of different lengths
         refuse("labels", must, "are not")
     if array.dtype == bool:
@@ -274,6 +274,19 @@ def _label_plane(labels: Any) -> Integer[np.ndarray, "n m"]:
         was = f"have shape {array.shape} and dtype {array.dtype}"
         refuse("labels", must, was)
     return array
+
+
+def _ordered_fates(basin: Basin) -> Integer[np.ndarray, "..."]:
+    """Return the fates of a basin with ascending values on its axes, without axes of length 1.
+
+    In another order neighbouring fates would not belong to neighbouring starts.
+    """
+    fates = fate(basin)
+    for axis, name in enumerate(basin.dims):
+        values = basin.coords.get(name)
+        if values is not None and values.ndim == 1:
+            fates = np.take(fates, np.argsort(values, kind="stable"), axis)
+    return fates.squeeze()
 
 
 def _count_boxes(mixed: Bool[np.ndarray, "n m"], side: int) -> int:

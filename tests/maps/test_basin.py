@@ -1,7 +1,10 @@
 """Basins: names and units of their columns, and what they print."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+import xarray
 
 import dipoletop as dt
 from dipoletop.boundary import fate
@@ -25,9 +28,15 @@ def test_xarray_names_units_and_sources(basin):
     assert data.omega_inf.attrs["units"] == data.w3.attrs["units"] == "1/tau_0"
     assert data.phi.attrs["units"] == "rad"
     assert np.array_equal(data.phi, GRID.axes["phi"])
-    assert data.attrs["level"] == "reduced, order 1 (the paper's)"
+    assert data.level == "reduced, order 1 (the paper's)"
     assert data.attrs["rtol"] == 1e-8
     assert data.attrs["version_dipoletop"] == dt.__version__
+
+
+def test_joined_datasets_keep_every_level(basin):
+    other = dataclasses.replace(basin, attrs=basin.attrs | {"level": "semi-reduced"})
+    joined = xarray.concat([basin.to_xarray(), other.to_xarray()], "level")
+    assert joined.level.values.tolist() == [basin.level, "semi-reduced"]
 
 
 def test_a_basin_prints_its_axes_shares_and_tolerance(basin, tmp_path):

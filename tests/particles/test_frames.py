@@ -120,3 +120,31 @@ def test_a_prediction_and_an_equilibrium_need_the_same_principal_axis(lean):
     found = dt.predict(body, START)
     assert keeps == (lean < 5e-12) == bool(found.outcome == dt.Outcome.RESIDUAL)
     assert not keeps or float(found.error) >= lean
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dipole", DIPOLES)
+def test_lines(dipole):
+    """Their total power, and the frequencies and powers of the strongest."""
+    for splitting in SPLITTINGS[::3]:
+        inertia = np.diag([0.6, 0.6 * (1 + splitting), 1.0])
+        given = inertia, np.array(DIPOLES[dipole], float), 1e20 * START
+        known = dt.lines(dt.Body(*given[:2]), given[2])
+        for q in frames(2):
+            turned_inertia, n, omega = turned(q, *given)
+            found = dt.lines(dt.Body(turned_inertia, n), omega)
+            np.testing.assert_allclose(found.total, known.total, rtol=1e-9)
+            for each in (lambda one: one.power, lambda one: one.frequency * one.power):
+                sums = [float(np.sum(each(one))) for one in (known, found)]
+                assert sums[0] == pytest.approx(sums[1], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_spectrum():
+    for splitting in SPLITTINGS[::3]:
+        inertia, n = np.diag([0.6, 0.6 * (1 + splitting), 1.0]), np.array([1.0, 0.0, 0.0])
+        known = dt.spectrum(dt.SemiReduced(dt.Body(inertia, n)), 0.01 * n)
+        for q in frames(2):
+            turned_inertia, m = turned(q, inertia, n)
+            found = dt.spectrum(dt.SemiReduced(dt.Body(turned_inertia, m)), 0.01 * m)
+            np.testing.assert_allclose(found.slow, known.slow, rtol=0, atol=1e-12)

@@ -37,6 +37,9 @@ def test_particles(u):
     whole = dt.Particle(KILOGRAMS * 1e18 * u.fg, inertia, moment, radius=0.1 * u.um)
     same(whole.inertia, plain.inertia)
     same(whole.radius, 1e-7)
+    gaussian = dt.Particle.gaussian(KILOGRAMS * 1e18 * u.fg, inertia, moment, radius=0.1 * u.um)
+    for name in ("mass", "inertia", "dipole", "radius"):
+        same(getattr(gaussian, name), getattr(whole, name))
 
 
 def test_angular_speeds_and_frequencies(u):

@@ -8,6 +8,7 @@ import pytest
 import dipoletop as dt
 from dipoletop import Outcome
 from dipoletop._averaging import capture
+from dipoletop.particles import DEBYE, RADIATION
 
 ACROSS, ALONG = np.eye(3)[0], np.eye(3)[2]
 RNG = np.random.default_rng(4)
@@ -94,3 +95,22 @@ def test_distributions_of_capture_go_over_into_their_limits(monkeypatch):
         off = np.abs(limit.log_quantiles() - true.log_quantiles())
         assert np.max(off) < float(limit.error)
         assert abs(float(limit.log_mean - true.log_mean)) < float(limit.error)
+
+
+def test_the_fibre_of_the_paper_turns_end_over_end():
+    """Its dipole lies along it. Half of the energy is lost after I/(2kd²Ω²)."""
+    fibre = dt.Particle.cuboid([300e-9, 30e-9, 30e-9], [4000 * DEBYE, 0.0, 0.0], density=1600)
+    omega = [0.0, 2e9 * np.pi, 0.0]
+    predicted = dt.predict(fibre, omega)
+    assert predicted.outcome == Outcome.STOP
+    strength = RADIATION * (4000 * DEBYE) ** 2
+    half = float(fibre.moment([0.0, 1.0, 0.0])) / (2 * strength * omega[1] ** 2)
+    assert float(predicted.half_time) == pytest.approx(half, rel=1e-9)
+    assert half == pytest.approx(1.05e15, rel=3e-3)
+
+
+@pytest.mark.parametrize(("past", "outcome"), [(-1e-8, Outcome.STOP), (1e-8, Outcome.RESIDUAL)])
+def test_the_end_changes_where_two_shapes_of_tumbling_meet(past, outcome):
+    """At J₂ = 0.605504562095 the textbook form of f₁, by mpmath, has a double zero."""
+    body = dt.Body(np.diag([0.5, 0.605504562095 + past, 1.0]), ACROSS)
+    assert dt.predict(body, [2e-21, 3e-21, 9e-21]).outcome == outcome

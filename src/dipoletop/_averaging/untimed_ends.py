@@ -1,7 +1,8 @@
 """How the slow motions of many bodies and starts end: the numbers of predictions without times.
 
 Every case costs the same (see `slow_course`), with two exceptions: the capture of needles is
-computed once for each δ, and a start whose quadrature is inaccurate is predicted on its own.
+computed once for each δ (to 13 digits), and a start whose quadrature is inaccurate is predicted on
+its own.
 """
 
 import functools
@@ -64,8 +65,9 @@ def ends_of_many(
     variables = np.concatenate([np.reshape(inertia, (size, 9)), dipole, omega0], axis=1)
     coupling = jnp.asarray(strength)
     ends, delta, doubtful = _in_chunks(_slow_ends, variables, coupling)
-    for value in np.unique(delta[delta != 0]):
-        (lanes,) = np.nonzero(delta == value)
+    shared = _nearly(delta)
+    for value in np.unique(shared[shared != 0]):
+        (lanes,) = np.nonzero(shared == value)
         captured = _in_chunks(
             _needle_ends, variables[lanes], (coupling, _capture(jnp.asarray(value)))
         )
@@ -84,6 +86,12 @@ def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: A
     padded = np.resize(variables, (count * length, 15))
     parts = [function(part, constants) for part in np.split(padded, count)]
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(variables)], *parts)
+
+
+def _nearly(delta: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+    """Round to 13 digits: bodies in turned axes, whose δ differ by rounding, share a capture."""
+    size = 10.0 ** np.floor(np.log10(np.where(delta > 0, delta, 1.0)))
+    return np.round(delta / size, 12) * size
 
 
 def _put(ends: ManyEnds, lanes: Any, values: ManyEnds) -> None:

@@ -20,7 +20,7 @@ from .columns import (
     coordinate_dims,
     is_result,
     labels,
-    plain_attributes,
+    with_level,
     without_versions,
 )
 from .grids import counted, described_axis
@@ -190,8 +190,10 @@ class Basin:
     def to_xarray(self) -> "xarray.Dataset":
         """Return the basin as an `xarray.Dataset`, with units, versions and settings as attributes.
 
-        `xarray.open_zarr` of its store gives the same, except that columns of whole numbers become
-        floating-point numbers, NaN where a tile is not computed yet.
+        The level is a coordinate, so that `xarray.concat` keeps that of each basin.
+        `xarray.open_zarr` of its store gives the same, except that the level is an attribute, and
+        columns of whole numbers become floating-point numbers, NaN where a tile is not computed
+        yet.
         """
         import xarray
 
@@ -203,7 +205,7 @@ class Basin:
             kind[name] = (dims, values, labels(name))
         for name, values in self.coords.items():
             coords[name] = (coordinate_dims(name, self.dims, values.ndim), values, labels(name))
-        data = xarray.Dataset(variables, coords, plain_attributes(self.attrs))
+        data = xarray.Dataset(variables, *with_level(coords, self.attrs))
         if "outcome" not in variables or np.all(computed := data.outcome != MISSING["int8"]):
             return data
         truths = {name: x.astype("int8") for name, x in data.items() if x.dtype == bool}

@@ -60,6 +60,9 @@ DERIVATIVE_PREFIX = "d_omega_inf_d_"
 VERSION = "version_"
 """The prefix of attributes with versions."""
 
+LEVEL = "level"
+"""The attribute with the label of the equation's level."""
+
 START = "omega0"
 """The column of starts, in basins of samples."""
 
@@ -127,6 +130,17 @@ def plain_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes in a form that every data format can hold; booleans become text."""
     plain = {key: str(x) if isinstance(x, bool) else x for key, x in attrs.items()}
     return {"Conventions": "CF-1.11"} | plain
+
+
+def with_level(
+    coords: Mapping[str, Any], attrs: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return coordinates and attributes for xarray, with the level as a coordinate.
+
+    When xarray joins datasets it keeps the attributes of the first one, but all coordinates.
+    """
+    rest = plain_attributes({name: x for name, x in attrs.items() if name != LEVEL})
+    return {LEVEL: ((), attrs[LEVEL]), **coords} if LEVEL in attrs else dict(coords), rest
 
 
 def without_versions(attrs: Mapping[str, Any]) -> dict[str, Any]:

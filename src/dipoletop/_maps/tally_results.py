@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from .._base.checks import flag, refuse
 from .._base.statistics import wilson
 from .._base.types import Outcome
-from .columns import column_spec, coordinate_dims, labels, plain_attributes
+from .columns import column_spec, coordinate_dims, labels, with_level
 from .grids import counted, described_axis
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
@@ -165,7 +165,7 @@ class Tally:
             values = self.coords[name]
             dims = coordinate_dims(name, self.dims, values.ndim)
             coords[name] = (dims, values, labels(name))
-        return xarray.Dataset(variables, coords, plain_attributes(self.attrs))
+        return xarray.Dataset(variables, *with_level(coords, self.attrs))
 
     def __eq__(self, other: object) -> bool:
         """Return whether cells, bins and all counts are the same."""

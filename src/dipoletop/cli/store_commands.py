@@ -13,7 +13,7 @@ import click
 from .._base.checks import refuse
 from .._base.summaries import duration
 from .._maps.basin import Basin
-from .._maps.columns import VERSION, without_versions
+from .._maps.columns import LEVEL, VERSION, without_versions
 from .._maps.grids import Grid, counted
 from .._maps.store.errors import StoreDamaged
 from .._maps.store.layout import tiling_of_starts
@@ -187,6 +187,7 @@ def _part(path: str, at: Any, ranges: Any = ()) -> Basin:
 
 def _table(data: Any, dims: tuple[str, ...]) -> Any:
     """A row for each start; components have columns of their own."""
+    data = data.drop_vars(LEVEL, errors="ignore")  # the same in every row
     for name in [*data.data_vars, *data.coords]:
         behind = [dim for dim in data[name].dims if dim not in dims]
         if behind:

@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.batches import over_batch
-from .._base.checks import concrete, finite, on_device, on_host, refuse, where_valid
+from .._base.checks import (
+    concrete,
+    finite,
+    on_device,
+    on_host,
+    refuse,
+    where_valid,
+    without_unit,
+)
 from .._base.guards import safe_sqrt
 from .._base.linalg import dot
 from .._base.quantities import ANGULAR
@@ -208,6 +216,13 @@ class Particle(eqx.Module):
         Raises:
             ValueError: as for `Particle`; the message shows the Gaussian values.
         """
+        mass, inertia = (
+            without_unit("mass", mass, "g"),
+            without_unit("inertia", inertia, "g*cm**2"),
+        )
+        radius, si = without_unit("radius", radius, "cm"), without_unit("dipole", dipole, "C*m")
+        if si is not dipole:  # a quantity
+            dipole = np.asarray(si) / STATCOULOMB_CM
         given = cls(mass, inertia, dipole, radius=radius)
         metres = None if given.radius is None else 1e-2 * given.radius
         dipole = STATCOULOMB_CM * given.dipole

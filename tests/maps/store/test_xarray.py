@@ -45,10 +45,11 @@ def test_a_store_is_the_dataset_of_its_basin(tmp_path, kind):
     digest = masked.attrs.pop("problem_digest")
     for name in expected.data_vars:
         masked[name] = masked[name].astype(expected[name].dtype).assign_attrs(masked[name].attrs)
+    masked = masked.assign_coords(level=masked.attrs.pop("level"))
     xarray.testing.assert_identical(masked, expected)
     header = json.loads((tmp_path / "s.zarr/dipoletop-tiles/zarr.json").read_bytes())["attributes"]
     assert digest == header["programs"]["problem"]
-    assert expected.attrs["level"] == basin.level
+    assert expected.level == basin.level
 
     raw = xarray.open_zarr(tmp_path / "s.zarr", mask_and_scale=False)
     assert raw.outcome.dtype == np.int8
@@ -81,7 +82,7 @@ def test_a_dataset_can_be_written_as_netcdf(tmp_path):
         data = dt.sweep(problem, over).to_xarray()
         data.to_netcdf(tmp_path / f"{kind}.nc", engine="scipy")
         with xarray.open_dataset(tmp_path / f"{kind}.nc", engine="scipy") as read:
-            assert read.attrs["level"] == data.attrs["level"]
+            assert read.level.item() == data.level.item()
             np.testing.assert_array_equal(read.outcome, data.outcome)
 
 
@@ -95,7 +96,7 @@ def test_a_sample_keeps_its_starts_and_parameters(tmp_path, store):
     np.testing.assert_array_equal(basin.column("way"), points["way"])
     data = basin.to_xarray()
     assert data.omega0.dims == ("sample", "component")
-    assert set(data.coords) == {"omega0", "delta", "way"}
+    assert set(data.coords) == {"omega0", "delta", "way", "level"}
     stopped = data.omega0.where(data.outcome == dt.Outcome.STOP, drop=True)
     assert len(stopped) == np.sum(basin.outcome == dt.Outcome.STOP)
     found = dt.classify_many(dt.TransverseReduced(basin.column("delta")), basin.omega0)
