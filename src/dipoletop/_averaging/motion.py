@@ -76,7 +76,7 @@ class Stage(eqx.Module):
     last: Int[Array, ""]
     """The index of the last knot."""
     failed: Bool[Array, ""]
-    """Whether there are too many knots."""
+    """Whether there are too many knots, or a rate is not a number."""
     error: Real
     """The estimated error of ln L², relative to its change if that is large."""
 
@@ -150,7 +150,8 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         return (now.knots[now.last] == end) | (stops_there & (now.states.log[now.last] < LOWEST))
 
     def unfinished(now: _Progress) -> Bool[Array, ""]:
-        return ~ended(now) & (now.last < MOST_PANELS)
+        known = now.length > 0  # not NaN
+        return ~ended(now) & (now.last < MOST_PANELS) & known
 
     def advance(now: _Progress) -> _Progress:
         first = now.knots[now.last]
