@@ -407,13 +407,13 @@ def test_history_of_an_axisymmetric_body_is_that_of_the_averaged_top(delta):
     np.testing.assert_allclose(energy, exact, rtol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("omega", [[np.nan, 1e-20, 1e-20], [np.inf, 1e-20, 1e-20]])
 def test_what_is_no_number_fails_at_once(omega):
     """As a lane of a traced batch may hold."""
     assert _slow_flow(ON_3, np.array(omega)).outcome == dt.Outcome.FAILED
 
 
+@pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.motion.MOST_PANELS", 5)
     variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])
