@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.stats import kstest
 
 import dipoletop as dt
-from dipoletop._averaging.capture import ENTRY, PARTS, Expansion, capture, end_of_top
+from dipoletop._averaging.capture import PARTS, capture, end_of_top
+from dipoletop._averaging.planar_orbits import ENTRY, Expansion
 
 # δ: probability of residual rotation, mean, 5, 25, 50, 75, 95 % of X: 20 000 phases by themselves.
 SAMPLED = {

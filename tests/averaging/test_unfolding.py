@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
-from dipoletop._averaging.capture import Expansion, capture
+from dipoletop._averaging.capture import capture
 from dipoletop._averaging.forecast import best_forecast, coverage, forecast, unfolded_forecast
+from dipoletop._averaging.planar_orbits import Expansion
 from dipoletop._averaging.unfolding import PlanarMotion, entry_q, phases, settle
 
 ONE = jnp.asarray(np.float64(1))

@@ -6,20 +6,9 @@ falls, and where q = 2δ|z| is of order 1 the rotation is captured: it becomes r
 
     φ_σ = −δz − ½ sin 2φ,   z_σ = z {1 − (2+δ)/(1−δ) cos²φ} − sin 2φ/(1−δ),   (ln u)_σ = −2 sin²φ,
 
-decides which, by the phase. The phase belongs to a very fast rotation, so it is random. Orbits come
-from z = ∞ turn by turn (z = −∞ is the mirror image). Put a = −3δ/(2(1−δ)), θ = 2φ. On
-the sections θ = 2πk an orbit obeys, as an expansion in 1/q whose odd terms vanish,
-
-    dq/dθ = −a (1 + g₁/q² + g₂/q⁴ + …),   d ln u/d ln q = −(1/a)(1 + k₁/q² + k₂/q⁴ + …),
-
-without any oscillation, because the phase is the same on all sections. The expansion is made by
-substitution of q⁻¹ = E + ΣBₙ(θ)Eⁿ, Bₙ(0) = 0, order by order. So on a section
-
-    N(q) = ∫dq/(2π dq/dθ)  is the number of turns, up to a constant of the orbit, and
-    W² = u q^{1/a} exp(−[k₁/(2q²) + k₂/(4q⁴) + …]/a)  is the invariant of the averaged motion.
-
-A random phase means that N mod 1 is uniform, which is the only distribution that is invariant
-from turn to turn.
+decides which, by the phase. The phase belongs to a very fast rotation, so it is random. Far from
+capture an orbit has a number of turns N and a constant W (`planar_orbits`). A random phase means
+that N mod 1 is uniform, which is the only distribution that is invariant from turn to turn.
 
 Residual orbits are those whose N lies between N_A and N_B (mod 1) of the orbits that end in the
 saddles. Below δ_c2 there is one such orbit, and all others are residual. X = |ω∞|/W vanishes like
@@ -31,7 +20,6 @@ import functools
 import math
 from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,11 +27,20 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.chebyshev import collocation_rule
 from .._base.checks import or_nan
-from .._base.integration import integrated
 from .._base.linalg import running_sums
-from .._base.types import Outcome, Real
+from .._base.types import Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
+from .planar_orbits import (
+    ENTRY,
+    MAX_STEPS,
+    Expansion,
+    Scalar,
+    at_angle,
+    follow,
+    log_scale_of,
+    settle,
+)
 
 SMALLEST, LARGEST = 0.005, 0.995  # δ between which the distribution of X is computed
 NEARLY_SPHERICAL = 0.005, 0.0075, 0.01, 0.0125  # δ from which it is extrapolated towards 0
@@ -55,19 +52,12 @@ rises slowly, by (ln u)_C = −∫sin²φ dφ/(Z + S/2) / δ∫(3Z cos²φ + S)Z
 separatrix, C = 2 ln 2 − 2. The limit is that of ½δ Δln u + ⅓ ln 2Z, from Z → ∞ to there.
 """
 EXTRAPOLATED, INTERPOLATED, COMPUTED = 2e-3, 3e-5, 1e-6  # errors of X
-ENTRY = 24.0  # q/(1 + |a|) where the expansion takes over; its error is then below 1e-6
 NEAR = 1e-8  # distance from a saddle at which its stable manifold is straight
-AMPLITUDE = 1e-6  # ω⊥ at which the semi-reduced regions coincide with the regions of the plane
-PRECISION = 1e-7  # relative error of ω∞ by its series
 NODES = 34  # nodes in s, including the two ends, where X = 0
 FINE = 8000  # intervals of s for the distribution
 PARTS = 512  # parts of equal probability
-MAX_STEPS = 16384
-RTOL = 1e-10
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""The levels of `Capture.quantiles`."""
-
-Scalar = Float[Array, ""]
+"""The levels of `Capture.log_quantiles`."""
 
 
 class Capture(NamedTuple):
@@ -115,19 +105,6 @@ class TopEnd(NamedTuple):
     """Whether the start turns many times before it is captured, so that chance decides."""
 
 
-class Settled(NamedTuple):
-    """The end of an orbit of the plane."""
-
-    residual: Bool[Array, "*any"]
-    stops: Bool[Array, "*any"]
-    along: Bool[Array, "*any"]
-    """Whether ω∞ > 0."""
-    log_ratio: Real
-    """ln |ω∞|/ω⊥ if it is residual, with ω⊥ at the start."""
-    state: Float[Array, "*any 3"]
-    """The last state."""
-
-
 def capture(delta: Scalar) -> Capture:
     """Return the distribution of X = |ω∞|/W of a random phase, W² = lim u (2δ|z|)^{−2(1−δ)/(3δ)}.
 
@@ -151,17 +128,28 @@ def capture(delta: Scalar) -> Capture:
         >>> f"{needle.residual:.4f} {jnp.exp(needle.log_mean):.4f}"
         '0.8260 0.8845'
     """
-    inside, low, high = (delta > 0) & (delta < 1), delta < SMALLEST, delta > LARGEST
-    delta = jnp.where(inside, delta, 0.5)
-    small = np.asarray(NEARLY_SPHERICAL)
-    points = jnp.where(low, small, jnp.minimum(delta, LARGEST))
+    points, count = computed_at(delta, jnp)
 
     def add(number: Any, found: Float[Array, "4 n"]) -> Float[Array, "4 n"]:
-        return found.at[number].set(_computed(points[number]))
+        return found.at[number].set(distribution(points[number]))
 
-    count = jnp.where(low, small.size, 1)
-    found = jax.lax.fori_loop(0, count, add, jnp.zeros((small.size, 2 + PARTS), delta.dtype))
-    first = found[0]
+    none = jnp.zeros((points.size, 2 + PARTS), points.dtype)
+    return capture_from(delta, jax.lax.fori_loop(0, count, add, none))
+
+
+def computed_at(delta: Any, xp: Any) -> tuple[Any, Any]:
+    """Return the δ whose `distribution` the capture of a given δ needs, and how many they are."""
+    points = xp.clip(xp.where(delta > 0, delta, 0.5), SMALLEST, LARGEST)
+    low = (delta > 0) & (delta < SMALLEST)
+    small = np.asarray(NEARLY_SPHERICAL)
+    return xp.where(low, small, points), xp.where(low, small.size, 1)
+
+
+def capture_from(delta: Scalar, found: Float[Array, "4 n"]) -> Capture:
+    """Return the capture of a given δ, given the distributions where `computed_at` wants them."""
+    inside, low, high = (delta > 0) & (delta < 1), delta < SMALLEST, delta > LARGEST
+    delta = jnp.where(inside, delta, 0.5)
+    small, first = np.asarray(NEARLY_SPHERICAL), found[0]
     share = (1 - delta) / (1 - LARGEST)
     is_log = np.where(np.arange(2 + PARTS) > 0, 1.0, 0.0)  # not the probability
     stretch = is_log * _stretch(delta)
@@ -176,8 +164,8 @@ def capture(delta: Scalar) -> Capture:
     return Capture(residual, log_mean, table, or_nan(error, inside))
 
 
-def _computed(delta: Scalar) -> Float[Array, "n"]:
-    """Compute the probability of residual rotation, ln X of the mean, and ln X in `PARTS` parts."""
+def distribution(delta: Scalar) -> Float[Array, "n"]:
+    """Compute the probability of residual rotation, ln of the mean X, and ln X in `PARTS` parts."""
     expansion = Expansion(-1.5 * delta / (1 - delta))
     first, residual = _residual_turns(delta, expansion)
     s = jnp.asarray(collocation_rule(NODES).nodes)
@@ -214,7 +202,7 @@ def _stretch(delta: Any) -> Any:
 
 @functools.cache
 def _of_rods() -> np.ndarray:
-    """Return the values of `_computed` for δ → 1.
+    """Return the values of `distribution` for δ → 1.
 
     With ẑ = εz and dσ′ = dσ/ε the plane tends to φ′ = −ẑ, ẑ′ = −3ẑ cos²φ. So ẑ falls by (3/2)π
     each half turn, and where it has come to 0, φ has a density of cos²φ. Then z is the slow
@@ -273,7 +261,7 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
     def either(chance: Array) -> Array:
         return jnp.where(random, chance + log_scale, jnp.full_like(chance, log_ratio))
 
-    distribution = Capture(
+    found = Capture(
         or_nan(residual, ~lost),
         either(chance.log_mean),
         either(chance.log_table),
@@ -286,89 +274,9 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
         _share(symmetry_axis),
         _share(across),
         log_scale,
-        distribution,
+        found,
         random,
     )
-
-
-def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
-    """Return the end of the orbit from a point of the plane, at the consistent levels; δ > 0."""
-    plane = Planar(delta)
-
-    def field(t: Any, y: Array, args: Any) -> Array:
-        return jnp.append(plane(t, y[:2]), -2 * jnp.sin(y[0]) ** 2)
-
-    def ends(t: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
-        at = _verdict(delta, y)
-        known = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
-        return known | (at.outcome == Outcome.STOP)
-
-    y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends).ys[-1]
-    at = _verdict(delta, y)
-    residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
-    last = jnp.where(residual, at.omega_inf, AMPLITUDE) / AMPLITUDE
-    log_ratio = or_nan(jnp.log(jnp.abs(last)) + y[2] / 2, residual)
-    stops = at.outcome == Outcome.STOP
-    return Settled(residual, stops, residual & (last > 0), log_ratio, y)
-
-
-def _verdict(delta: Scalar, y: Array) -> Any:
-    """Compute the semi-reduced verdict on a point of the plane, and ω∞ for ω⊥ = `AMPLITUDE`."""
-    across = AMPLITUDE * jnp.stack([jnp.cos(y[0]), jnp.sin(y[0])])
-    return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
-
-
-def follow(
-    field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS, *, dense: bool = False
-) -> Any:
-    """Return the solution of an autonomous system up to the first step after which `ends` holds."""
-    pid, saveat = diffrax.PIDController(RTOL, RTOL), diffrax.SaveAt(t1=True, dense=dense)
-    options = {"saveat": saveat, "event": diffrax.Event(ends)}
-    return integrated(field, (0.0, jnp.inf), y0, pid, max_steps, 0.01, **options)
-
-
-def at_angle(slope: Any, span: tuple[Scalar, Scalar], y0: Array, max_steps: int) -> Array:
-    """Return the state after φ has gone through a span, with given slopes dy/dφ."""
-    pid = diffrax.PIDController(RTOL, RTOL)
-    return integrated(slope, span, y0, pid, max_steps).ys[-1]
-
-
-class Expansion(NamedTuple):
-    """The expansion in 1/q on the sections θ = 2πk, which depends on a = −3δ/(2(1−δ)) only."""
-
-    a: Real
-
-    @property
-    def turn(self) -> tuple[Real, Real]:
-        """The coefficients g₁, g₂."""
-        a = self.a
-        return (a - 7) / 12, -(1275 + a * (934 + a * (126 * a - 3095))) / 576
-
-    @property
-    def decay(self) -> tuple[Real, Real]:
-        """The coefficients k₁, k₂: the series d ln u/dθ = (1/q)(1 + h₁/q² + …) divided by dq/dθ."""
-        a, (g1, g2) = self.a, self.turn
-        h1 = (9 + a * (5 - 12 * a)) / 4
-        h2 = 5 * (1125 + a * (1042 + a * (-4569 + a * (4656 * a - 2710)))) / 576
-        return h1 - g1, h2 - g2 - g1 * (h1 - g1)
-
-    def turns(self, q: Real) -> Real:
-        """Return the number of turns N, up to a constant."""
-        g1, g2 = self.turn
-        return (q + g1 / q + (g2 - g1**2) / (3 * q**3)) / (2 * jnp.pi * jnp.abs(self.a))
-
-    def q(self, turns: Real) -> Real:
-        """Return the q after N turns."""
-        g1, g2 = self.turn
-        leading = q = 2 * jnp.pi * jnp.abs(self.a) * turns
-        for _ in range(8):  # each gains a factor g₁/q²
-            q = leading - g1 / q - (g2 - g1**2) / (3 * q**3)
-        return q
-
-    def log_w(self, q: Real) -> Real:
-        """Return the logarithm of W/√u."""
-        k1, k2 = self.decay
-        return (jnp.log(q) - k1 / (2 * q**2) - k2 / (4 * q**4)) / (2 * self.a)
 
 
 def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar]:
@@ -404,26 +312,6 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
     gap = jnp.where(wobbles & arrives[1], turns[1] - turns[0], 0.0)
     gap = jnp.maximum(gap - jnp.floor(gap + 1e-6), 0.0)
     return or_nan(turns[0] + gap, arrives[0]), 1 - gap
-
-
-def log_scale_of(delta: Scalar, log_perp: Scalar, log_w3: Scalar, s: Scalar) -> Scalar:
-    """Compute ln W of a start of the averaged top by (4.16), ξ = ω⊥²/ω₃², s = sgn ω₃ sin 2φ.
-
-    A start oscillates about the averages. By (4.2)–(4.4) the oscillations of (ln u)′ and (ln v)′
-    are (u + Mv) cos 2φ and −3δu cos 2φ/(1−δ), and φ′ = −δω₃. Their integrals are subtracted from
-    ln K.
-    """
-    a, b = 1 + 2 * delta, 1 + delta**3
-    p = delta * (1 - delta) * (3 + 3 * delta + delta**2) / (a * b)
-    log_xi = 2 * (log_perp - log_w3)
-    log_ratio = jnp.log(b / a) - log_xi
-    log_k = 2 * log_w3 + (2 + delta) / a * log_xi - p * jnp.logaddexp(log_ratio, 0.0)
-    slope = (2 + delta) / a + p * jax.nn.sigmoid(log_ratio)  # d ln K/d ln ξ at constant v
-    u, v = jnp.exp(2 * log_perp - log_w3), jnp.exp(log_w3)  # over |ω₃|
-    m = 1 + delta + delta**2
-    oscillation = slope * (u + m * v) - (1 - slope) * 3 * delta / (1 - delta) * u
-    log_k = log_k + s * oscillation / (2 * delta)
-    return a / (6 * delta) * log_k - (1 - delta) / (3 * delta) * jnp.log(2 * delta)
 
 
 def _share(certain: Bool[Array, ""]) -> Scalar:

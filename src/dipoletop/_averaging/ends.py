@@ -15,9 +15,10 @@ from .._base.bisection import root
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import ENTRY, TopEnd, capture, end_of_top
 from .capture import LEVELS as QUANTILES
+from .capture import TopEnd, capture, end_of_top
 from .motion import HALVINGS, RTOL, Point, SlowMotion, Stage
+from .planar_orbits import ENTRY
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 

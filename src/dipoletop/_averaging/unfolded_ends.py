@@ -19,9 +19,10 @@ from .._base.bisection import root
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .capture import LEVELS, Settled, follow
+from .capture import LEVELS
 from .ends import SlowEnd, slow_end, time_at
 from .motion import HALVINGS, SlowMotion, motion_from
+from .planar_orbits import Settled, follow
 from .principal_axes import FreeRotation
 from .unfolding import LARGEST, PHASES, PlanarMotion, Top, entry_of, phases, settle
 

@@ -32,9 +32,9 @@ from .._base.bisection import root
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.types import Real
 from ..equations._common import planar_rates
-from .capture import ENTRY, Expansion, Settled, at_angle, follow, log_scale_of
 from .free_rotation import gaps_of
 from .motion import HALVINGS, SlowMotion
+from .planar_orbits import ENTRY, Expansion, Settled, at_angle, follow, log_scale_of
 from .principal_axes import FreeRotation
 
 PHASES = 256  # phases that sample a random start

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.compiling import with_special_numbers
 from .._base.types import Real
-from .capture import Capture, capture, end_of_top
+from .capture import Capture, capture_from, computed_at, distribution, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
 from .estimates import error_of_phase, estimated_error, start_error
 from .forecast import (
@@ -68,9 +68,7 @@ def ends_of_many(
     shared = _nearly(delta)
     for value in np.unique(shared[shared != 0]):
         (lanes,) = np.nonzero(shared == value)
-        captured = _in_chunks(
-            _needle_ends, variables[lanes], (coupling, _capture(jnp.asarray(value)))
-        )
+        captured = _in_chunks(_needle_ends, variables[lanes], (coupling, _capture(value)))
         _put(ends, lanes, captured)
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
         alone = forecast(jnp.asarray(variables[lane]), coupling, False)
@@ -146,4 +144,17 @@ def _untimed(
     return ManyEnds(outcome, probability, omega_inf, ratio, regime_of(rotation), error)
 
 
-_capture = eqx.filter_jit(capture)
+def _capture(delta: float) -> Capture:
+    """Return the capture of a given δ; what it is computed from is kept for the process."""
+    points, _ = computed_at(delta, np)
+    found = np.stack([_distribution(float(point)) for point in np.broadcast_to(points, 4)])
+    return _captured(jnp.asarray(delta), jnp.asarray(found))
+
+
+@functools.lru_cache(maxsize=1024)
+def _distribution(delta: float) -> np.ndarray:
+    return np.asarray(_computed(jnp.asarray(delta)))
+
+
+_captured = eqx.filter_jit(capture_from)
+_computed = eqx.filter_jit(distribution)

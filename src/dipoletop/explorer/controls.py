@@ -94,14 +94,14 @@ class Controls:
             self._is_showing = False
 
     def _change(self, make: Callable[[View], View]) -> None:
-        """Make a new view; if it is refused, report why and show the old values again."""
+        """Make a new view; if it is refused, show the old values again and report why."""
         if self._is_showing or self._view is None:
             return
         try:
             view = make(self._view)
         except ValueError as error:
+            self.show(self._view)  # before the message: who reads it may type at once
             self._on_refusal(str(error))
-            self.show(self._view)
             return
         self._on_refusal("")
         self.show(view)
