@@ -45,24 +45,24 @@ PROGRAMS = {
 # Operations of the right-hand sides, and of a step of 8 lanes until the value is known.
 OPERATIONS = {
     "transverse 1": 45,  # 36
-    "transverse 2": 204,  # 163
-    "transverse 3": 738,  # 590
-    "transverse 4": 2610,  # 2085
+    "transverse 2": 153,  # 122
+    "transverse 3": 424,  # 339
+    "transverse 4": 1140,  # 912
     "transverse semi": 54,  # 43
     "transverse full": 89,  # 71
-    "general 1": 1420,  # 1138
-    "general 2": 4180,  # 3344
-    "general 3": 11800,  # 9430
-    "general semi": 2220,  # 1779
-    "general full": 748,  # 598
+    "general 1": 1060,  # 848
+    "general 2": 2250,  # 1801
+    "general 3": 4580,  # 3664
+    "general semi": 1250,  # 1002
+    "general full": 631,  # 505
     "step, transverse 1": 1370,  # 1099
     "step, transverse semi": 1790,  # 1432
 }
 # Vector instructions of the native engine, as they are written.
 INSTRUCTIONS = {
     "transverse 1": {"begin": 558, "advance": 1670},  # 446, 1334
-    "general 1": {"begin": 3700, "advance": 6400},  # 3414, 5842
-    "general semi": {"begin": 4400, "advance": 9600},  # 4070, 8841
+    "general 1": {"begin": 3560, "advance": 5650},  # 3337, 5296
+    "general semi": {"begin": 3900, "advance": 6500},  # 3651, 6072
 }
 
 MANY = 512

@@ -164,6 +164,7 @@ def capture_from(delta: Scalar, found: Float[Array, "4 n"]) -> Capture:
     return Capture(residual, log_mean, table, or_nan(error, inside))
 
 
+@jax.jit
 def distribution(delta: Scalar) -> Float[Array, "n"]:
     """Compute the probability of residual rotation, ln of the mean X, and ln X in `PARTS` parts."""
     expansion = Expansion(-1.5 * delta / (1 - delta))

@@ -17,6 +17,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS as QUANTILES
 from .capture import TopEnd, capture, end_of_top
+from .free_rotation import gaps_of
 from .motion import HALVINGS, RTOL, Point, SlowMotion, Stage
 from .planar_orbits import ENTRY
 from .principal_axes import FreeRotation
@@ -39,9 +40,6 @@ a stop while oscillating about the middle axis of a needle."""
 EPS = float(np.finfo(float).eps)
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
-REACH = 15.0
-"""|y| from which r − r* counts as exp(−|y|): exp(−15) and the errors of the quadrature, which grow
-as 1/L², then matter alike."""
 
 
 class SlowEnd(NamedTuple):
@@ -74,15 +72,14 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     """Return how a slow motion of a body ends."""
     stage = motion.final
     limit = stage.limit
-    r, _ = stage.interval.side.rates(limit.x, limit.rest)
     axis = jnp.where(motion.ends_high, 0, 2)
     spins = ~stage.rises & ~limit.is_zero
-    residual = spins & (r == 0)
+    residual = spins & (limit.r == 0)
     end = stage.end
     log = jnp.where(residual, end.log, -jnp.inf)
     last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
     energy = energies(motion.stage(0))[0]
-    decay, error = late_decay(stage, r)
+    decay, error = late_decay(stage)
     error += motion.error
     # The excess is a difference of energies, unless it is so small that it decays exponentially.
     excess = (energy - last_energy) / energy
@@ -105,20 +102,15 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     )
 
 
-def late_decay(stage: Stage, last: Real) -> tuple[Real, Real]:
+def late_decay(stage: Stage) -> tuple[Real, Real]:
     """Return the rate of the law L² = L²ₚ/(1 + rate t) of the last stage, and its relative error.
 
     With the last r = r*, 1/L² − r*t tends to L²ₚ⁻¹ = L⁻²(1 − r*u) + ∫(r − r*)ds/L² from any point.
     Near the end r − r* falls as exp(−|y|), and 1/L² grows as exp(ρ|y|), ρ = r*|ds/dy|. So the
     limit exists for ρ < 1 only: otherwise L falls before h has come to its last value.
-
-    Args:
-        stage: the stage in which a motion ends.
-        last: r*.
     """
-    first = stage.knots[0]
-    y = jnp.where(stage.rises, jnp.maximum(first, REACH), jnp.minimum(first, -REACH))
-    state = stage.state_at(y)
+    last, index = stage.limit.r, stage.settled
+    y, state = stage.knots[index], stage.knot(index)
     pace, r = stage.interval.pace(y)
     pace = jnp.abs(pace)
     exists = last * pace < 1
@@ -126,7 +118,7 @@ def late_decay(stage: Stage, last: Real) -> tuple[Real, Real]:
     share = 1 - last * state.u + rest
     exists &= share > 0
     share = jnp.where(exists, share, 1.0)
-    error = (RTOL + jnp.abs(rest) * jnp.exp(-REACH)) / share
+    error = (RTOL + jnp.abs(rest) * jnp.exp(-jnp.abs(y))) / share
     rate = jnp.where(exists, last * jnp.exp(state.log) / share, jnp.nan)
     return jnp.where(last == 0, 0.0, rate), jnp.where((last == 0) | ~exists, 0.0, error)
 
@@ -169,11 +161,13 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
 def _half_time_of_neighbours(rotation: FreeRotation, axis: Int[Array, ""]) -> Real:
     """Return the limit of the half time of starts next to residual rotation about an axis.
 
-    E − E∞ is in proportion to x = (h − c)/Db, which falls as exp(F(0)t). NaN about the middle
-    axis, which the neighbours leave.
+    E − E∞ is in proportion to x = (h − c)/Db, which falls as exp(F(0)t). For a dipole along this
+    axis c F(0) = −abc − ½[a²(b − c) + b²(a − c)]. NaN about the middle axis, which the neighbours
+    leave.
     """
-    apart = rotation.replaced_where(rotation.is_sphere)
-    _, growth = apart.side(axis == 0).rates(jnp.zeros_like(apart.moments[0]), jnp.ones(()))
+    moments = jnp.roll(rotation.moments, -1 - axis)  # that of the axis comes last
+    (a, b, c), (to_a, to_b, _) = 1 / moments, gaps_of(moments)
+    growth = -a * b * c - (a**2 * to_b + b**2 * to_a) / 2
     attracts = (axis != 1) & (growth < 0)
     return or_nan(np.log(2) / jnp.where(attracts, -growth, 1.0), attracts)
 
@@ -311,8 +305,7 @@ def time_at(motion: SlowMotion, energy: Real) -> Real:
     part = root(lost, jnp.zeros_like(energy), jnp.ones_like(energy), HALVINGS)
     y, state = piece.at(part)
     # After the last knot E falls as L² does, by 1 + r(t − tₑ)L²ₑ.
-    limit = stage.limit
-    r, _ = stage.interval.side.rates(limit.x, limit.rest)
+    r = stage.limit.r
     h = shape(stage.interval.side, *stage.interval.position(y))
     excess = jnp.maximum(h * jnp.exp(state.log) / 2 / energy - 1, 0.0)
     late = above > stage.last

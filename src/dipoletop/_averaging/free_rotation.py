@@ -72,7 +72,7 @@ def averages(
         x: (h − c)/Db, from 0 to 1.
         rest: 1 − x, to its own relative accuracy.
     """
-    _, b, c = p = tuple(1 / moment for moment in moments)
+    a, b, c = p = tuple(1 / moment for moment in moments)
     to_a, to_b, a_to_b, q, m, m1 = path(moments, x, rest)
     h = rest * c + x * b
     sn2, sn4 = elliptic_means(m, m1)
@@ -80,40 +80,33 @@ def averages(
     cn2_dn2, sn2_dn2 = m1 * cn2 + m * cn4, m1 * sn2 + m * sn2_cn2  # dn² = (1 − m) + m cn²
     dn4 = m1 * (m1 + 2 * m * cn2) + m**2 * cn4
     ya, yb, yc = x * to_b / to_a, x, q / to_a  # times cn², sn², dn²
-    mean = {
-        (0, 0): ya**2 * cn4,
-        (1, 1): yb**2 * sn4,
-        (2, 2): yc**2 * dn4,
-        (0, 1): ya * yb * sn2_cn2,
-        (0, 2): ya * yc * cn2_dn2,
-        (1, 2): yb * yc * sn2_dn2,
-    }
-    gap = {(0, 1): a_to_b, (0, 2): to_a, (1, 2): to_b}
-    # ⟨yᵢyⱼ⟩(pᵢ − pⱼ) and ⟨yⱼ Var⟩, both over x Db.
-    torque = {(0, 1): x * a_to_b / to_a * sn2_cn2, (0, 2): yc * cn2_dn2, (1, 2): yc * sn2_dn2}
-    variance = (
-        ya * (q * cn4 + rest * to_b * sn2_cn2),
-        yb * (q * sn2_cn2 + rest * to_b * sn4),
-        yc * (q * cn2_dn2 + rest * to_b * sn2_dn2),
+    # Of axis i: pᵢ³⟨yᵢ²⟩ and pᵢ²⟨yᵢ Var⟩. Of the axes j and k that follow it in the cycle a, b, c:
+    # ⟨yⱼyₖ⟩, pᵢ(pⱼ − pₖ) and pᵢ⟨yⱼyₖ⟩(pⱼ − pₖ). Means with Var or a difference are over x Db.
+    squares = a**3 * ya**2 * cn4, b**3 * yb**2 * sn4, c**3 * yc**2 * dn4
+    slope = rest * to_b
+    losses = (
+        a**2 * ya * (q * cn4 + slope * sn2_cn2),
+        b**2 * yb * (q * sn2_cn2 + slope * sn4),
+        c**2 * yc * (q * cn2_dn2 + slope * sn2_dn2),
     )
+    mixed = yb * yc * sn2_dn2, ya * yc * cn2_dn2, ya * yb * sn2_cn2
+    gaps = a * to_b, -b * to_a, c * a_to_b
+    torques = a * yc * sn2_dn2, -b * yc * cn2_dn2, c * (x * a_to_b / to_a) * sn2_cn2
 
     def of_dipole(i: int) -> tuple[Real, Real]:
-        j, k = (axis for axis in range(3) if axis != i)
-        r, growth = p[j] * p[k] * (p[j] + p[k]) * mean[j, k], jnp.zeros_like(h)
-        for other, third in ((j, k), (k, j)):
-            pair, sign = (min(i, other), max(i, other)), 1 if i < other else -1
-            inner = p[third] * sign * gap[pair]
-            r += p[other] ** 3 * mean[other, other]
-            r += p[other] * (p[i] * p[other] - inner) * mean[pair]
-            growth += sign * torque[pair] * p[third] * ((2 * p[i] - h) * p[other] - inner)
-            growth -= p[other] ** 2 * variance[other]
-        return r, growth
+        j, k = (i + 1) % 3, (i + 2) % 3
+        with_j, with_k = p[i] * p[j] - gaps[k], p[i] * p[k] + gaps[j]
+        r = p[j] * p[k] * (p[j] + p[k]) * mixed[i] + squares[j] + squares[k]
+        r += p[j] * with_j * mixed[k] + p[k] * with_k * mixed[j]
+        turned = p[i] - h
+        growth = torques[k] * (with_j + turned * p[j]) - torques[j] * (with_k + turned * p[k])
+        return r, growth - (losses[j] + losses[k])
 
-    r, growth = map(jnp.stack, zip(*(of_dipole(axis) for axis in range(3)), strict=True))
-    exact_r, exact_growth = _averages_of_top(moments, x, rest)
+    r, growth = map(jnp.stack, zip(*map(of_dipole, range(3)), strict=True))
+    exact = _averages_of_top(moments, x, rest)
     is_top = moments[0] == moments[1]
-    return jnp.where(is_top, _valued(exact_r, r), r), jnp.where(
-        is_top, _valued(exact_growth, growth), growth
+    return jnp.where(is_top, _valued(exact[0], r), r), jnp.where(
+        is_top, _valued(exact[1], growth), growth
     )
 
 
@@ -139,9 +132,10 @@ def _averages_of_top(
     zeta = moments[2] / moments[0]
     delta = 1 - zeta
     cubic = (2 - zeta) * (zeta + delta**2)  # 1 + δ³
-    r = a**3 * x**2 / 2 + 1.5 * a * c**2 * x * rest + c**3 * rest**2
-    growth = a**3 * rest * ((3 - 2 * zeta) * x + cubic * rest / zeta**2) / (2 * zeta)
-    return jnp.stack([r, r, a**3 * x]), jnp.stack([growth, growth, -(a**3) * rest])
+    cube = a**3
+    r = cube * x**2 / 2 + 1.5 * a * c**2 * x * rest + c**3 * rest**2
+    growth = cube * rest * ((3 - 2 * zeta) * x + cubic * rest / zeta**2) / (2 * zeta)
+    return jnp.stack([r, r, cube * x]), jnp.stack([growth, growth, -cube * rest])
 
 
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
@@ -179,11 +173,12 @@ def elliptic_means(m: Real, m1: Real) -> tuple[Real, Real]:
     Source: NIST Digital Library of Mathematical Functions, sections 19.8(i) and 22.14.
     """
     mean, geometric = jnp.ones_like(m1), jnp.sqrt(m1)
-    term = 1 / (2 * (1 + geometric))
-    total = jnp.zeros_like(term)
-    for n in range(1, 1 + AGM_STEPS):
-        mean, geometric = (mean + geometric) / 2, jnp.sqrt(mean * geometric)
-        total = total + 2**n * term**2
-        term = m * term**2 / (2 * (mean + geometric))
+    both = mean + geometric
+    part = total = 1 / (2 * both**2)  # 2ⁿ(cₙ/m)², n = 1
+    for n in range(2, 1 + AGM_STEPS):
+        mean, geometric = both / 2, jnp.sqrt(mean * geometric)
+        both = mean + geometric
+        part = (m * part / both) ** 2 / 2**n
+        total = total + part
     sn2 = 0.5 + m * total / 2
     return sn2, total / 3 + 2 * sn2 / 3

@@ -35,6 +35,9 @@ SHORTEST = 1e-10
 LOWEST = -1500.0  # ln L²/L₀² at which t exceeds any floating-point number by far
 NODES = 16  # of collocation between two knots
 HALVINGS = 60
+REACH = 15.0
+"""|y| from which r − r* counts as exp(−|y|): exp(−15) and the errors of the quadrature, which grow
+as 1/L², then matter alike."""
 
 
 class State(NamedTuple):
@@ -99,15 +102,11 @@ class Stage(eqx.Module):
         """Return the state at a knot."""
         return State(*(values[index] for values in self.states))
 
-    def state_at(self, y: Real) -> State:
-        """Return the state at a y between the first and the last knot."""
-        known = jnp.arange(self.knots.size) <= self.last
-        passed = jnp.where(self.rises, self.knots < y, self.knots > y)
-        piece = self.piece(jnp.sum(known & passed) - 1)
-        zero = jnp.zeros_like(y)
-        (first, _), (last, _) = piece.at(zero), piece.at(zero + 1)
-        part = (y - first) / jnp.where(first == last, 1.0, last - first)
-        return piece.at(jnp.clip(part, 0.0, 1.0))[1]
+    @property
+    def settled(self) -> Int[Array, ""]:
+        """The index of the first knot with |y| ≥ `REACH`, or of the last one."""
+        reaches = jnp.where(self.rises, self.knots >= REACH, self.knots <= -REACH)
+        return jnp.where(jnp.any(reaches), jnp.argmax(reaches), self.last)
 
     def piece(self, index: Int[Array, ""]) -> Piece:
         """Return the motion after the knot of this index."""
@@ -141,8 +140,10 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
     start = interval.parameter(z)
     pace, _ = interval.pace(start)
     rises = pace > 0
-    end = jnp.where(rises, jnp.maximum(start, FARTHEST), jnp.minimum(start, -FARTHEST))
-    end = jnp.where(moves, end, start)
+    sign = jnp.where(rises, 1.0, -1.0)
+    # A knot lies at `REACH`.
+    reach, end = (sign * jnp.maximum(sign * start, at) for at in (REACH, FARTHEST))
+    reach, end = (jnp.where(moves, at, start) for at in (reach, end))
     # On the way to a stop there is no need to go on when t exceeds any number.
     stops_there = interval.limit(rises).is_zero | ~rises | (side.moments[0] == side.moments[1])
 
@@ -155,8 +156,9 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
 
     def advance(now: _Progress) -> _Progress:
         first = now.knots[now.last]
-        ends_here = jnp.abs(end - first) <= now.length
-        length = jnp.where(ends_here, end - first, jnp.sign(end - first) * now.length)
+        goal = jnp.where(sign * first < sign * reach, reach, end)
+        ends_here = jnp.abs(goal - first) <= now.length
+        length = jnp.where(ends_here, goal - first, sign * now.length)
         here = State(*(values[now.last] for values in now.states))
         _, states, error = panel(interval, first, length, here)
         # Rounding leaves an error that does not fall with the length.
@@ -167,7 +169,8 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         factor = jnp.clip(factor, jnp.where(accepted, 1.1, 0.3), jnp.where(accepted, 2.0, 0.7))
         factor = jnp.where(only_rounding, 2.0, factor)
         place = jnp.where(accepted, now.last + 1, MOST_PANELS + 1)  # outside: nothing is set
-        knot = jnp.where(ends_here, end, first + length)
+        knot = jnp.where(ends_here, goal, first + length)
+        following = jnp.abs(jax.lax.stop_gradient(length * factor))
         return _Progress(
             now.knots.at[place].set(knot, mode="drop"),
             State(
@@ -177,7 +180,7 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
                 )
             ),
             now.last + accepted.astype(now.last.dtype),
-            jnp.abs(jax.lax.stop_gradient(length * factor)),
+            jnp.where(accepted, jnp.maximum(following, now.length), following),
             jnp.where(accepted, jnp.inf, error),
             jnp.where(only_rounding, error, jnp.where(accepted, 0.0, now.rounding)),
             now.error + jnp.where(accepted, error, 0.0),
@@ -282,15 +285,14 @@ class SlowMotion(eqx.Module):
         y, state = piece.at(part)
         x, rest = stage.interval.position(y)
         limit = stage.limit
-        r, _ = stage.interval.side.rates(limit.x, limit.rest)
         # After the last knot 2κL²ₑ(t − tₑ) = uₑ(t/tₑ − 1), and dy = −d ln L²/(r ds/dy).
         end = stage.end.log_time
         later = jnp.where(
             log_time > end, state.u * jnp.expm1(jnp.maximum(log_time - end, 0.0)), 0.0
         )
-        fall = -jnp.log1p(r * later)
+        fall = -jnp.log1p(limit.r * later)
         pace, _ = stage.interval.pace(y)
-        farther = fall / safe_divisor(r * pace)
+        farther = fall / safe_divisor(limit.r * pace)
         rest = jnp.where(stage.reaches_separatrix, rest * jnp.exp(farther), rest)
         return Point(self.starts_high ^ second, x, rest, state.log + fall)
 

@@ -68,12 +68,11 @@ class Side(eqx.Module):
         two zeros, filled up with the last value of the grid.
         """
         growth = jax.lax.map(self.growth, jnp.asarray(GRID))
-        folds = self._folds(growth)
-        positive = jax.vmap(self.growth)(folds) > 0
-        return jnp.append(jnp.asarray(GRID), folds), jnp.append(growth > 0, positive)
+        folds, extrema = self._folds(growth)
+        return jnp.append(jnp.asarray(GRID), folds), jnp.append(growth, extrema) > 0
 
-    def _folds(self, growth: Float[Array, "G"]) -> Float[Array, "m"]:
-        """Return extrema of F next to 0, by parabolas through three points."""
+    def _folds(self, growth: Float[Array, "G"]) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
+        """Return logit x and F of extrema of F next to 0, by parabolas through three points."""
         # At each inner point and at its two neighbours on either side.
         around = [growth[k : growth.size - 4 + k] for k in range(5)]
         size, sign = map(jnp.abs, around), list(map(jnp.sign, around))
@@ -83,18 +82,19 @@ class Side(eqx.Module):
         low &= (here <= following) & (sign[2] == sign[3])
         (index,) = jnp.nonzero(low, size=MOST_FOLDS, fill_value=-1)
 
-        def nearer(_: Any, at: tuple[Array, Array]) -> tuple[Array, Array]:
-            place, step = at
+        def nearer(_: Any, at: tuple[Array, ...]) -> tuple[Array, ...]:
+            _, _, place, step = at
             points = jnp.stack([place - step, place, place + step])
             before, here, after = jax.vmap(jax.vmap(self.growth))(points)
             bend = before - 2 * here + after
             shift = (before - after) / (2 * safe_divisor(bend))
-            return place + step * jnp.clip(shift, -1.0, 1.0), step / 10
+            return place, here, place + step * jnp.clip(shift, -1.0, 1.0), step / 10
 
-        # Each round leaves an error of the order of the step squared.
-        start = jnp.asarray(GRID)[index + 2], jnp.asarray(SPACING)
-        place, _ = jax.lax.fori_loop(0, 4, nearer, start)
-        return jnp.where(index < 0, FARTHEST, place)
+        # Each round but the last leaves an error of the order of the step squared.
+        start = jnp.where(index < 0, FARTHEST, jnp.asarray(GRID)[index + 2])
+        first = start, start, start, jnp.asarray(SPACING)
+        place, extremum, _, _ = jax.lax.fori_loop(0, 5, nearer, first)
+        return jnp.where(index < 0, FARTHEST, place), extremum
 
     def zeros(self) -> Float[Array, "m"]:
         """Return the zeros of F by their logit x, ascending; filled up with +∞."""
@@ -114,6 +114,8 @@ class Bound(NamedTuple):
     x: Real
     rest: Real
     """1 − x, to its own relative accuracy."""
+    r: Real
+    """−d ln L²/ds there."""
     is_zero: Bool[Array, "*any"]
     """Whether it is a zero of F, rather than the axis or the separatrix."""
     radius: Real
@@ -191,10 +193,10 @@ def bound(side: Side, z: Real) -> Bound:
     radius = RADIUS * jnp.where(is_zero, jnp.minimum(x, rest), 1.0)
     rule = collocation_rule(NODES)
     shifts = radius * (2 * rule.nodes - 1)
-    centre, remainder = jnp.where(is_zero, x, 0.5), jnp.where(is_zero, rest, 0.5)
-    _, growth = jax.vmap(lambda shift: side.rates(centre + shift, remainder - shift))(shifts)
-    coefficients = jnp.asarray(rule.coefficients) @ (growth / shifts)
-    return Bound(x, rest, is_zero, radius, coefficients)
+    near = jnp.where(is_zero, x + shifts, 0.5), jnp.where(is_zero, rest - shifts, 0.5)
+    r, growth = jax.vmap(side.rates)(jnp.append(near[0], x), jnp.append(near[1], rest))
+    coefficients = jnp.asarray(rule.coefficients) @ (growth[:-1] / shifts)
+    return Bound(x, rest, r[-1], is_zero, radius, coefficients)
 
 
 def from_logit(z: Real) -> tuple[Real, Real]:

@@ -43,7 +43,13 @@ def root(
 
     It is found by bisection, and differentiated by the implicit function theorem.
     """
-    x = jax.lax.stop_gradient(sum(bisect(lambda x: function(x) >= 0, low, high, halvings)) / 2)
-    value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
-    value_alone, slope = jax.lax.stop_gradient((value, slope))
-    return x - (value - value_alone) / jnp.where(slope == 0, 1.0, slope)
+
+    def solve(function: Callable[[Bound], Bound], _: Bound) -> Bound:
+        below, above = bisect(lambda x: function(x) >= 0, low, high, halvings)
+        return (below + above) / 2
+
+    def divide(slope_times: Callable[[Bound], Bound], value: Bound) -> Bound:
+        slope = slope_times(jnp.ones_like(value))
+        return value / jnp.where(slope == 0, 1.0, slope)
+
+    return jax.lax.custom_root(function, low, solve, divide)

@@ -6,6 +6,7 @@ reads it and supplies the default. The classes hold members by the kind of state
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -51,9 +52,10 @@ def reduced_order(order: Any) -> int:
     return order
 
 
-def one_order_up(lower: Any, t: Any, y: Vector) -> tuple[Vector, Vector]:
-    """Compute Ω̇ = F and Ω̈ = DF·F of an equation F of order m, for the torque of order m + 1."""
-    return jax.jvp(lambda w: lower(t, w), (y,), (lower(t, y),))
+def first_and_second(rate: Callable[[Vector], Vector], omega: Vector) -> tuple[Vector, Vector]:
+    """Compute Ω̇ = F and Ω̈ = DF·F of an equation F; F is evaluated once."""
+    first, derivative = jax.linearize(rate, omega)
+    return first, derivative(first)
 
 
 @jax.custom_jvp

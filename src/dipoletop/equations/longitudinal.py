@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
-from ._common import LongitudinalTop, OfFull, OfOmega, OfOrder, one_order_up
+from ._common import LongitudinalTop, OfFull, OfOmega, OfOrder, first_and_second
 from .levels import Level
 
 FullState = Float[Array, "5 *lanes"]
@@ -72,7 +72,7 @@ class LongitudinalReduced(OfOrder, LongitudinalTop):
         d = self.delta
         if self.order > 1:
             lower = LongitudinalReduced(d, self.order - 1)
-            return _balance(d, y, *one_order_up(lower, t, y))
+            return _balance(d, y, *first_and_second(lambda w: lower(t, w), y))
         w1, w2, w3 = y
         drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])

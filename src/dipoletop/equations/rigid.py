@@ -7,15 +7,14 @@ here, N − M where a torque M acts from outside (`torque_driven`).
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.linalg import dot, inverse, matvec, scale, solve, trace
+from .._base.linalg import cross, dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
-from ..radiation import gyroscopic_torque, radiation_torque
-from ._common import OfBody, OfFull, OfOmega, OfOrder, one_order_up
+from ..radiation import angular_momentum, gyroscopic_torque, radiation_torque
+from ._common import OfBody, OfFull, OfOmega, OfOrder, first_and_second
 from ._verdicts import any_body
 from .levels import Level
 
@@ -24,14 +23,12 @@ FullState = Float[Array, "6 *lanes"]
 
 
 def free_rotation(body: Body, omega: Vector) -> tuple[Vector, Vector]:
-    """Compute Ω̇ and Ω̈ of free rotation: Ω̇ = −I⁻¹N, Ω̈ = I⁻¹{Ω×N − (IΩ)×I⁻¹N} (below (3.3))."""
+    """Compute Ω̇ = −I⁻¹N and Ω̈ = I⁻¹{Ω×N − Ω̇×(IΩ)} of free rotation (below (3.3))."""
     reciprocal = inverse(body.inertia)  # once: repeated operations are not merged
-
-    def rate(w: Vector) -> Vector:
-        return -matvec(reciprocal, gyroscopic_torque(body, w))
-
-    first = rate(omega)
-    return first, jax.jvp(rate, (omega,), (first,))[1]
+    momentum = angular_momentum(body, omega)
+    load = cross(omega, momentum)
+    first = -matvec(reciprocal, load)
+    return first, matvec(reciprocal, cross(omega, load) - cross(first, momentum))
 
 
 def reduced_rate(body: Body, omega: Vector, rates: tuple[Vector, Vector], load: Vector) -> Vector:
@@ -41,15 +38,18 @@ def reduced_rate(body: Body, omega: Vector, rates: tuple[Vector, Vector], load: 
 
 
 def semi_reduced_rate(body: Body, omega: Vector, second: Vector, load: Vector) -> Vector:
-    """Solve IΩ̇ = T(Ω, Ω̇, Ω̈) − load for Ω̇, in which T is linear, with Ω̈ of a lower order."""
+    """Solve {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = T(Ω, 0, Ω̈) − load for Ω̇, with Ω̈ of a lower order."""
+    d, inertia = body.dipole, body.inertia
+    along, across = dot(d, omega), cross(d, omega)
+    twice = scale(2 * along, d)
+    rows = (
+        [0, -twice[2], twice[1]],
+        [twice[2], 0, -twice[0]],
+        [-twice[1], twice[0], 0],
+    )
+    matrix = [[inertia[i, j] - (across[i] * d[j] + rows[i][j]) for j in range(3)] for i in range(3)]
     known = radiation_torque(body, omega, jnp.zeros_like(omega), second)
-
-    def column(i: int) -> Vector:
-        unit = jnp.zeros_like(omega).at[i].set(1.0)
-        return matvec(body.inertia, unit) - (radiation_torque(body, omega, unit, second) - known)
-
-    matrix = jnp.stack([column(i) for i in range(3)], axis=1)
-    return solve(matrix, known - load)
+    return solve(jnp.stack([jnp.stack(row) for row in matrix]), known - load)
 
 
 def full_rate(body: Body, a: Vector, load: Vector) -> Vector:
@@ -109,7 +109,8 @@ class Reduced(OfOrder, OfBody):
         if self.order == 1:
             rates = free_rotation(body, y)
         else:
-            rates = one_order_up(Reduced(body, self.order - 1), t, y)
+            lower = Reduced(body, self.order - 1)
+            rates = first_and_second(lambda w: lower(t, w), y)
         return reduced_rate(body, y, rates, gyroscopic_torque(body, y))
 
     def verdict(self, y: Vector, seen: any_body.SeenBody | None = None) -> Verdict:

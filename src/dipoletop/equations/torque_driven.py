@@ -77,11 +77,8 @@ class Loaded(eqx.Module):
             return self.with_attitude(-matvec(inverse(self.body.inertia), load), slow)
         lower = 0 if order is None else order - 1
 
-        def rates_below(t: Any, slow: Slow) -> Slow:
-            return self.rates(lower, t, slow)
-
-        first = rates_below(t, slow)
-        second = jax.jvp(rates_below, (t, slow), (jnp.ones_like(t), first))[1]
+        first, derivative = jax.linearize(functools.partial(self.rates, lower), t, slow)
+        second = derivative(jnp.ones_like(t), first)
         if order is None:
             rate = semi_reduced_rate(self.body, omega, second[:3], load)
         else:

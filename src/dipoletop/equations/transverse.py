@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._base.types import Real, Vector, Verdict
-from ._common import OfFull, OfOmega, OfOrder, TransverseTop, one_order_up, reciprocal
+from ._common import OfFull, OfOmega, OfOrder, TransverseTop, first_and_second, reciprocal
 from ._verdicts import transverse as regions
 from .levels import Level
 
@@ -41,7 +41,7 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
 def _reduced(delta: Real, w: Vector, order: int) -> Vector:
     """Return ω′ of a reduced level."""
     if order > 1:
-        rate, second = one_order_up(lambda t, w: _reduced(delta, w, order - 1), 0.0, w)
+        rate, second = first_and_second(lambda w: _reduced(delta, w, order - 1), w)
         return _balance(delta, w, rate, second)
     # Factors of δ alone are grouped, so that all stages of a step share them.
     d, (w1, w2, w3) = delta, w
