@@ -151,6 +151,8 @@ CASES = {
     # Torques
     "dt.simulate(DRIVEN, np.zeros(7), TS, attitude=LEVEL)": "`attitude` must be None for a whole",
     "torques.with_torque(EQUATION, lambda t, w: 0.1)": "`torque` must return an array of shape",
+    "torques.with_torque(EQUATION, torques.drag(0.1), jumps=[np.nan])": "`jumps` must be finite",
+    "torques.with_torque(EQUATION, torques.drag(0.1), jumps=np.eye(2))": "`jumps` must have",
     "torques.with_torque(EQUATION, lambda w: w)": "`torque` must take the arguments .τ, ω.",
     "torques.with_torque(DRIVEN, PULLED, attitude=LEVEL)": "`attitude` must be None, as `equation`",
     "torques.with_torque(EQUATION, PULLED, attitude=np.ones(4))": "`attitude` must be a unit quat",

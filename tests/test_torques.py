@@ -370,3 +370,62 @@ def test_a_function_that_holds_a_traced_number_is_refused():
     with pytest.raises(ValueError, match="`torque` must take parameters that vary as arguments"):
         jax.grad(end)(GAMMA)
     assert end(GAMMA) > 0  # a plain number may be held
+
+
+PULSE = jnp.array([50.0, 50.01])
+
+
+class Pulse(eqx.Module):
+    """A torque between two times."""
+
+    torque: jax.Array
+
+    def __call__(self, t, omega):
+        return jnp.where((t > PULSE[0]) & (t < PULSE[1]), self.torque, 0.0)
+
+
+@pytest.mark.parametrize(
+    "top", [dt.TransverseReduced(-0.2), dt.TransverseSemi(-0.2), dt.TransverseFull(-0.2)]
+)
+def test_a_short_pulse_is_not_stepped_over(top):
+    """Along the dipole nothing radiates, so ω₁ rises by ∫M dτ and keeps it."""
+    pulsed = torques.with_torque(top, Pulse(jnp.array([1.0, 0.0, 0.0])), jumps=PULSE)
+    run = dt.simulate(pulsed, [0.05, 0.0, 0.0], [0.0, 49.0, 50.005, 100.0], balance=True)
+    np.testing.assert_allclose(run.omega[:, 0], [0.05, 0.05, 0.055, 0.06], rtol=1e-9)
+    np.testing.assert_allclose(run.work[-1], (0.06**2 - 0.05**2) / 2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("level", [dt.TransverseFull(-0.2), dt.Full(dt.axisymmetric(-0.2))])
+def test_a_body_moves_before_a_jump_as_the_bounded_solution_does(level):
+    """A slow rotator about axis 3: Iω′ = M + ω″, so ω′ = ∫M(s) e^{−I(s − τ)} ds from τ on."""
+    inertia, torque = 1.2, 1e-6
+    jumps, ts = jnp.array([3.0, 7.0]), np.array([0.0, 2.0, 2.9, 3.0, 5.0, 6.9, 7.0, 9.0])
+
+    def push(t, omega):
+        return jnp.where((t > jumps[0]) & (t < jumps[1]), torque, 0.0) * jnp.array([0.0, 0.0, 1.0])
+
+    def after(start):  # ω of a torque that acts from `start` on
+        late = np.maximum(ts - start, 0.0)
+        return torque / inertia * (np.exp(-inertia * np.maximum(start - ts, 0)) / inertia + late)
+
+    run = dt.simulate(torques.with_torque(level, push, jumps=jumps), np.zeros(3), ts)
+    exact = after(3.0) - after(7.0)
+    np.testing.assert_allclose(run.omega[:, 2], exact - exact[0], rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize("engine", ["native", "jax"])
+def test_a_sweep_does_not_step_over_a_pulse(engine):
+    def fast(y):
+        return jnp.where(y[0] > 0.052, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.052) & False
+
+    def problem(size):
+        pulse = Pulse(jnp.stack([size, 0 * size, 0 * size]))
+        top = dt.TransverseSemi(-0.2)
+        pulsed = torques.with_torque(top, pulse, verdict=fast, jumps=PULSE)
+        return pulsed, jnp.array([0.05, 0.0, 0.0])
+
+    sizes, settings = np.array([0.1, 0.5, 2.0]), {"value": "unchecked", "max_steps": 100}
+    basin = dt.sweep(problem, dt.Grid(size=sizes), engine=engine, **settings)
+    np.testing.assert_array_equal(basin.outcome == Outcome.RESIDUAL, [False, True, True])
+    np.testing.assert_allclose(basin.omega_inf[1:], 0.05 + 0.01 * sizes[1:], rtol=1e-9)
+    np.testing.assert_array_equal(basin.time[1:], 50.01)

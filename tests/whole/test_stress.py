@@ -80,7 +80,7 @@ def at_fixed_steps(method, delta, start, end, counts):
     begun = begin(equation, y, limits, 1, "time")  # but for its step size
 
     def step(k, at):
-        y, f, _ = runge_kutta_step(method, at.equation, at, h)
+        y, f, _ = runge_kutta_step(method, at.equation, at, h, at.t1)
         new = eqx.tree_at(lambda at: (at.y, at.f, at.t), at, (y, f, at.t + h))
         return jax.tree.map(lambda new, old: jnp.where(k < number, new, old), new, at)
 

@@ -23,6 +23,7 @@ from .turning import advance_turning, attitudes, start_turning
 from .window import Window, evaluate, solve_window
 
 EFOLDS = 36.0  # e-foldings of a runaway in a first window: −ln of the rounding error of float64
+UNAWARE = 5.0  # e-foldings more than −ln rtol from which a later jump is not felt
 LONGER = 1.6  # factor of the length if only the error at the far end is too large
 FACTORS = (0.5, 0.8, 1.0, 1.3, 1.7)  # factors of the length otherwise, if 0, 1/4, … 1 is accepted
 PREVIOUS_ELEMENT = 30.0  # factor by which an element's truncation is smaller in the one before
@@ -87,6 +88,9 @@ def advance_window(
     following = jnp.append(window.truncation[1:] * sizes[1:] / sizes[:-1], 0.0)
     resolved = (window.truncation <= rtol) & (following <= PREVIOUS_ELEMENT * rtol)
     decayed = (window.end_error <= rtol) & _is_physical(equation, window)
+    # A jump acts on the motion before it, as long as a runaway takes to die away.
+    before = jnp.minimum(UNAWARE - jnp.log(rtol), EFOLDS) / equation.runaway_rate
+    decayed &= ends <= window.unseen - before
     accepted = window.converged & resolved & decayed
     count = jnp.sum(jnp.cumprod(accepted.astype("int32")))
     moved, last = count > 0, jnp.maximum(count - 1, 0)
@@ -162,7 +166,7 @@ def follow(
     def advance(carry: Any) -> Any:
         state, output, total, turning = carry
         new, window, accepted = advance_window(equation, state, rtol)
-        rates = jax.vmap(jax.vmap(flows))(state.time + window.times, window.states)
+        rates = jax.vmap(jax.vmap(flows))(window.tau, window.states)
         inside = jnp.einsum("ejk,eki->eji", window.weights, rates, precision="highest")
         before = jnp.cumsum(inside[:, -1], axis=0) - inside[:, -1]
         energies = total[None, None] + before[:, None] + inside

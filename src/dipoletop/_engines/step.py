@@ -7,6 +7,7 @@ solver, by its Butcher tableau.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import diffrax
@@ -28,7 +29,7 @@ from .._base.stopping import (
 )
 from .._base.tolerances import Tolerances
 from .._base.types import Equation, Real, State
-from ..equations._common import error_scale_of
+from ..equations._common import error_scale_of, jumps_of
 from .interface import Limits
 from .step_sizes import error_ratio, first_step, root
 
@@ -79,10 +80,12 @@ def advance(
     """Try one step in every lane that is running."""
     tolerances = Tolerances(rtol, state.atol)
     running = state.status == RUNNING
-    left = state.t1 - state.t - state.compensation
-    last = state.h >= left
-    h = jnp.where(last, left, state.h)
-    new, rate, error = runge_kutta_step(solver, state.equation, state, h)
+    state, goal = _before_jump(state)
+    left = goal - state.t - state.compensation
+    arrives = state.h >= left
+    last = arrives & (goal == state.t1)
+    h = jnp.where(arrives, left, state.h)
+    new, rate, error = runge_kutta_step(solver, state.equation, state, h, goal)
     ratio = error_ratio(error_scale_of(state.equation), error, (state.y, new), tolerances)
     factor = SAFETY / root(jnp.maximum(ratio, 1e-30), int(solver.order(None) or 0))
     regular = jnp.isfinite(ratio)  # if a stage overflows, a smaller step is tried
@@ -96,7 +99,7 @@ def advance(
     rounding = 4 * jnp.finfo(h.dtype).eps * jnp.abs(state.y)
     stuck = jnp.all(jnp.abs(h[None] * state.f) <= rounding, axis=0)
     gain = h + state.compensation
-    later = jnp.where(last, state.t1, state.t + gain)
+    later = jnp.where(arrives, goal, state.t + gain)
     t = jnp.where(accept, later, state.t)
     compensation = jnp.where(accept, gain - (later - state.t), state.compensation)
     # Evaluated at the proposed state unconditionally: that shortens the chain of dependent
@@ -111,23 +114,49 @@ def advance(
     return LaneState(y, f, t, compensation, h, steps, status, *kept)
 
 
+def _before_jump(state: LaneState) -> tuple[LaneState, Float[Array, "B"]]:
+    """Return the state with the rate behind a jump of a torque at t, and where a step must end."""
+    jumps = jumps_of(state.equation)
+    if jumps is None:
+        return state, state.t1
+    later = _beside(state.t, 1)
+    goal = state.t1
+    for jump in jumps:
+        goal = jnp.where(jump > later, jnp.minimum(goal, jump), goal)
+    rate = state.equation(later, state.y, None)
+    return eqx.tree_at(lambda s: s.f, state, rate), goal
+
+
+def _beside(t: Real, side: int) -> Real:
+    """Return a time before (−1) or behind (1) t that differs by rounding only."""
+    return t * (1 + side * 4 * float(jnp.finfo(t.dtype).eps))
+
+
 def runge_kutta_step(
-    solver: diffrax.AbstractERK, equation: Equation, state: LaneState, h: Real
+    solver: diffrax.AbstractERK, equation: Equation, state: LaneState, h: Real, goal: Real
 ) -> tuple[State, State, State]:
-    """Return one step of the tableau: the new state, its rate, and the error."""
+    """Return one step of the tableau: the new state, its rate, and the error.
+
+    No rate is evaluated at or behind `goal`, where a torque may jump.
+    """
     tableau: Any = solver.tableau
+
+    def time(part: Any) -> Real:
+        then = state.t + part * h
+        return then if jumps_of(equation) is None else jnp.minimum(then, _beside(goal, -1))
+
     if len(state.y) > WIDE or _operations(equation, state.y) > LARGE:
-        rates = _rates_by_loop(tableau, equation, state, h)
+        rates = _rates_by_loop(tableau, equation, state, h, time)
     else:
         rates = [state.f]
         for c, row in zip(tableau.c, tableau.a_lower, strict=True):
             stage = state.y + h[None] * _weighted_sum(row, rates)
-            rates.append(equation(state.t + float(c) * h, stage, None))
+            rates.append(equation(time(float(c)), stage, None))
     error = h[None] * _weighted_sum(tableau.b_error, rates)
     new = state.y + h[None] * _weighted_sum(tableau.b_sol, rates)
     if tableau.fsal:  # the last stage is the new state
         return new, rates[-1], error
-    return new, equation(state.t + h, new, None), error
+    return new, equation(time(1.0), new, None), error
 
 
 def _weighted_sum(weights: np.ndarray, rates: list[State]) -> State:
@@ -142,7 +171,9 @@ def _operations(equation: Equation, y: State) -> int:
     return len(jax.make_jaxpr(lambda y, t: equation(t, y, None))(*like).eqns)
 
 
-def _rates_by_loop(tableau: Any, equation: Equation, state: LaneState, h: Real) -> list[State]:
+def _rates_by_loop(
+    tableau: Any, equation: Equation, state: LaneState, h: Real, time: Callable[[Any], Real]
+) -> list[State]:
     """Return the rates of all stages by a loop, which compiles a long right-hand side only once."""
     size = len(tableau.c) + 1
     rows = np.zeros((size, size))
@@ -153,7 +184,7 @@ def _rates_by_loop(tableau: Any, equation: Equation, state: LaneState, h: Real) 
 
     def stage(i: Any, rates: Array) -> Array:
         shift = jnp.einsum("s,snb->nb", weights[i], rates, precision="highest")
-        rate = equation(state.t + times[i] * h, state.y + h[None] * shift, None)
+        rate = equation(time(times[i]), state.y + h[None] * shift, None)
         return rates.at[i].set(rate)
 
     rates = jnp.zeros((size, *state.y.shape), state.y.dtype).at[0].set(state.f)

@@ -53,6 +53,7 @@ from ..equations._common import (
     error_scale_of,
     follows_attitude,
     is_full,
+    jumps_of,
     physical,
     twist_axis,
 )
@@ -347,6 +348,9 @@ def _solve(
     controller = options.get("stepsize_controller")
     if controller is None:
         controller = Controller(*tolerances, Partial(sizes, equation))
+    jumps = jumps_of(equation)
+    if jumps is not None and isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
+        controller = diffrax.ClipStepSizeController(controller, jump_ts=jumps)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_field(equation, n, balance, turns)),
         options.get("solver") or diffrax.Dopri8(),

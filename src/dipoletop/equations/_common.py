@@ -71,6 +71,11 @@ def _(primals: Any, tangents: Any) -> tuple[Real, Real]:
     return inverse, -(inverse**2) * change
 
 
+def jumps_of(equation: Any) -> Float[Array, "j *lanes"] | None:
+    """Return the times at which a torque jumps, and steps must end; None if there is none."""
+    return getattr(equation, "jumps", None)
+
+
 def rate_of_omega(equation: Equation, t: Any, y: State) -> Vector:
     """Return the rate of the angular velocity of a state."""
     return jax.jvp(equation.omega, (y,), (equation(t, y, None),))[1]

@@ -98,6 +98,8 @@ class DrivenEquation(OmegaFirst):
     verdict: Callable[[State], Any] | None = eqx.field(static=True)
     start: Float[Array, "4 *lanes"] | None
     """The attitude at the start; None if it is not followed."""
+    jumps: Float[Array, "j *lanes"] | None
+    """The times at which a torque jumps, ascending, or None."""
 
     @abc.abstractmethod
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
@@ -155,7 +157,12 @@ class DrivenFull(DrivenEquation):
     bodies of every kind.
     """
 
-    elements = 8  # a body may swing to and fro while a runaway dies away
+    @property
+    def elements(self) -> int:
+        """The number of elements of a window."""
+        # A body may swing to and fro while a runaway dies away, and before a jump it begins to
+        # move as a runaway does.
+        return 8 if self.jumps is None else 16
 
     def __call__(self, t: Any, y: State, args: Any = None) -> State:
         """Return dy/dτ, shape (6,) or (10,), lanes (if any) behind."""
@@ -191,7 +198,11 @@ class DrivenFull(DrivenEquation):
 
 
 def driven(
-    equation: Any, torque: Torque, verdict: Callable[[State], Any] | None, start: Array | None
+    equation: Any,
+    torque: Torque,
+    verdict: Callable[[State], Any] | None,
+    start: Array | None,
+    jumps: Array | None,
 ) -> Driven | DrivenFull:
     """Return the equation with a torque, its parts checked."""
     check_single(equation)
@@ -211,12 +222,15 @@ def driven(
         before, body, kind = equation.loaded, equation.body, equation.kind
         parts, follow = (*before.parts, *parts), (*before.follow, *follow)
         start = equation.start if start is None else start
+        given = [x for x in (equation.jumps, jumps) if x is not None]
+        jumps = jnp.concatenate(given) if given else None
     elif type(equation) in RIGID + TRANSVERSE + LONGITUDINAL:  # a subclass may have other rates
         body, kind = equation.body, Level.labelled(equation.level)
     else:
         must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
         refuse("equation", must, f"is {type(equation).__name__}")
-    shared = Loaded(body, parts, follow), kind, verdict, start
+    jumps = None if jumps is None else jnp.sort(jumps)
+    shared = Loaded(body, parts, follow), kind, verdict, start, jumps
     if kind is Level.FULL:
         return DrivenFull(*shared)
     return Driven(*shared, omega_scale_of(equation))
