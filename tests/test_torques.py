@@ -389,17 +389,21 @@ class Pulse(eqx.Module):
 )
 def test_a_short_pulse_is_not_stepped_over(top):
     """Along the dipole nothing radiates, so ω₁ rises by ∫M dτ and keeps it."""
-    pulsed = torques.with_torque(top, Pulse(jnp.array([1.0, 0.0, 0.0])), jumps=PULSE)
+    half = Pulse(jnp.array([0.5, 0.0, 0.0]))
+    pulsed = torques.with_torque(top, half, jumps=PULSE)
+    pulsed = torques.with_torque(pulsed, half, jumps=PULSE)  # both jump at the same times
     run = dt.simulate(pulsed, [0.05, 0.0, 0.0], [0.0, 49.0, 50.005, 100.0], balance=True)
     np.testing.assert_allclose(run.omega[:, 0], [0.05, 0.05, 0.055, 0.06], rtol=1e-9)
     np.testing.assert_allclose(run.work[-1], (0.06**2 - 0.05**2) / 2, rtol=1e-9)
 
 
+@pytest.mark.parametrize("first", [3.0, 31.0])  # within the first window, and behind it
 @pytest.mark.parametrize("level", [dt.TransverseFull(-0.2), dt.Full(dt.axisymmetric(-0.2))])
-def test_a_body_moves_before_a_jump_as_the_bounded_solution_does(level):
+def test_a_body_moves_before_a_jump_as_the_bounded_solution_does(level, first):
     """A slow rotator about axis 3: Iω′ = M + ω″, so ω′ = ∫M(s) e^{−I(s − τ)} ds from τ on."""
-    inertia, torque = 1.2, 1e-6
-    jumps, ts = jnp.array([3.0, 7.0]), np.array([0.0, 2.0, 2.9, 3.0, 5.0, 6.9, 7.0, 9.0])
+    inertia, torque = 1.2, 1e-8
+    jumps = jnp.array([first, first + 4.0])
+    ts = np.append(0.0, first + np.array([-1.0, -0.1, 0.0, 2.0, 3.9, 4.0, 6.0]))
 
     def push(t, omega):
         return jnp.where((t > jumps[0]) & (t < jumps[1]), torque, 0.0) * jnp.array([0.0, 0.0, 1.0])
@@ -409,15 +413,33 @@ def test_a_body_moves_before_a_jump_as_the_bounded_solution_does(level):
         return torque / inertia * (np.exp(-inertia * np.maximum(start - ts, 0)) / inertia + late)
 
     run = dt.simulate(torques.with_torque(level, push, jumps=jumps), np.zeros(3), ts)
-    exact = after(3.0) - after(7.0)
+    exact = after(first) - after(first + 4.0)
     np.testing.assert_allclose(run.omega[:, 2], exact - exact[0], rtol=1e-9, atol=1e-18)
+
+
+def fast(y):
+    """RESIDUAL once ω₁ > 0.052."""
+    return jnp.where(y[0] > 0.052, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.052) & False
+
+
+@pytest.mark.slow
+def test_single_runs_and_their_derivatives_see_a_pulse():
+    """ω₁ = 0.05 + M·0.01."""
+
+    def pulsed(size):
+        pulse = Pulse(jnp.stack([size, 0 * size, 0 * size]))
+        top = dt.TransverseSemi(-0.2)
+        return torques.with_torque(top, pulse, verdict=fast, jumps=PULSE)
+
+    start, size = [0.05, 0.0, 0.0], jnp.asarray(0.5)
+    found = jax.jit(lambda size: dt.classify(pulsed(size), start).omega_inf)(size)
+    assert found == pytest.approx(0.055, rel=1e-9)
+    slope = jax.grad(lambda size: dt.residual_rotation(pulsed(size), start))(size)
+    assert slope == pytest.approx(0.01, rel=1e-7)
 
 
 @pytest.mark.parametrize("engine", ["native", "jax"])
 def test_a_sweep_does_not_step_over_a_pulse(engine):
-    def fast(y):
-        return jnp.where(y[0] > 0.052, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.052) & False
-
     def problem(size):
         pulse = Pulse(jnp.stack([size, 0 * size, 0 * size]))
         top = dt.TransverseSemi(-0.2)

@@ -68,7 +68,8 @@ def with_torque(
             v_lab = q∘v∘q*; the state is then (ω, q). None: the attitude is not followed.
         jumps: times τ at which the torque jumps, shape (j,). A step ends at each of them, at every
             level, so that none is stepped over; more times than jumps bound the steps. A full
-            equation has room for 15 in the time of 36 e-foldings of a runaway.
+            equation has room for 15 in the time of 36 e-foldings of a runaway. Derivatives take
+            the times as fixed.
 
     Returns:
         An equation of motion; `simulate`, and with a verdict `classify` and `sweep`, take it.

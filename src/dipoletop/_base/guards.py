@@ -1,4 +1,4 @@
-"""Arguments of divisions and square roots at which neither the value nor a derivative is infinite.
+"""Rounding, and arguments of divisions and square roots without an infinite value or derivative.
 
 `jnp.where(x > 0, f(x), 0.0)` has a NaN derivative where f or f′ is infinite, although that branch
 is not selected: the chain rule multiplies f′ = ∞ by 0. The argument must be replaced before f is
@@ -15,6 +15,13 @@ ULPS = 4096  # roundings up to which moments or directions count as equal
 def rounding(like: Real) -> float:
     """Return the relative difference up to which numbers of this floating-point type are equal."""
     return ULPS * float(jnp.finfo(like.dtype).eps)
+
+
+def beside(t: Real, side: int) -> Real:
+    """Return a time before (−1) or behind (1) the time t, apart by little more than rounding."""
+    limits = jnp.finfo(t.dtype)
+    apart = jnp.maximum(4 * float(limits.eps) * jnp.abs(t), float(limits.tiny))
+    return jnp.where(jnp.isfinite(t), t + side * apart, t)
 
 
 def safe_divisor(x: Real) -> Real:

@@ -19,8 +19,9 @@ from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
 from .._base.structure import of_structure, state_of
 from ..equations._common import energy_flows, slow_start
+from .mesh import evaluate
 from .turning import advance_turning, attitudes, start_turning
-from .window import Window, evaluate, solve_window
+from .window import Window, solve_window
 
 EFOLDS = 36.0  # e-foldings of a runaway in a first window: −ln of the rounding error of float64
 UNAWARE = 5.0  # e-foldings more than −ln rtol from which a later jump is not felt
@@ -83,14 +84,14 @@ def advance_window(
         The next state, the window, and the number of its first elements that are accepted.
     """
     window = solve_window(equation, state.time, state.slow, state.span, rtol)
-    ends, sizes = window.times[:, -1], window.sizes
+    ends, sizes = window.mesh.times[:, -1], window.sizes
     # The truncation of an element also affects the one before, though much less.
     following = jnp.append(window.truncation[1:] * sizes[1:] / sizes[:-1], 0.0)
     resolved = (window.truncation <= rtol) & (following <= PREVIOUS_ELEMENT * rtol)
     decayed = (window.end_error <= rtol) & _is_physical(equation, window)
-    # A jump acts on the motion before it, as long as a runaway takes to die away.
-    before = jnp.minimum(UNAWARE - jnp.log(rtol), EFOLDS) / equation.runaway_rate
-    decayed &= ends <= window.unseen - before
+    if window.mesh.unseen is not None:  # a jump acts on the motion before it, as a runaway decays
+        before = jnp.minimum(UNAWARE - jnp.log(rtol), EFOLDS) / equation.runaway_rate
+        decayed &= ends <= window.mesh.unseen - before
     accepted = window.converged & resolved & decayed
     count = jnp.sum(jnp.cumprod(accepted.astype("int32")))
     moved, last = count > 0, jnp.maximum(count - 1, 0)
@@ -166,13 +167,13 @@ def follow(
     def advance(carry: Any) -> Any:
         state, output, total, turning = carry
         new, window, accepted = advance_window(equation, state, rtol)
-        rates = jax.vmap(jax.vmap(flows))(window.tau, window.states)
-        inside = jnp.einsum("ejk,eki->eji", window.weights, rates, precision="highest")
+        rates = jax.vmap(jax.vmap(flows))(window.mesh.tau, window.states)
+        inside = jnp.einsum("ejk,eki->eji", window.mesh.weights, rates, precision="highest")
         before = jnp.cumsum(inside[:, -1], axis=0) - inside[:, -1]
         energies = total[None, None] + before[:, None] + inside
         values = jnp.concatenate([window.states, energies], axis=-1)
         wanted = (times >= state.time) & (times <= new.time) & (accepted > 0)
-        here = evaluate(window, values, jnp.where(wanted, times - state.time, 0.0))
+        here = evaluate(window.mesh, values, jnp.where(wanted, times - state.time, 0.0))
         total = jnp.where(accepted > 0, energies[jnp.maximum(accepted - 1, 0), -1], total)
         if turning is not None:
             since = jnp.where(wanted, times - state.time, -1.0)
@@ -220,15 +221,15 @@ def crossing(
     state = start_march(equation, omega0, 0.0)
     _, window, _ = jax.eval_shape(lambda state: advance_window(equation, state, rtol), state)
     window = jax.tree.map(lambda kind: jnp.zeros(kind.shape, kind.dtype), window)
-    begun = state, state.time, window, jnp.zeros(window.times.shape[0], bool)
+    begun = state, state.time, window, jnp.zeros(window.mesh.times.shape[0], bool)
     _, before, window, below = jax.lax.while_loop(unfinished, advance, begun)
 
     def state_at(time: Array) -> Array:
-        return evaluate(window, window.states, time[None])[0]
+        return evaluate(window.mesh, window.states, time[None])[0]
 
     which = jnp.argmax(below)
-    early = jnp.where(which > 0, window.times[which - 1, -1], 0.0)
-    bracket = bisect(lambda t: function(state_at(t)) <= 0, early, window.times[which, -1], 50)
+    early = jnp.where(which > 0, window.mesh.times[which - 1, -1], 0.0)
+    bracket = bisect(lambda t: function(state_at(t)) <= 0, early, window.mesh.times[which, -1], 50)
     time = jax.lax.stop_gradient(bracket[0])
     for _ in range(2):  # Newton's method, since bisection has no derivatives
         y = state_at(time)

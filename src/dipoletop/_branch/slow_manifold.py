@@ -96,9 +96,9 @@ def _by_window(
     # Three errors: the rest of the error at the far end; the truncation of every element, as a
     # rate, which affects the elements before it little; and rounding.
     far = window.first_error
-    lengths = window.times[:, -1] - window.times[:, 0]
+    lengths = window.mesh.times[:, -1] - window.mesh.times[:, 0]
     passed_on = PREVIOUS_ELEMENT ** -jnp.arange(lengths.shape[0], dtype=lengths.dtype)
-    decayed = jnp.exp(-runaway * window.times[:, 0])
+    decayed = jnp.exp(-runaway * window.mesh.times[:, 0])
     truncations = window.truncation * window.sizes * jnp.minimum(passed_on, decayed) / lengths
     truncation = jnp.max(truncations)
     error = 3 * far + 10 * (truncation + jnp.finfo(omega.dtype).eps * size)

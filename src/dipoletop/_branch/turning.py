@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, Int
 from .._base.attitudes import attitude_after, no_turn, quaternion_rate, turned_across
 from .._base.chebyshev import collocation_rule
 from ..equations._common import twist_axis
-from .window import NODES, Window, chebyshev, evaluate
+from .mesh import NODES, chebyshev, evaluate
+from .window import Window
 
 RADIANS = 2.0  # the first neglected coefficient, of the size J₁₆(1), is then below 1e-16
 PICARD = 18  # iterations of y = y₀ + A f(y), each error at most 1/k of the one before
@@ -72,8 +73,8 @@ def advance_turning(
 
     def advance(carry: Any) -> Any:
         element, piece, now = carry
-        left, count = window.times[element, 0], counts[element]
-        span = (window.times[element, -1] - left) / count
+        left, count = window.mesh.times[element, 0], counts[element]
+        span = (window.mesh.times[element, -1] - left) / count
         left = left + piece.astype(span.dtype) * span
         values = _piece(equation, window, axis, now.turn, (left, span))
         x = jnp.clip(2 * (since - left) / span - 1, -1.0, 1.0)
@@ -92,7 +93,7 @@ def advance_turning(
 
 def _pieces(equation: Any, window: Window, rtol: Float[Array, ""], most: Any) -> Float[Array, "E"]:
     """Return the number of pieces of each element."""
-    states, times = jax.lax.stop_gradient((window.states, window.times))
+    states, times = jax.lax.stop_gradient((window.states, window.mesh.times))
     omegas = jax.vmap(jax.vmap(equation.omega))(states)
     axis = twist_axis(equation)
     along = jnp.einsum("eki,i->ek", omegas, axis, precision="highest")
@@ -111,7 +112,7 @@ def _piece(
     """Return the turns at the nodes of a piece; `stretch` is its beginning and its length."""
     left, span = stretch
     nodes, integral, _ = (jnp.asarray(table, turn.dtype) for table in collocation_rule(NODES))
-    states = evaluate(window, window.states, left + span * nodes)
+    states = evaluate(window.mesh, window.states, left + span * nodes)
     omegas = jax.vmap(equation.omega, out_axes=1)(states)
     along = jnp.einsum("i,ik->k", axis, omegas, precision="highest")
     theta = turn[4] + span * jnp.matmul(integral, along, precision="highest")

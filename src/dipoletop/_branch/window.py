@@ -39,8 +39,8 @@ from .._base.chebyshev import collocation_rule
 from .._base.dense import solve_dense
 from ..equations._common import elements_of, jumps_of
 from ..equations.rigid import free_rotation
+from .mesh import NODES, Mesh, mesh_of
 
-NODES = 16  # nodes of an element
 ITERATIONS = 20  # largest number of steps of Newton's method
 LEAST_DAMPING = 0.02  # below, a step is accepted even if the residual does not fall
 CONVERGED = 1e-10  # relative size of a last step, after which the error is far smaller
@@ -60,17 +60,7 @@ class Window(NamedTuple):
     """The largest component of ω in each element, to which its errors are compared.
 
     A torque may change ω by orders of magnitude within a window."""
-    bends: Float[Array, "E"]
-    """κ of the map τ = left + length·(e^{κσ} − 1)/(e^κ − 1), 0 ≤ σ ≤ 1, of each element: a motion
-    slows down as it is braked."""
-    times: Float[Array, "E K"]
-    """The times of the nodes since the start."""
-    tau: Float[Array, "E K"]
-    """τ at the nodes, on the element's side of a jump at its end."""
-    unseen: Float[Array, ""]
-    """The time since the start of the first jump of a torque that is no end of an element."""
-    weights: Float[Array, "E K K"]
-    """∫ from the left end of the element to node j = Σ weights[e, j, k] (value at node k)."""
+    mesh: Mesh
     states: Float[Array, "E K n"]
     converged: Bool[Array, ""]
     iterations: Int[Array, ""]
@@ -96,8 +86,8 @@ def solve_window(
         span: length, several runaway e-foldings longer than the part that will be kept.
         rtol: the relative error that is allowed; the error of Newton's method is far smaller.
     """
-    dtype, omega0, elements = slow0.dtype, slow0[:3], elements_of(equation)
-    sigma, integral, transform = (jnp.asarray(table, dtype) for table in collocation_rule(NODES))
+    dtype, omega0 = slow0.dtype, slow0[:3]
+    transform = jnp.asarray(collocation_rule(NODES).coefficients, dtype)
 
     # Braking halves ω in a time ~ 1/rate; the nodes follow ln(1 + 2 rate τ). A torque that
     # accelerates ω where it is small does not count as braking.
@@ -106,20 +96,12 @@ def solve_window(
     power = radiation.radiated_power(equation.body, omega0, omega_dot)
     rate = power / (2 * jnp.where(energy > 0, energy, 1.0))
     bend = jnp.maximum(jnp.log1p(2 * rate * span), 1e-3)
-    jumps = jumps_of(equation)
-    since = None if jumps is None else jumps - time
-    along, unseen = _ends(span, bend, elements, since)
-    ends = span * jnp.expm1(bend * along) / jnp.expm1(bend)
-    lengths, bends = jnp.diff(ends), bend * jnp.diff(along)
-    inside = bends[:, None] * sigma[None]
-    shares = lengths / jnp.expm1(bends)
-    times = ends[:-1, None] + shares[:, None] * jnp.expm1(inside)
-    tau = time + times if jumps is None else _beside_jumps(time + times, jumps)
-    forward = integral[None] * ((shares * bends)[:, None] * jnp.exp(inside))[:, None, :]
+    mesh = mesh_of(time, span, bend, elements_of(equation), jumps_of(equation))
+    tau, forward = mesh.tau, mesh.weights
     backward = forward[:, -1:] - forward
 
     field = functools.partial(_damped_rate, equation.semi)
-    slow = _guess(field, time, slow0, times)
+    slow = _guess(field, time, slow0, mesh.times)
     fast = jax.vmap(jax.vmap(lambda t, s: equation.fast(field(t, s)[:3])))(tau, slow)
     guess = jnp.concatenate([slow, fast], axis=-1)
     negligible = jnp.maximum(jnp.asarray(REMAINDER * rtol, dtype), NEGLIGIBLE)
@@ -128,57 +110,14 @@ def solve_window(
     coefficients = jnp.einsum("kj,ejn->ekn", transform, states, precision="highest")
     last = jnp.max(jnp.abs(coefficients[:, -2:]), axis=1)
     m = slow0.shape[0]
-    last = jnp.concatenate([last[:, :m], lengths[:, None] * last[:, m:]], axis=-1)
+    last = jnp.concatenate([last[:, :m], mesh.lengths[:, None] * last[:, m:]], axis=-1)
     sizes = _sizes(states)
     scale = _scale(sizes, m, last.shape[-1])
     truncation = jnp.max(last / scale, axis=1)
     end_error = end.error * jnp.max(end.response[..., :m] / scale[:, None, :m], axis=(1, 2))
     first = jnp.max(end.response[0, 0, m:])
     outcome = converged, iterations, truncation, end_error, end.error * first, first
-    return Window(span, sizes, bends, times, tau, unseen, forward, states, *outcome)
-
-
-def _ends(
-    span: Any, bend: Any, elements: int, jumps: Float[Array, "j"] | None
-) -> tuple[Float[Array, "k"], Float[Array, ""]]:
-    """Return the ends of the elements, 0 … 1 along the window, and the first jump beside them.
-
-    Each jump within the window moves the end next to it; where there are more jumps than ends, the
-    first ones do.
-    """
-    regular = jnp.arange(elements + 1, dtype=jnp.result_type(bend))
-    if jumps is None:
-        return regular / elements, jnp.full_like(bend, jnp.inf)
-    jumps = jnp.sort(jnp.where(jumps > 0, jumps, jnp.inf))
-    first = jnp.pad(jumps, (0, elements), constant_values=jnp.inf)[: elements - 1]
-    within = first < span
-    share = jnp.where(within, first, span) / span * jnp.expm1(bend)
-    place = elements * jnp.log1p(share) / bend
-    order = jnp.arange(1, elements, dtype=place.dtype)
-    # As near as possible to their places, but each jump has an end of its own.
-    index = jnp.maximum(jax.lax.cummax(jnp.round(place) - order), 0) + order
-    most = elements - 1 - jnp.sum(within.astype(order.dtype)) + order
-    index = jnp.where(within, jnp.minimum(index, most), float(elements))
-    whole = jnp.asarray([0.0, elements], place.dtype)
-    index, place = (jnp.insert(x, 0, whole[0]) for x in (index, place))
-    ends = jnp.interp(regular, jnp.append(index, whole[1]), jnp.append(place, whole[1]))
-    unseen = jnp.min(jnp.where(jumps > jnp.max(jnp.where(within, first, 0.0)), jumps, jnp.inf))
-    return ends / elements, unseen
-
-
-def _beside_jumps(tau: Float[Array, "E K"], jumps: Float[Array, "j"]) -> Float[Array, "E K"]:
-    """Return times of the nodes of each element that lie between the jumps around it."""
-    middle = (tau[:, :1] + tau[:, -1:]) / 2
-    before = jnp.max(jnp.where(jumps[None] <= middle, jumps[None], -jnp.inf), axis=1)
-    after = jnp.min(jnp.where(jumps[None] > middle, jumps[None], jnp.inf), axis=1)
-    low, high = (x + side * _rounding(x) for x, side in ((before, 1), (after, -1)))
-    return jnp.clip(tau, low[:, None], high[:, None])
-
-
-def _rounding(x: Array) -> Array:
-    """Return a distance that rounding keeps."""
-    limits = jnp.finfo(x.dtype)
-    return jnp.where(jnp.isfinite(x), jnp.maximum(4 * limits.eps * jnp.abs(x), limits.tiny), 0.0)
+    return Window(span, sizes, mesh, states, *outcome)
 
 
 def _sizes(states: Float[Array, "E K n"]) -> Float[Array, "E"]:
@@ -379,31 +318,6 @@ def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
     _, moved = eqx.filter_jvp(residual, (problem,), tangents[:1])
     constant = jax.tree.map(lambda _: None, others)
     return (states, *others), (-problem.newton_step(states, moved)[0], *constant)
-
-
-def evaluate(
-    window: Window, values: Float[Array, "E K n"], times: Float[Array, "T"]
-) -> Float[Array, "T n"]:
-    """Interpolate values at the nodes of a window to times since its left end."""
-    left, right = window.times[:, 0], window.times[:, -1]
-    element = jnp.sum(times[:, None] > right[None, :-1], axis=1)
-    share = (times - left[element]) / (right - left)[element]
-    bend = window.bends[element]
-    sigma = jnp.log1p(share * jnp.expm1(bend)) / bend
-    x = jnp.clip(2 * sigma - 1, -1.0, 1.0)
-    basis = chebyshev(x)
-    transform = jnp.asarray(collocation_rule(NODES).coefficients, x.dtype)
-    coefficients = jnp.einsum("kj,ejn->ekn", transform, values, precision="highest")
-    here = coefficients[element]
-    return jnp.einsum("kt,tkn->tn", jnp.stack(basis), here, precision="highest")
-
-
-def chebyshev(x: Array) -> list[Array]:
-    """Return the first NODES Chebyshev polynomials, on [−1, 1]."""
-    basis = [jnp.ones_like(x), x]  # by recurrence: arccos has no derivative at the ends
-    while len(basis) < NODES:
-        basis.append(2 * x * basis[-1] - basis[-2])
-    return basis
 
 
 def _damped_rate(level: Any, time: Any, slow: Array) -> Array:

@@ -82,7 +82,7 @@ def end_on_branch(equation: Any, y0: Float[Array, "n"], limits: Limits, until: U
         new, window, accepted = advance_window(equation, state, limits.rtol)
         # The first state is tested with the first window: XLA compiles a long verdict only once.
         states = jnp.concatenate([y[None], window.states[:, -1]])
-        times = state.time + jnp.append(0.0, window.times[:, -1])
+        times = state.time + jnp.append(0.0, window.mesh.times[:, -1])
         done = jax.vmap(ends)(states) & (jnp.arange(times.size) <= accepted)
         which = jnp.where(jnp.any(done), jnp.argmax(done), accepted)
         most = limits.max_steps.astype(new.windows.dtype)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._base.guards import beside
 from .._base.stopping import (
     BROKEN,
     EXHAUSTED,
@@ -119,17 +120,12 @@ def _before_jump(state: LaneState) -> tuple[LaneState, Float[Array, "B"]]:
     jumps = jumps_of(state.equation)
     if jumps is None:
         return state, state.t1
-    later = _beside(state.t, 1)
+    later = beside(state.t, 1)
     goal = state.t1
     for jump in jumps:
         goal = jnp.where(jump > later, jnp.minimum(goal, jump), goal)
     rate = state.equation(later, state.y, None)
     return eqx.tree_at(lambda s: s.f, state, rate), goal
-
-
-def _beside(t: Real, side: int) -> Real:
-    """Return a time before (−1) or behind (1) t that differs by rounding only."""
-    return t * (1 + side * 4 * float(jnp.finfo(t.dtype).eps))
 
 
 def runge_kutta_step(
@@ -143,7 +139,7 @@ def runge_kutta_step(
 
     def time(part: Any) -> Real:
         then = state.t + part * h
-        return then if jumps_of(equation) is None else jnp.minimum(then, _beside(goal, -1))
+        return then if jumps_of(equation) is None else jnp.minimum(then, beside(goal, -1))
 
     if len(state.y) > WIDE or _operations(equation, state.y) > LARGE:
         rates = _rates_by_loop(tableau, equation, state, h, time)

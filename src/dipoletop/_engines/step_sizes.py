@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from .._base.linalg import largest
 from .._base.tolerances import Tolerances
 from .._base.types import ErrorScale, Real, State
+from ..equations._common import jumps_of
 
 FIRST = 2.5  # first step over time scale · tolerance^(1/order); steps up to 2.5 … 6 are accepted
 
@@ -57,6 +58,16 @@ def root(x: Real, order: int) -> Real:
     for _ in range(max(1, round(math.log2(order)))):
         x = jnp.sqrt(x)
     return x
+
+
+def ending_at_jumps(
+    controller: diffrax.AbstractStepSizeController, equation: Any
+) -> diffrax.AbstractStepSizeController:
+    """Return a controller whose steps end where a torque jumps; one of constant steps as it is."""
+    jumps, kind = jumps_of(equation), diffrax.AbstractAdaptiveStepSizeController
+    if jumps is None or not isinstance(controller, kind):
+        return controller
+    return diffrax.ClipStepSizeController(controller, jump_ts=jumps)
 
 
 class Controller(diffrax.AbstractAdaptiveStepSizeController):

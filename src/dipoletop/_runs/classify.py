@@ -28,7 +28,7 @@ from .._base.types import DecidingEquation, Equation, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
 from .._engines.select import select_engines
-from .._engines.step_sizes import Controller
+from .._engines.step_sizes import Controller, ending_at_jumps
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from .blocks import RunOptions, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
@@ -222,6 +222,7 @@ def _end_by_steps(
     # A start that is decided or broken needs no integration.
     t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1)
     controller = Controller(*limits.tolerances, error_scale_of(equation))
+    controller = ending_at_jumps(controller, equation)
     event = diffrax.Event(ended)
     run = integrated(equation, (0.0, t1), y0, controller, max_steps, event=event)
     y, time = run.ys[-1], run.ts[-1]

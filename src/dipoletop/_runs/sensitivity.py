@@ -33,7 +33,7 @@ from .._base.linalg import dot, length, scale
 from .._base.tolerances import MAX_STEPS, TANGENT_SLACK_ALONE, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State
 from .._branch.march import crossing
-from .._engines.step_sizes import Controller
+from .._engines.step_sizes import Controller, ending_at_jumps
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from ..equations._verdicts.nonsmooth import infinity
 from ..equations.tangent import Tangent
@@ -306,7 +306,7 @@ def _time_of_energy(
     below = diffrax.Event(lambda t, y, args, **_: energy(y) <= level)
     t1 = jnp.where(falls, jnp.inf, 0.0)
     sizes = error_scale_of(equation)
-    controller = Controller(*tolerances, sizes)
+    controller = ending_at_jumps(Controller(*tolerances, sizes), equation)
     run = integrated(equation, (0.0, t1), y0, controller, max_steps, event=below)
     end, late = run.ys[-1], run.ts[-1]
 

@@ -46,14 +46,13 @@ from .._base.structure import state_of
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
 from .._branch import march
-from .._engines.step_sizes import Controller
+from .._engines.step_sizes import Controller, ending_at_jumps
 from ..equations._common import (
     OfOmega,
     energy_flows,
     error_scale_of,
     follows_attitude,
     is_full,
-    jumps_of,
     physical,
     twist_axis,
 )
@@ -348,9 +347,6 @@ def _solve(
     controller = options.get("stepsize_controller")
     if controller is None:
         controller = Controller(*tolerances, Partial(sizes, equation))
-    jumps = jumps_of(equation)
-    if jumps is not None and isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
-        controller = diffrax.ClipStepSizeController(controller, jump_ts=jumps)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_field(equation, n, balance, turns)),
         options.get("solver") or diffrax.Dopri8(),
@@ -359,7 +355,7 @@ def _solve(
         options.get("dt0"),
         jnp.concatenate([y0, jnp.zeros(flows), *([no_turn(y0)] if turns else [])]),
         saveat=saved_at(options, times),
-        stepsize_controller=controller,
+        stepsize_controller=ending_at_jumps(controller, equation),
         adjoint=options.get("adjoint") or diffrax.RecursiveCheckpointAdjoint(),
         event=event_of(options, n),
         progress_meter=options.get("progress_meter") or diffrax.NoProgressMeter(),

@@ -14,7 +14,7 @@ from .._base.linalg import cross, largest, matvec
 from .._base.stopping import prepared_verdicts, verdict_on
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
-from ._common import error_scale_of, has_body_field, omega_scale_of
+from ._common import error_scale_of, has_body_field, jumps_of, omega_scale_of
 from ._verdicts.dipole_frame import constraints
 from ._verdicts.nonsmooth import infinite
 from .levels import Level, level_of
@@ -98,6 +98,11 @@ class Tangent(eqx.Module):
     def runaway_rate(self) -> Any:
         """The runaway rate of a full equation, else None."""
         return getattr(self.equation, "runaway_rate", None)
+
+    @property
+    def jumps(self) -> Any:
+        """The times at which a torque of the equation jumps, or None."""
+        return jumps_of(self.equation)
 
     @property
     def omega_scale(self) -> OmegaScale:

@@ -229,7 +229,7 @@ def driven(
     else:
         must = "be a level of a rigid body, such as `TransverseSemi` or `SemiReduced`"
         refuse("equation", must, f"is {type(equation).__name__}")
-    jumps = None if jumps is None else jnp.sort(jumps)
+    jumps = None if jumps is None else jax.lax.stop_gradient(jnp.sort(jumps))
     shared = Loaded(body, parts, follow), kind, verdict, start, jumps
     if kind is Level.FULL:
         return DrivenFull(*shared)
