@@ -125,3 +125,22 @@ def test_a_page_on_a_server_is_changed_in_its_own_thread(monkeypatch):
 
     asyncio.run(posted())
     assert threads == [(threading.get_ident(), "changed")]
+
+
+def test_messages_to_a_notebook_are_taken_in_the_thread_of_the_page(monkeypatch):
+    """JupyterLab delivers them in another one; Panel forgets all but the first event of each."""
+    taken = []
+
+    def on_msg(self, ref, manager, msg):
+        taken.append((threading.get_ident(), ref, msg["content"]["events"], msg["buffers"]))
+
+    monkeypatch.setattr(panel.Column, "_on_msg", on_msg)
+    message = {"content": {"events": [1, 2], "references": []}, "buffers": 3}
+
+    async def sent():
+        layout = page._Layout()
+        layout.outlet = page.Outlet([])
+        await asyncio.to_thread(layout._on_msg, "ref", None, message)
+
+    asyncio.run(sent())
+    assert taken == [(threading.get_ident(), "ref", [number], 3) for number in (1, 2)]

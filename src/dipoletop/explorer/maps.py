@@ -27,6 +27,11 @@ TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
 TICKS = Path(__file__).with_name("ticks.js").read_text(encoding="utf-8")
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser reports which picture it has, so that it is sent no more than it can draw."""
+NO_ECHO = """
+const manager = Bokeh.Models.get("panel.models.comm_manager.CommManager").prototype
+manager.send_change ??= manager._document_changed
+manager._document_changed = function (event) { if (event.sync) this.send_change(event) }"""
+"""In a notebook Panel's browser side would send back all that it is sent, whole pictures, too."""
 
 
 class Maps:
@@ -72,7 +77,7 @@ class Maps:
         ]
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
-        """Call `begin` when the browser has laid out the map for the first time."""
+        """Call `begin` when the browser of a notebook has laid out the map for the first time."""
         waiting = [begin]
 
         def laid_out(attr: str, old: Any, new: Any) -> None:
@@ -80,6 +85,7 @@ class Maps:
                 waiting.pop()()
 
         self.figures[0].on_change("inner_width", laid_out)
+        self.figures[0].js_on_change("inner_width", CustomJS(code=NO_ECHO))
 
     def look_at(self, view: View, whole: dict[str, Range]) -> None:
         """Show the ranges of a view and name its axes; a reset shows their `whole` ranges."""

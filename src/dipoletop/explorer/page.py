@@ -1,6 +1,7 @@
 """A page: the maps of a view, its controls, and the start that was clicked."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -57,7 +58,7 @@ class Outlet:
         document: Any = pn.state.curdoc
         self.is_served = bool(document and document.session_context)
         """Whether the page is a session of a server."""
-        self._loop = asyncio.get_running_loop()
+        self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
         # Called in the loop's thread, too: of what another thread adds to a document, some is lost
         # while Panel changes it.
         self._run = document.add_next_tick_callback if self.is_served else self._changed
@@ -67,9 +68,39 @@ class Outlet:
         """Run a change of the page, asked for by any thread."""
         self._loop.call_soon_threadsafe(self._run, change)
 
+    def run(self, change: Callable[[], None]) -> None:
+        """Run a change in the thread of the page, and wait for its end."""
+        if threading.get_ident() == self._thread:
+            change()
+            return
+
+        async def changed() -> None:
+            change()
+
+        asyncio.run_coroutine_threadsafe(changed(), self._loop).result()
+
     def _changed(self, change: Callable[[], None]) -> None:
         change()
         pn.io.push_notebook(*self._panes)
+
+
+class _Layout(pn.Column):
+    """A column that takes what a browser sends to a notebook in the thread of the page.
+
+    JupyterLab delivers messages in a thread of their own, and Panel mixes up the changes of two
+    threads. Each event of a message goes to Panel alone: it forgets the ones behind the first that
+    changes the page.
+    """
+
+    outlet: Outlet
+
+    def _on_msg(self, ref: str, manager: Any, msg: dict[str, Any]) -> None:
+        def take() -> None:
+            for event in msg["content"]["events"]:
+                part = msg | {"content": msg["content"] | {"events": [event]}}
+                super(_Layout, self)._on_msg(ref, manager, part)
+
+        self.outlet.run(take)
 
 
 class Page:
@@ -136,7 +167,7 @@ class Page:
             styles={"flex": "1 1 320px", "min-width": "300px"},
         )
         side = pn.Column(self._controls.layout, pn.Row(whole, write), width=310)
-        return pn.Column(
+        layout = _Layout(
             _html(texts.HEAD),
             # On a narrow screen the maps come before the controls.
             pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **wide),
@@ -144,6 +175,8 @@ class Page:
             self._start,
             **wide,
         )
+        layout.outlet = self._outlet
+        return layout
 
     def close(self) -> None:
         """Compute nothing more for this page."""
