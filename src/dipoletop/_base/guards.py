@@ -18,7 +18,7 @@ def rounding(like: Real) -> float:
 
 
 def beside(t: Real, side: int) -> Real:
-    """Return a time before (−1) or behind (1) the time t, apart by little more than rounding."""
+    """Return the time t less (side −1) or plus (side 1) little more than its rounding."""
     limits = jnp.finfo(t.dtype)
     apart = jnp.maximum(4 * float(limits.eps) * jnp.abs(t), float(limits.tiny))
     return jnp.where(jnp.isfinite(t), t + side * apart, t)

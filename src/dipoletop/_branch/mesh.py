@@ -93,7 +93,7 @@ def _ends(
 def evaluate(
     mesh: Mesh, values: Float[Array, "E K n"], times: Float[Array, "T"]
 ) -> Float[Array, "T n"]:
-    """Interpolate values at the nodes to times since its left end."""
+    """Interpolate values at the nodes to times since the start of the window."""
     left, right = mesh.times[:, 0], mesh.times[:, -1]
     element = jnp.sum(times[:, None] > right[None, :-1], axis=1)
     share = (times - left[element]) / (right - left)[element]

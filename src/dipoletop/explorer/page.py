@@ -87,9 +87,9 @@ class Outlet:
 class _Layout(pn.Column):
     """A column that takes what a browser sends to a notebook in the thread of the page.
 
-    JupyterLab delivers messages in a thread of their own, and Panel mixes up the changes of two
-    threads. Each event of a message goes to Panel alone: it forgets the ones behind the first that
-    changes the page.
+    JupyterLab delivers messages in another thread, and Panel takes what the page changes meanwhile
+    for moves of the user. Panel also loses the events of a message that follow the first one to
+    change the page; so it is given one event at a time.
     """
 
     outlet: Outlet
