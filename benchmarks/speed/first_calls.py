@@ -1,7 +1,7 @@
 """The first call of a process: processor seconds after the imports.
 
     python -m benchmarks.speed.first_calls --small     each once
-    python -m benchmarks.speed.first_calls             three times, ten minutes
+    python -m benchmarks.speed.first_calls             three times, five minutes
     python -m benchmarks.speed.first_calls --write     the same, kept: results/first_calls.md
 
 Each call has fresh processes: one whose caches are empty, a second one with the machine code that
