@@ -13,7 +13,7 @@ from dipoletop import Outcome
 
 RTOL = 1e-10  # of the integration: its error is far below that of the prediction
 LATEST = 30.0  # braking times up to which energies are compared
-REFUSAL = "radiate little within one turn"
+REFUSAL = "be so small that the estimated relative error"
 
 
 class Predicted(NamedTuple):

@@ -1,4 +1,4 @@
-"""Bodies and starts for the slow flow: forty chosen bodies, and random bodies.
+"""Bodies and starts for the slow flow: forty chosen bodies, random bodies, and degenerate bodies.
 
 The largest moment is 1, except for axisymmetric bodies, whose moment across the axis is 1; the
 dipole has length 1.
@@ -27,6 +27,7 @@ SHAPES = {  # family: moments and dipoles
     "asymmetric, dipole 1e-3 off": [((0.6, 0.75, 1.0), *TILTED)],
     "nearly spherical, 1e-2": [((0.99, 0.995, 1.0), *DIPOLES)],
 }
+SLOW = 1e-12  # |ω| of `everywhere`
 KINDS = ("principal", "random", "1e-3 off", "principal")  # of random dipoles, in turn
 
 
@@ -79,3 +80,47 @@ def at_random(n: int) -> tuple[list[str], Starts]:
     )
     omega = 10 ** rng.uniform(-3.5, -2.5, n)[:, None] * directions(n, rng)
     return kinds, Starts(np.einsum("ni,ij->nij", j, np.eye(3)), dipole, omega)
+
+
+def everywhere(n: int, at_random_too: int) -> dict[str, Starts]:
+    """Return bodies in their principal axes with slow isotropic starts, |ω| = `SLOW`.
+
+    Args:
+        n: number of bodies of each degenerate family: moments that are equal, or so nearly equal or
+            so small that terms cancel, by a log-uniform difference.
+        at_random_too: number of random bodies.
+    """
+    rng = np.random.default_rng([0, 42])
+    one, axes = np.ones(n), np.eye(3)
+
+    def small(low: float, high: float) -> np.ndarray:
+        return 10 ** rng.uniform(low, high, n)
+
+    def either(sizes: np.ndarray) -> np.ndarray:
+        return rng.choice([-1, 1], n) * sizes
+
+    thin, split, two = small(-13, -2), small(-14, -2), small(-9, -2.3)
+    least, share = rng.uniform(0.35, 0.9, n), rng.uniform(0, 1, n)
+    # The zero h* of F of a dipole on J₂ comes to the axis of J₃ where J₂J₁² = (J₃ − J₂)(J₃ − J₁)².
+    middle = (1 - least) ** 2 / (least**2 + (1 - least) ** 2)
+    middle = middle * (1 + either(small(-14, -3)))
+    exists = (middle > least) & (middle < 1) & (least + middle > 1)
+    shapes = {
+        "cylinder, length = radius": ((one, one, 1.5 + either(split)), axes[0]),
+        "disc, transverse": ((one, one, 2 - split), axes[0]),
+        "rod, longitudinal": ((thin, one, one), axes[0]),
+        "nearly spherical": ((1 - two, 1 - share * two, one), axes[rng.integers(0, 3, n)]),
+        "nearly oblate": ((0.6 * one, 0.6 * (1 + split), one), axes[rng.integers(0, 3, n)]),
+        "nearly prolate": ((0.6 * one, 1 - split, one), axes[rng.integers(0, 3, n)]),
+        "square plate": ((one / 2, (1 + split) / 2, 1 + split / 2), axes[rng.integers(0, 2, n)]),
+        "h* next to an axis": ((least, np.where(exists, middle, 0.95), one), axes[1]),
+        "rod, transverse": ((small(-10, -2), one, one), axes[2]),
+    }
+    found = {}
+    for family, (moments_of, dipole) in shapes.items():
+        inertia = np.einsum("in,ij->nij", np.stack(moments_of), axes)
+        omega = SLOW * directions(n, rng)
+        found[family] = Starts(inertia, np.broadcast_to(dipole, (n, 3)), omega)
+    _, sample = at_random(at_random_too)
+    slow = SLOW * sample.omega / np.linalg.norm(sample.omega, axis=1)[:, None]
+    return found | {"at random": sample._replace(omega=slow)}

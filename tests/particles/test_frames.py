@@ -148,3 +148,38 @@ def test_a_spectrum():
             turned_inertia, m = turned(q, inertia, n)
             found = dt.spectrum(dt.SemiReduced(dt.Body(turned_inertia, m)), 0.01 * m)
             np.testing.assert_allclose(found.slow, known.slow, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("moments", "dipole", "momentum", "most"),
+    [
+        ([1e-8, 1.0, 1.0], [1, 0, 0], [0.3, 0.5, 0.8], 1e-5),
+        ([0.12, 0.88, 1.0], [1, 0, 0], [1e-11, 1e-11, 1.0], 1e-2),
+        ([0.5, 0.75, 1.0], [1e-9, 1e-9, 1.0], [0, 0, 1.0], 1e-4),
+        ([0.5, 0.5 * (1 + 1e-13), 1.0], [7e-4, -1.3e-3, 1.0], [0.1, 0.7, 0.5], 0.2),
+        ([0.6, 1 - 1e-9, 1.0], [0, 0, 1], [0.3, 0.5, 0.8], 1e-5),
+    ],
+    ids=["thin rod", "start next to an axis", "dipole next to an axis", "nearly oblate", "prolate"],
+)
+def test_the_stated_error_is_not_smaller_than_that_by_rounding(moments, dipole, momentum, most):
+    inertia, n = np.diag(moments), np.array(dipole, float)
+    given = inertia, n, 1e-25 * np.array(momentum) / moments
+    known = dt.predict(dt.Body(inertia, n), given[2])
+    for q in frames(6)[2:]:
+        inertia, n, omega = turned(q, *given)
+        found = dt.predict(dt.Body(inertia, n), omega)
+        assert found.outcome == known.outcome
+        assert 1e-12 < found.error < most
+        for name in ("ratio", "half_time"):
+            near = pytest.approx(float(getattr(known, name)), rel=float(found.error), abs=0)
+            assert float(getattr(found, name)) == near
+
+
+def test_a_dipole_that_is_along_its_axis_to_rounding_of_its_length_only():
+    """It is off the axis, so the rotation end over end tips and stops about the long axis."""
+    given = np.diag([1.0, 1.0, 2e-5]), np.array([0, 2e-12, 1.0]), np.array([0, 1e-22, 0])
+    for q in (np.eye(3), *frames(3)):
+        inertia, n, omega = turned(q, *given)
+        found = dt.predict(dt.Body(inertia, n), omega)
+        assert found.outcome == dt.Outcome.STOP
+        assert found.probability[2] == 1

@@ -17,7 +17,8 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS as QUANTILES
 from .capture import TopEnd, capture, end_of_top
-from .free_rotation import gaps_of
+from .estimates import rate_error
+from .free_rotation import averages, gaps_of
 from .motion import HALVINGS, RTOL, Point, SlowMotion, Stage
 from .planar_orbits import ENTRY
 from .principal_axes import FreeRotation
@@ -37,7 +38,6 @@ ENDS = (
 the principal axis of J₁ (the smallest), J₂, J₃; a stop while tumbling, with h below or above 1/J₂;
 a stop while oscillating about the middle axis of a needle."""
 
-EPS = float(np.finfo(float).eps)
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
 
@@ -80,11 +80,12 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
     energy = energies(motion.stage(0))[0]
     decay, error = late_decay(stage)
-    error += motion.error
+    rates, _ = averages(stage.interval.side.moments, limit.x, limit.rest)
+    error += motion.error + rate_error(rotation, motion.ends_high, rates)
     # The excess is a difference of energies, unless it is so small that it decays exponentially.
     excess = (energy - last_energy) / energy
     short = residual & (excess < EXCESS)
-    error += jnp.where(residual & ~short, EPS / safe_divisor(excess), 0.0)
+    error += jnp.where(residual & ~short, (RTOL + motion.error) / safe_divisor(excess), 0.0)
     half_time = jnp.where(
         short,
         _half_time_of_neighbours(rotation, axis),
@@ -155,7 +156,11 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     log_ratio = jnp.where(residual, 0.0, -jnp.inf)
     last_energy = jnp.where(residual, energy, 0.0)
     half_time = jnp.where(residual, _half_time_of_neighbours(rotation, axis), 1 / safe_divisor(r))
-    return SlowEnd(probability, *_certain(log_ratio), energy, last_energy, half_time, moment, r)
+    across = jnp.where(jnp.arange(3) == axis, 0.0, 1.0)
+    error = 3 * rotation.rounding * rotation.moments[2] / rotation.moments[0]
+    error += rate_error(rotation, jnp.zeros((), bool), across)
+    times = half_time, moment, r
+    return SlowEnd(probability, *_certain(log_ratio), energy, last_energy, *times, error=error)
 
 
 def _half_time_of_neighbours(rotation: FreeRotation, axis: Int[Array, ""]) -> Real:

@@ -1,9 +1,11 @@
-"""Estimated errors of averages over free rotation: what is radiated within one period."""
+"""Estimated errors of averages over free rotation: what is radiated within one period; rounding."""
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from .._base.guards import safe_divisor, safe_sqrt
+from .._base.linalg import dot
 from .._base.types import Real
 from .free_rotation import averages, period
 from .motion import SlowMotion, Stage
@@ -80,3 +82,62 @@ def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:
     delta = 1 - rotation.moments[0] / rotation.moments[2]
     q = 2 * delta * jnp.abs(omega[0]) / (weakness * across)
     return weakness + q * omega[0] ** 2 / across
+
+
+def rounding_error(rotation: FreeRotation, log: Real) -> Real:
+    """Return the relative error of L∞/L₀ and of times by rounding of the inertia tensor.
+
+    Rounding changes moments and their differences. L∞/L₀ and times depend on these by powers, and
+    ln L∞/L₀ is a mean rate times a duration; it is in proportion to 1/δ for a nearly spherical
+    needle. Rounding also turns the principal axes: the start moves, and the mean loss r = Σnᵢ²rᵢ
+    changes.
+
+    Args:
+        rotation: where the motion begins.
+        log: ln L∞/L₀, −∞ for a stop.
+    """
+    rotation, log = jax.lax.stop_gradient((rotation, log))
+    high, z = rotation.place
+    side = rotation.side(high)
+    x, rest = from_logit(z)
+    rates, growths = averages(side.moments, x, rest)
+    j1, j2, j3 = rotation.moments
+    gaps = jnp.stack([j2 - j1, j3 - j2])
+    apart = j3 * jnp.max(jnp.where(gaps > 0, 1 / safe_divisor(gaps), 0.0))
+    log = jnp.where(jnp.isfinite(log), jnp.abs(log), 0.0)
+    steepness = 2 * log * jnp.where(rotation.is_needle, apart, 1.0)
+    moved = rotation.rounding * (apart + j3 / j1 + steepness)
+    # Of residual rotation, d ln L∞/dz = −½r dz/ds, dz/ds = F/(1 − x).
+    slope = rest * dot(side.weights, rates) / safe_divisor(jnp.abs(dot(side.weights, growths)))
+    shift = place_error(rotation, high) * (1 + jnp.where(log > 0, slope / 2, 0.0))
+    return moved + shift + rate_error(rotation, high, rates)
+
+
+def place_error(rotation: FreeRotation, high: Bool[Array, ""]) -> Real:
+    """Return the error of z = logit x of the start by rounding, which turns the axes."""
+    p12, p23, p13 = rotation.gaps
+    zero = jnp.zeros_like(p12)
+    inside = jnp.where(high, jnp.stack([zero, p12, p13]), jnp.stack([p13, p23, zero]))
+    above = jnp.stack([p12, zero, -p23])
+    # Ω is known to rounding, and L = IΩ.
+    momentum = rotation.momentum
+    error = rotation.moments * rotation.turned(momentum / rotation.moments)
+    parts = [
+        2 * dot(jnp.abs(w * momentum), error) / safe_divisor(jnp.abs(dot(w, momentum**2)))
+        for w in (inside, above)
+    ]
+    return parts[0] + parts[1]
+
+
+def rate_error(rotation: FreeRotation, high: Bool[Array, ""], rates: Float[Array, "3"]) -> Real:
+    """Return the relative error of Σnᵢ²rᵢ by rounding, which turns the axes.
+
+    Args:
+        rotation: the dipole and its rounding.
+        high: whether the rᵢ are in the order of the high side.
+        rates: the rᵢ.
+    """
+    rotation, rates = jax.lax.stop_gradient((rotation, rates))
+    n, rates = rotation.dipole, jnp.where(high, rates[::-1], rates)
+    change = dot(rates, jnp.abs(n) * rotation.turned(n))
+    return 2 * change / safe_divisor(dot(rates, n**2))

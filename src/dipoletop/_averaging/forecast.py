@@ -1,5 +1,6 @@
 """The numbers of a prediction: how the slow motion of a body from a start ends, and its history."""
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -15,7 +16,13 @@ from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
 from .capture import LARGEST, SMALLEST
 from .ends import SlowEnd, needle_end, slow_end, sphere_end, spin_end
-from .estimates import error_of_phase, estimated_error, largest_loss, start_error
+from .estimates import (
+    error_of_phase,
+    estimated_error,
+    largest_loss,
+    rounding_error,
+    start_error,
+)
 from .motion import SlowMotion, motion_from
 from .principal_axes import FreeRotation, free_rotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
@@ -105,9 +112,10 @@ def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation,
     coupling = strength * jnp.sum(dipole**2)
     weakness = coupling / moment * (momentum / moment)
     unit = moment / momentum / (2 * weakness)
-    parts = rotation.moments / moment, rotation.dipole, rotation.momentum / momentum
-    scaled = FreeRotation(*parts, rotation.error).tipped(weakness)
-    return scaled, Units(momentum, moment, unit, weakness)
+    scaled = dataclasses.replace(
+        rotation, moments=rotation.moments / moment, momentum=rotation.momentum / momentum
+    )
+    return scaled.tipped(weakness), Units(momentum, moment, unit, weakness)
 
 
 def slow_motion(rotation: FreeRotation) -> SlowMotion:
@@ -132,7 +140,8 @@ def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Flo
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
     averaging = estimated_error(apart, largest_loss(motion), units.weakness)
     error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error + end.error
+    error += rounding_error(apart, end.log_ratio)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.left_out + end.error
     values = or_nan(_numbers(end, units, error), ~motion.failed | is_sphere | is_spin)
     return values.at[-2].set(regime_of(rotation).astype(float))
 
@@ -252,5 +261,5 @@ def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: b
         error += start_error(rotation, units.weakness)
     else:
         end, error = known_end(rotation, top)
-    error += rotation.error
+    error += rotation.left_out + rounding_error(rotation, end.log_ratio)
     return _fields(_numbers(end, units, error).at[-2].set(float(Regime.UNFOLDED)))

@@ -1,11 +1,13 @@
 """A body and its angular momentum in the principal axes of its inertia, moments ascending.
 
-In axes that are turned against the principal ones, rounding of the inertia tensor turns the
-computed principal axes by about eps over the relative difference of two moments. Whether a dipole
-or L lies along a principal axis is therefore decided by n × In and L × Ω, which rounding changes
-by about eps, whatever the moments; the computed axes then follow n.
+In axes that are turned against the principal ones, rounding of the inertia tensor turns two of the
+computed principal axes in their plane by about eps over the relative difference of their moments.
+Components of n and of Ω that such a turn may have made count as 0. Whether n lies along a principal
+axis is decided by n × In, which rounding changes by about eps, whatever the moments; the computed
+axes then follow n.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -21,8 +23,8 @@ from .slow_flow import Side
 
 OUTERMOST = 600.0  # |logit x| of a start on an axis or on the separatrix
 ROUNDING = 64.0  # roundings within which two moments count as equal
-TURN = 16.0  # roundings of an inertia tensor that is written in turned axes
-LARGEST_TURN = 0.01  # largest component of a unit vector that rounding may have made
+TURN = 8.0  # roundings of an inertia tensor that is written in turned axes
+LARGEST_TURN = 0.01  # largest component of a unit vector that counts as made by rounding
 
 
 class FreeRotation(eqx.Module):
@@ -34,8 +36,10 @@ class FreeRotation(eqx.Module):
     """The unit vector n along the dipole; components of the size of rounding are 0."""
     momentum: Float[Array, "3"]
     """L; components of the size of rounding are 0."""
-    error: Real
-    """The estimated error of the directions of the axes, an angle."""
+    rounding: Real
+    """The estimated rounding of the inertia tensor over J₃; 0 if it is diagonal."""
+    left_out: Real
+    """The size of the components of n and of L/|L| that count as 0."""
 
     def side(self, high: Bool[Array, ""]) -> Side:
         """Return the slow flow about the axis of J₁ (high) or of J₃."""
@@ -47,6 +51,11 @@ class FreeRotation(eqx.Module):
         """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ of reciprocal moments, not negative."""
         p13, p23, p12 = gaps_of(self.moments)
         return jnp.stack([p12, p23, p13])
+
+    def turned(self, vector: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Estimate the error of the components of a vector by rounding; 0 of those that are 0."""
+        turns = self.rounding * self.moments[2] * _reciprocal_gaps(self.moments)
+        return jnp.where(vector == 0, 0.0, turns @ jnp.abs(vector))
 
     @property
     def is_sphere(self) -> Bool[Array, ""]:
@@ -76,11 +85,15 @@ class FreeRotation(eqx.Module):
         alone = jnp.stack([j1 < j2, (j1 < j2) & (j2 < j3), j2 < j3])
         on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
         has_axis, axis = self.symmetry_axis
-        end_over_end = has_axis & (jnp.abs(self.dipole[axis]) == 1) & (self.momentum[axis] == 0)
+        end_over_end = has_axis & self.is_along(axis) & (self.momentum[axis] == 0)
         largest = jnp.argmax(jnp.abs(self.momentum))
         return end_over_end | jnp.any(on_axis), jnp.where(
             end_over_end, largest, jnp.argmax(on_axis)
         )
+
+    def is_along(self, axis: Int[Array, ""]) -> Bool[Array, ""]:
+        """Whether the dipole lies along a principal axis."""
+        return (self.dipole[axis] != 0) & (jnp.sum(self.dipole != 0) == 1)
 
     def tipped(self, weakness: Real) -> "FreeRotation":
         """Return the rotation as radiation tips it while it hardly brakes.
@@ -91,10 +104,10 @@ class FreeRotation(eqx.Module):
         has_axis, axis = self.symmetry_axis
         size, along, n = jnp.linalg.norm(self.momentum), self.momentum[axis], self.dipole[axis]
         least = jnp.sqrt(weakness) * size
-        tips = has_axis & (n != 0) & (jnp.abs(n) != 1) & (jnp.abs(along) < least)
+        tips = has_axis & (n != 0) & ~self.is_along(axis) & (jnp.abs(along) < least)
         tipped = self.momentum.at[axis].set(jnp.where(along < 0, -least, least))
         momentum = jnp.where(tips, tipped, self.momentum)
-        return FreeRotation(self.moments, self.dipole, momentum, self.error)
+        return dataclasses.replace(self, momentum=momentum)
 
     def spin_decay(self, axis: Int[Array, ""]) -> Real:
         """Compute r = (1 − nᵢ²)/Jᵢ³ of a pure spin, whose law is L² = L₀²/(1 + rt)."""
@@ -107,6 +120,7 @@ class FreeRotation(eqx.Module):
             jnp.array([0.5, 0.75, 1.0]),
             jnp.array([0.6, 0.0, 0.8]),
             jnp.array([0.48, 0.6, 0.64]),
+            jnp.zeros(()),
             jnp.zeros(()),
         )
         return jax.tree.map(lambda a, b: jnp.where(condition, a, b), other, self)
@@ -130,20 +144,26 @@ def free_rotation(
     moments, axes = principal_axes(inertia)
     moments = equal_where_rounded(moments)
     eps, n = float(jnp.finfo(moments.dtype).eps), dipole / jnp.linalg.norm(dipole)
+    is_diagonal = (inertia[0, 1] == 0) & (inertia[0, 2] == 0) & (inertia[1, 2] == 0)
+    turns = eps * moments[2] * _reciprocal_gaps(moments)
     off = cross(n, inertia @ n)
     is_principal = dot(off, off) <= (rounding(off) * trace(inertia)) ** 2
     along, lean = _along_axis(moments, axes.T @ n)
     axes = jnp.where(is_principal, _turned(axes, along, n), axes)
-    direction, dropped = _without_rounding(moments, axes.T @ n, eps)
+    direction, dropped = _without_rounding(axes.T @ n, turns)
     direction = jnp.where(is_principal, along, direction)
-    momentum = moments * (axes.T @ omega)
-    size = jnp.linalg.norm(momentum)
-    unit, _ = _without_rounding(moments, momentum / safe_divisor(size), eps)
-    momentum = jnp.where(unit == 0, 0.0, momentum)
-    turned = jnp.any(jnp.stack([inertia[0, 1], inertia[0, 2], inertia[1, 2]]) != 0)
-    rounded = jnp.where(turned, TURN * eps * moments[2] / _least_gap(moments), 0.0)
-    error = rounded + jnp.where(is_principal, lean, dropped)
-    return FreeRotation(moments, direction, momentum, jax.lax.stop_gradient(error))
+    rate = axes.T @ omega
+    speed = jnp.linalg.norm(rate)
+    rate, lost = _without_rounding(rate / safe_divisor(speed), turns)
+    momentum = moments * (speed * rate)
+    lost = moments * lost / safe_divisor(_norm(moments * rate))
+    return FreeRotation(
+        moments,
+        direction,
+        momentum,
+        jnp.where(is_diagonal, 0.0, TURN * eps),
+        jax.lax.stop_gradient(jnp.where(is_principal, lean, _norm(dropped)) + _norm(lost)),
+    )
 
 
 def _along_axis(moments: Float[Array, "3"], n: Float[Array, "3"]) -> tuple[Array, Real]:
@@ -151,7 +171,7 @@ def _along_axis(moments: Float[Array, "3"], n: Float[Array, "3"]) -> tuple[Array
     nearest = jnp.argmax(jnp.abs(n))
     along = jnp.where(jnp.arange(3) == nearest, jnp.sign(n), 0.0)
     across = jnp.where(moments == moments[nearest], 0.0, n)
-    return along, safe_sqrt(dot(across, across))
+    return along, _norm(across)
 
 
 def _turned(axes: Float[Array, "3 3"], along: Array, n: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -163,27 +183,29 @@ def _turned(axes: Float[Array, "3 3"], along: Array, n: Float[Array, "3"]) -> Fl
 
 
 def _without_rounding(
-    moments: Float[Array, "3"], unit: Float[Array, "3"], eps: float
-) -> tuple[Float[Array, "3"], Real]:
-    """Return a unit vector without the components that rounding of the axes may have made.
+    unit: Float[Array, "3"], turns: Float[Array, "3 3"]
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Split a unit vector into a unit vector and the components that rounding may have made.
 
-    Also return the size of the part that is left out.
+    Args:
+        unit: the unit vector.
+        turns: the angle by which rounding turns each two axes in their plane.
     """
-    gaps = jnp.abs(moments[:, None] - moments[None])
-    gap = jnp.min(jnp.where(gaps > 0, gaps, moments[2]), axis=1)  # to the nearest other moment
-    small = jnp.abs(unit) * gap <= ROUNDING * eps * moments[2]
-    small = small & (jnp.abs(unit) <= LARGEST_TURN)
-    left_out = jnp.where(small, unit, 0.0)
+    size = jnp.abs(unit)
+    made = ROUNDING * jnp.max(turns * size[None], axis=1)
+    small = size <= jnp.minimum(made, LARGEST_TURN)
     kept = jnp.where(small, 0.0, unit)
-    # The component along an axis is exactly ±1, so that rounding leaves none across it.
-    kept = jnp.where(jnp.sum(kept != 0) == 1, jnp.sign(kept), kept)
-    return kept, safe_sqrt(dot(left_out, left_out))
+    return kept / safe_divisor(_norm(kept)), jnp.where(small, unit, 0.0)
 
 
-def _least_gap(moments: Float[Array, "3"]) -> Real:
-    """Return the smallest difference of moments that is not 0; J₃ if there is none."""
-    gaps = jnp.stack([moments[1] - moments[0], moments[2] - moments[1]])
-    return jnp.min(jnp.where(gaps > 0, gaps, moments[2]))
+def _norm(vector: Float[Array, "3"]) -> Real:
+    return safe_sqrt(dot(vector, vector))
+
+
+def _reciprocal_gaps(moments: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Return 1/|Jᵢ − Jⱼ|; 0 where they are equal: axes in their plane are alike."""
+    gaps = jnp.abs(moments[:, None] - moments[None])
+    return jnp.where(gaps > 0, 1 / safe_divisor(gaps), 0.0)
 
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -18,7 +18,7 @@ from .._base.compiling import with_special_numbers
 from .._base.types import Real
 from .capture import Capture, capture_from, computed_at, distribution, end_of_top
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
-from .estimates import error_of_phase, estimated_error, start_error
+from .estimates import error_of_phase, estimated_error, rounding_error, start_error
 from .forecast import (
     Units,
     Variables,
@@ -113,7 +113,8 @@ def _slow_ends(variables: Variables, strength: Real) -> tuple[ManyEnds, Real, Bo
         exact = known.probability, known.log_ratio, known.last_moment
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
     error = estimated_error(apart, leads.loss, units.weakness)
-    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.error
+    error += rounding_error(apart, leads.log / 2)
+    error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.left_out
     delta, _ = needle_start(apart, units.weakness)
     doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
     return _untimed(rotation, units, end, error), jnp.where(apart.is_needle, delta, 0.0), doubtful
@@ -129,8 +130,9 @@ def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> ManyE
     end = end_of_top(delta, omega, chance)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
-    error += rotation.error + end.capture.error
-    return _untimed(rotation, units, (*needle_chances(rotation, end), rotation.moments[2]), error)
+    probability, log_ratio = needle_chances(rotation, end)
+    error += rotation.left_out + rounding_error(rotation, log_ratio) + end.capture.error
+    return _untimed(rotation, units, (probability, log_ratio, rotation.moments[2]), error)
 
 
 def _untimed(
