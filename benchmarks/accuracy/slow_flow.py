@@ -12,14 +12,13 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks.accuracy.turn_by_turn import (
-    REFUSAL,
     Predicted,
     Resolved,
     compared,
     differences,
 )
 from benchmarks.problems import slow_rotations
-from benchmarks.problems.random_bodies import Starts, directions, random_rotations
+from benchmarks.problems.random_bodies import directions
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
 
@@ -30,7 +29,6 @@ FEW = 12  # least number of pairs of differences for an order
 TYPICAL = ((0.6, 0.75, 1.0), (0.0, 0.0, 1.0))  # moments and dipole for the costs
 SPEEDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-15, 1e-25)
 RESOLVED_FROM = 1e-5  # least |ω| of `SPEEDS` that is integrated
-COMPARED = "ratio", "half_time"
 MANY = 5_000_000  # largest number of steps of such a run
 Row = dict[str, Any]
 
@@ -140,69 +138,12 @@ def costs(n: int, slowest: float) -> list[Row]:
     return rows
 
 
-def in_all_axes(n: int, at_random: int) -> list[Row]:
-    """Predict bodies in their principal axes, and the same ones in turned axes.
-
-    The turned axes round the inertia tensor. So the differences show the error by rounding.
-
-    Args:
-        n: number of bodies of each degenerate family.
-        at_random: number of random bodies.
-    """
-    rng = np.random.default_rng([0, 43])
-    rows = []
-    for family, own in slow_rotations.everywhere(n, at_random).items():
-        q = random_rotations(rng, len(own.omega))
-        inertia = np.einsum("nij,njk,nlk->nil", q, own.inertia, q)
-        vectors = (np.einsum("nij,nj->ni", q, vector) for vector in (own.dipole, own.omega))
-        turned = Starts((inertia + inertia.transpose(0, 2, 1)) / 2, *vectors)
-        pairs = [list(map(predicted_slowly, *sample)) for sample in (own, turned)]
-        known = [(a, b) for a, b in zip(*pairs, strict=True) if a and b]
-        over = [_difference(a, b) / max(a["error"], b["error"]) for a, b in known]
-        each = [one for column in pairs for one in column if one]
-        rows.append(
-            {
-                "family": family,
-                "n": len(own.omega),
-                "refused": 2 * len(own.omega) - len(each),
-                "failed": sum(one["outcome"] == Outcome.FAILED for one in each),
-                "empty": sum(np.isnan(one["ratio"]) for one in each),
-                "no half time": sum(np.isnan(one["half_time"]) for one in each),
-                "other": sum(a["outcome"] != b["outcome"] for a, b in known),
-                "error": max(one["error"] for one in each),
-                "over": max(over),
-            }
-        )
-    return rows
-
-
-def predicted_slowly(inertia: np.ndarray, dipole: np.ndarray, omega: np.ndarray) -> Row | None:
-    """Return some numbers of a prediction; None where it is refused."""
-    try:
-        found = dt.predict(dt.Body(inertia, dipole), omega)
-    except ValueError as refusal:
-        if REFUSAL not in str(refusal):
-            raise
-        return None
-    return {name: float(getattr(found, name)) for name in ("outcome", "error", *COMPARED)}
-
-
-def _difference(one: Row, other: Row) -> float:
-    """Return the largest relative difference of two predictions."""
-    pairs = [(one[name], other[name]) for name in COMPARED]
-    return max(
-        abs(a - b) / max(abs(a), abs(b)) if a != b and not np.isnan(a + b) else 0.0
-        for a, b in pairs
-    )
-
-
 def measured(small: bool) -> Row:
     """All of it."""
     return {
         "budget": BUDGET,
         "bodies": on_bodies(small),
         "random": on_random(8 if small else 1000),
-        "axes": in_all_axes(*((4, 40) if small else (400, 10_000))),
         "costs": costs(4 if small else 32, 1e-3 if small else RESOLVED_FROM),
     }
 

@@ -8,7 +8,7 @@ from .._base.guards import safe_divisor, safe_sqrt
 from .._base.linalg import dot
 from .._base.types import Real
 from .free_rotation import averages, period
-from .motion import SlowMotion, Stage
+from .motion import Point, SlowMotion, Stage
 from .principal_axes import FreeRotation
 from .slow_flow import Side, from_logit
 
@@ -18,6 +18,8 @@ QUADRATURE = 1e-12
 """The relative error of the quadratures."""
 LONGEST = 5.0
 """The largest K of an estimate: K is infinite on the separatrix, which is crossed only once."""
+NARROW = 6.0
+"""ln L₀/L∞ beyond which a motion may linger where F almost vanishes; measured."""
 SOME_KNOTS = 64
 """The number of knots of a stage at which the loss is evaluated."""
 
@@ -58,6 +60,12 @@ def loss(side: Side, x: Real, rest: Real, log: Real) -> Real:
     return r * period(side.moments, x, rest, LONGEST) * jnp.exp(log / 2)
 
 
+def error_at(rotation: FreeRotation, point: Point, weakness: Real) -> Real:
+    """Return the part of L² that is radiated within one period, at a point of a motion."""
+    lost = loss(rotation.side(point.high), point.x, point.rest, point.log)
+    return ERROR * weakness * lost / jnp.pi
+
+
 def largest_loss(motion: SlowMotion) -> Real:
     """Return the largest `loss` of a motion, at some of its knots."""
 
@@ -89,8 +97,9 @@ def rounding_error(rotation: FreeRotation, log: Real) -> Real:
 
     Rounding changes moments and their differences. L∞/L₀ and times depend on these by powers, and
     ln L∞/L₀ is a mean rate times a duration; it is in proportion to 1/δ for a nearly spherical
-    needle. Rounding also turns the principal axes: the start moves, and the mean loss r = Σnᵢ²rᵢ
-    changes.
+    needle, and to the distance to the power −½ where two zeros of F have just vanished, at which
+    the motion lingers. Rounding also turns the principal axes: the start moves, and the mean loss
+    r = Σnᵢ²rᵢ changes.
 
     Args:
         rotation: where the motion begins.
@@ -105,7 +114,7 @@ def rounding_error(rotation: FreeRotation, log: Real) -> Real:
     gaps = jnp.stack([j2 - j1, j3 - j2])
     apart = j3 * jnp.max(jnp.where(gaps > 0, 1 / safe_divisor(gaps), 0.0))
     log = jnp.where(jnp.isfinite(log), jnp.abs(log), 0.0)
-    steepness = 2 * log * jnp.where(rotation.is_needle, apart, 1.0)
+    steepness = 2 * log * jnp.where(rotation.is_needle, apart, 1 + (log / NARROW) ** 2)
     moved = rotation.rounding * (apart + j3 / j1 + steepness)
     # Of residual rotation, d ln L∞/dz = −½r dz/ds, dz/ds = F/(1 − x).
     slope = rest * dot(side.weights, rates) / safe_divisor(jnp.abs(dot(side.weights, growths)))

@@ -17,6 +17,7 @@ from .._base.types import Outcome, Real, Regime
 from .capture import LARGEST, SMALLEST
 from .ends import SlowEnd, needle_end, slow_end, sphere_end, spin_end
 from .estimates import (
+    error_at,
     error_of_phase,
     estimated_error,
     largest_loss,
@@ -240,7 +241,8 @@ def half_time_from(variables: Variables, strength: Real, ratio: Real) -> Real:
     rotation, units = scaled_rotation(variables, strength)
     top = top_of(rotation, 0, units.weakness)
     energy = rotation.momentum**2 @ (0.5 / rotation.moments)
-    return half_time_of(top, ratio**2 / (2 * top.moment) / energy) * units.time
+    part = ratio**2 / (2 * top.moment) / energy
+    return half_time_of(top, part, jnp.zeros(3)) * units.time
 
 
 @compiled_soon
@@ -259,6 +261,8 @@ def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: b
         motion = slow_motion(rotation)
         end, error = captured_end(rotation, motion, top)
         error += start_error(rotation, units.weakness)
+        late = error_at(rotation, motion.at(jnp.log(end.half_time)), units.weakness)
+        error += jnp.where(jnp.isnan(end.half_time), 0.0, late)
     else:
         end, error = known_end(rotation, top)
     error += rotation.left_out + rounding_error(rotation, end.log_ratio)

@@ -126,7 +126,8 @@ def orbit_history(
     """Return the history of a start with a known phase, not averaged; NaN past its last state."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
-    orbit = orbit_of(top_of(rotation, axial, units.weakness))
+    top = top_of(rotation, axial, units.weakness)
+    orbit = orbit_of(top, top.start)
 
     def at(time: Real) -> tuple[Real, ...]:
         def early(sigma: Real) -> Real:
@@ -165,7 +166,7 @@ def turning_history(
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
     top = top_of(rotation, axial, units.weakness)
-    orbit = orbit_of(top)
+    orbit = orbit_of(top, top.start)
     last, _ = orbit.at(orbit.last)
     turns = (top.delta < 0) & PlanarMotion(top.delta, top.ratio).turns(last)
     heading = -jnp.sign(top.delta * last[1])

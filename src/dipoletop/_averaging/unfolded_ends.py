@@ -31,6 +31,7 @@ SHIFT = 3.0  # distance of neighbours, in units of the error
 UNCERTAIN = 0.5  # the error where a neighbour ends in another way
 ORBIT_STEPS = 16_384
 ORBITS = 1e-9  # the error of orbits
+NEXT_TO_LINE = 0.999  # E∞/E₀ above which the half time is that of the linear law at the line
 TIGHT = 1e-12  # the loss ln u that an orbit leaves out
 
 
@@ -96,29 +97,35 @@ def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
     error = jnp.where(jnp.all(lanes.residual | lanes.stops), error, jnp.inf)
     probability = jnp.where(alike, each[0], jnp.mean(each, axis=0))
     end = _end_of(rotation, top, probability, jnp.where(alike, logs[:1], logs))
-    half_time = half_time_of(top, end.last_energy / end.energy)
-    return end._replace(half_time=half_time), error
+    part = end.last_energy / end.energy
+    half_times = jax.vmap(lambda shift: half_time_of(top, part, shift * size))(shifts)
+    spread = jnp.abs(half_times / half_times[0] - 1)
+    counts = jnp.isfinite(spread) & (part < NEXT_TO_LINE)
+    error += jnp.max(jnp.where(counts, spread, 0.0))
+    return end._replace(half_time=half_times[0]), error
 
 
-def half_time_of(top: Top, last_part: Real) -> Real:
+def half_time_of(top: Top, last_part: Real, shift: Float[Array, "3"]) -> Real:
     """Return the time after which E − E∞ of a start with a known phase has fallen to one half.
 
     Args:
         top: the body.
         last_part: E∞/E₀.
+        shift: what is added to the start.
     """
-    orbit = orbit_of(top)
+    start = top.start + shift
+    orbit = orbit_of(top, start)
     target = (1 + last_part) / 2
 
     def lost(sigma: Real) -> Real:
         state, _ = orbit.at(sigma)
-        return target - orbit.energy(state) / orbit.energy(top.start)
+        return target - orbit.energy(state) / orbit.energy(start)
 
     zero = jnp.zeros_like(target)
     sigma = root(lost, zero, orbit.last, HALVINGS)
     state, u_time = orbit.at(sigma)
     half = or_nan(u_time * jnp.exp(-state[2]), lost(orbit.last) >= 0)
-    near, linear = PlanarMotion(top.delta, top.ratio).half_life(top.start)
+    near, linear = PlanarMotion(top.delta, top.ratio).half_life(start)
     return jnp.where(near, linear, half) * orbit.unit
 
 
@@ -147,8 +154,8 @@ class PlaneOrbit(eqx.Module):
         return self.top.moments @ self.top.omega_at(state, self.top.log_u) ** 2
 
 
-def orbit_of(top: Top) -> PlaneOrbit:
-    """Return the orbit of a start whose phase is known."""
+def orbit_of(top: Top, start: Float[Array, "3"]) -> PlaneOrbit:
+    """Return the orbit of a start (φ, z, ln u/u₀) whose phase is known."""
     plane = PlanarMotion(top.delta, top.ratio)
 
     def field(sigma: Any, y: Array, args: Any) -> Array:
@@ -158,7 +165,7 @@ def orbit_of(top: Top) -> PlaneOrbit:
     def ends(sigma: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
         return plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
 
-    y0 = jnp.append(top.start, 0.0)
+    y0 = jnp.append(start, 0.0)
     orbit = follow(field, y0, ends, ORBIT_STEPS, dense=True)
     settled = plane.settles(orbit.ys[-1], TIGHT)
     return PlaneOrbit(top, orbit.interpolation, orbit.ts[-1], settled)
