@@ -13,7 +13,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._averaging.ends import QUANTILES
-from .._averaging.forecast import Forecast, Variables, best_forecast, decided, scaled_rotation
+from .._averaging.forecast import (
+    Forecast,
+    Variables,
+    best_forecast,
+    decided,
+    forecast,
+    scaled_rotation,
+)
 from .._averaging.free_rotation import mean_square_speed
 from .._averaging.histories import Values, best_history, in_units
 from .._averaging.slow_flow import from_logit
@@ -197,20 +204,21 @@ def _is_residual(run: Classification) -> bool:
 def _follow_stop(course: _Course) -> bool:
     """Integrate a rotation that stops until averages hold and half of the energy is lost.
 
-    The unfolded system neglects ω₃² beside ω⊥², which may grow later. So it is the last choice.
+    The unfolded system neglects ω₃² beside ω⊥², which may grow later, and takes long to compute. So
+    it is the last choice.
     """
     half = course.energy(course.omegas[0]) / 2
-    passed = 0  # stretches that might have ended in the unfolded system
+    passed = 0  # stretches that other averages do not describe
 
     def enough(omega: Vector) -> bool:
         nonlocal passed
         if course.energy(omega) >= half:
             return False
-        late = course.averages()
-        if not late.error < HANDOVER:
-            return False
+        late = forecast(course.variables, course.strength, course.is_needle)
+        if late.error < HANDOVER and late.regime != Regime.UNFOLDED:
+            return True
         passed += 1
-        return bool(late.regime != Regime.UNFOLDED) or passed > UNFOLDED_STRETCHES
+        return passed > UNFOLDED_STRETCHES and bool(course.averages().error < HANDOVER)
 
     return course.follow(enough)
 
