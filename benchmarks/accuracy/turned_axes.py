@@ -67,12 +67,14 @@ def predicted(inertia: np.ndarray, dipole: np.ndarray, omega: np.ndarray) -> Row
 
 
 def _difference(one: Row, other: Row) -> float:
-    """Return the largest relative difference of two predictions."""
-    pairs = [(one[name], other[name]) for name in COMPARED]
-    return max(
-        abs(a - b) / max(abs(a), abs(b)) if a != b and not np.isnan(a + b) else 0.0
-        for a, b in pairs
-    )
+    """Return the largest relative difference of two predictions; infinite if one lacks a number."""
+    worst = 0.0
+    for a, b in ((one[name], other[name]) for name in COMPARED):
+        if math.isnan(a) != math.isnan(b):
+            return math.inf
+        if a != b and not math.isnan(a):
+            worst = max(worst, abs(a - b) / max(abs(a), abs(b)))
+    return worst
 
 
 def measured(small: bool) -> Row:

@@ -82,13 +82,13 @@ def at_random(n: int) -> tuple[list[str], Starts]:
     return kinds, Starts(np.einsum("ni,ij->nij", j, np.eye(3)), dipole, omega)
 
 
-def everywhere(n: int, at_random_too: int) -> dict[str, Starts]:
+def everywhere(n: int, randoms: int) -> dict[str, Starts]:
     """Return bodies in their principal axes with slow isotropic starts, |ω| = `SLOW`.
 
     Args:
         n: number of bodies of each degenerate family: moments that are equal, or so nearly equal or
             so small that terms cancel, by a log-uniform difference.
-        at_random_too: number of random bodies.
+        randoms: number of random bodies.
     """
     rng = np.random.default_rng([0, 42])
     one, axes = np.ones(n), np.eye(3)
@@ -121,6 +121,6 @@ def everywhere(n: int, at_random_too: int) -> dict[str, Starts]:
         inertia = np.einsum("in,ij->nij", np.stack(moments_of), axes)
         omega = SLOW * directions(n, rng)
         found[family] = Starts(inertia, np.broadcast_to(dipole, (n, 3)), omega)
-    _, sample = at_random(at_random_too)
+    _, sample = at_random(randoms)
     slow = SLOW * sample.omega / np.linalg.norm(sample.omega, axis=1)[:, None]
     return found | {"at random": sample._replace(omega=slow)}

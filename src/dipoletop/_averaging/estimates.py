@@ -1,4 +1,4 @@
-"""Estimated errors of averages over free rotation: what is radiated within one period; rounding."""
+"""Estimated errors of averages over free rotation: by the loss within one period, by rounding."""
 
 import jax
 import jax.numpy as jnp
@@ -130,7 +130,7 @@ def place_error(rotation: FreeRotation, high: Bool[Array, ""]) -> Real:
     above = jnp.stack([p12, zero, -p23])
     # Ω is known to rounding, and L = IΩ.
     momentum = rotation.momentum
-    error = rotation.moments * rotation.turned(momentum / rotation.moments)
+    error = rotation.moments * rotation.rounding_of(momentum / rotation.moments)
     parts = [
         2 * dot(jnp.abs(w * momentum), error) / safe_divisor(jnp.abs(dot(w, momentum**2)))
         for w in (inside, above)
@@ -148,5 +148,5 @@ def rate_error(rotation: FreeRotation, high: Bool[Array, ""], rates: Float[Array
     """
     rotation, rates = jax.lax.stop_gradient((rotation, rates))
     n, rates = rotation.dipole, jnp.where(high, rates[::-1], rates)
-    change = dot(rates, jnp.abs(n) * rotation.turned(n))
+    change = dot(rates, jnp.abs(n) * rotation.rounding_of(n))
     return 2 * change / safe_divisor(dot(rates, n**2))

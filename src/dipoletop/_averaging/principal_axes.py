@@ -52,7 +52,7 @@ class FreeRotation(eqx.Module):
         p13, p23, p12 = gaps_of(self.moments)
         return jnp.stack([p12, p23, p13])
 
-    def turned(self, vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    def rounding_of(self, vector: Float[Array, "3"]) -> Float[Array, "3"]:
         """Estimate the error of the components of a vector by rounding; 0 of those that are 0."""
         turns = self.rounding * self.moments[2] * _reciprocal_gaps(self.moments)
         return jnp.where(vector == 0, 0.0, turns @ jnp.abs(vector))

@@ -63,9 +63,15 @@ class _Course:
         """The variables at the end of the last stretch."""
         return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
 
+    def slow_forecast(self) -> Forecast | None:
+        """Return the prediction by the slow flow from there on; None if it does not hold."""
+        found = forecast(self.variables, self.strength, self.is_needle)
+        return found if found.error < HANDOVER and found.regime != Regime.UNFOLDED else None
+
     def averages(self) -> Forecast:
-        """Return the prediction by averages over free rotation from there on."""
-        return best_forecast(self.variables, self.strength, self.is_needle)
+        """Return the prediction from there on, by the slow flow if it holds."""
+        slow = self.slow_forecast()
+        return slow or best_forecast(self.variables, self.strength, self.is_needle)
 
     def is_long(self, ratio: Real) -> bool:
         """Return whether the run would exceed the budget of steps if L∞/L₀ = `ratio`."""
@@ -214,8 +220,7 @@ def _follow_stop(course: _Course) -> bool:
         nonlocal passed
         if course.energy(omega) >= half:
             return False
-        late = forecast(course.variables, course.strength, course.is_needle)
-        if late.error < HANDOVER and late.regime != Regime.UNFOLDED:
+        if course.slow_forecast():
             return True
         passed += 1
         return passed > UNFOLDED_STRETCHES and bool(course.averages().error < HANDOVER)
