@@ -11,18 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.bisection import root
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS as QUANTILES
 from .capture import TopEnd, capture, end_of_top
-from .estimates import rate_error
+from .capture_times import clock_of_needle, error_of_entry
+from .estimates import estimated_error, largest_loss, rate_error
 from .free_rotation import averages, gaps_of
-from .motion import HALVINGS, RTOL, Point, SlowMotion, Stage
-from .planar_orbits import ENTRY
+from .motion import RTOL, Point, SlowMotion, Stage
+from .planar_orbits import ENTRY, Expansion
 from .principal_axes import FreeRotation
-from .slow_flow import Side
+from .unfolding import entry_q
 
 ENDS = (
     "residual +",
@@ -77,8 +77,8 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     residual = spins & (limit.r == 0)
     end = stage.end
     log = jnp.where(residual, end.log, -jnp.inf)
-    last_energy = shape(stage.interval.side, limit.x, limit.rest) * jnp.exp(log) / 2
-    energy = energies(motion.stage(0))[0]
+    last_energy = stage.interval.side.shape(limit.x, limit.rest) * jnp.exp(log) / 2
+    energy = motion.energy
     decay, error = late_decay(stage)
     rates, _ = averages(stage.interval.side.moments, limit.x, limit.rest)
     error += motion.error + rate_error(rotation, motion.ends_high, rates)
@@ -89,7 +89,7 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
     half_time = jnp.where(
         short,
         _half_time_of_neighbours(rotation, axis),
-        time_at(motion, (energy + last_energy) / 2),
+        motion.time_at((energy + last_energy) / 2),
     )
     return SlowEnd(
         slow_probability(rotation, motion.crosses, motion.ends_high, spins),
@@ -214,13 +214,19 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
     delta, omega = needle_start(rotation, weakness)
     end = end_of_top(delta, omega, capture(delta))
     shift = _log_speed(rotation)
-    energy = energies(motion.stage(0))[0]
+    energy = motion.energy
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
-    half_time = time_at(motion, (energy + last_energy) / 2)
-    averaged = turns_fast(rotation, motion.at(jnp.log(half_time)), weakness)
-    half_time = jnp.where(end.random & averaged, half_time, jnp.nan)
+    q = entry_q(delta, jnp.zeros_like(delta))
+    log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
+    square = jnp.exp(jnp.where(end.random, log_square, 0.0))
+    last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
+    clock = clock_of_needle(delta, last)
+    half_time, steepness = clock.time_at(motion, (energy + last_energy) / 2, square)
+    averaging = estimated_error(rotation, largest_loss(motion), weakness)
+    late = jnp.where(steepness > 0, error_of_entry(q) + steepness * averaging, 0.0)
+    error = end.capture.error + jnp.where(end.random, late, 0.0)
     probability, log_ratio = needle_chances(rotation, end)
     return SlowEnd(
         probability,
@@ -228,11 +234,11 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
         end.capture.log_quantiles_of_all() + shift,
         energy,
         last_energy,
-        half_time,
+        or_nan(half_time, end.random),
         rotation.moments[2],
         jnp.where(residual == 1, 0.0, jnp.nan),
         ~end.random,
-        end.capture.error,
+        error,
     )
 
 
@@ -280,39 +286,3 @@ def _certain(log_ratio: Real) -> tuple[Real, Float[Array, "5"]]:
 def _residual_ends(sign: Real) -> Float[Array, "8"]:
     """Return the probabilities if L∞ is along (1), against (−1) or as likely either way (0)."""
     return jnp.concatenate([jnp.stack([1 + sign, 1 - sign]) / 2, jnp.zeros(6, sign.dtype)])
-
-
-def shape(side: Side, x: Real, rest: Real) -> Real:
-    """Compute the shape h = 2E/L² of the rotation at x."""
-    _, jb, jc = side.moments
-    return rest / jc + x / jb
-
-
-def energies(stage: Stage) -> Float[Array, "K"]:
-    """Return the energies at the knots; 0 after the last one."""
-    h = jax.vmap(lambda y: shape(stage.interval.side, *stage.interval.position(y)))(stage.knots)
-    known = jnp.arange(stage.knots.size) <= stage.last
-    return jnp.where(known, h * jnp.exp(stage.states.log) / 2, 0.0)
-
-
-def time_at(motion: SlowMotion, energy: Real) -> Real:
-    """Return the time at which the energy has fallen to a value."""
-    second = motion.crosses & (energies(motion.stage(0))[motion.stage(0).last] > energy)
-    stage = motion.stage(second.astype(int))
-    above = jnp.sum(energies(stage) > energy)
-    piece = stage.piece(above - 1)
-
-    def lost(part: Real) -> Real:
-        y, state = piece.at(part)
-        h = shape(stage.interval.side, *stage.interval.position(y))
-        return energy - h * jnp.exp(state.log) / 2
-
-    part = root(lost, jnp.zeros_like(energy), jnp.ones_like(energy), HALVINGS)
-    y, state = piece.at(part)
-    # After the last knot E falls as L² does, by 1 + r(t − tₑ)L²ₑ.
-    r = stage.limit.r
-    h = shape(stage.interval.side, *stage.interval.position(y))
-    excess = jnp.maximum(h * jnp.exp(state.log) / 2 / energy - 1, 0.0)
-    late = above > stage.last
-    later = jnp.where(late, excess / jnp.where(r > 0, r, 1.0), 0.0)
-    return jnp.exp(-state.log) * (state.u + later)

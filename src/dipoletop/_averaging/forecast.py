@@ -28,7 +28,7 @@ from .motion import SlowMotion, motion_from
 from .principal_axes import FreeRotation, free_rotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
 from .unfolding import LARGEST as FARTHEST_RATIO
-from .unfolding import PlanarMotion, asymmetry_at_entry, top_of
+from .unfolding import PlanarMotion, asymmetry_at_entry, entry_of, top_of
 
 Variables = Float[Array, "15"]
 """Inertia, dipole and ω₀ in one vector."""
@@ -198,7 +198,7 @@ def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) 
     turns, errors = coverage(variables, strength)
     place = int(jnp.argmin(errors))
     axial, turning = 2 * place, bool(turns[place])
-    if is_needle:  # `needle_end` is as accurate, but gives no half time
+    if is_needle:  # `needle_end` is as accurate, but gives no half time of a known phase
         half_time = slow.half_time if turning else half_time_from(variables, strength, slow.ratio)
         return slow._replace(half_time=half_time)
     if not errors[place] < slow.error:
@@ -261,8 +261,9 @@ def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: b
         motion = slow_motion(rotation)
         end, error = captured_end(rotation, motion, top)
         error += start_error(rotation, units.weakness)
-        late = error_at(rotation, motion.at(jnp.log(end.half_time)), units.weakness)
-        error += jnp.where(jnp.isnan(end.half_time), 0.0, late)
+        log_time, *_ = entry_of(rotation, motion, top)
+        slow = motion.at(jnp.minimum(jnp.log(end.half_time), log_time))
+        error += error_at(rotation, slow, units.weakness)
     else:
         end, error = known_end(rotation, top)
     error += rotation.left_out + rounding_error(rotation, end.log_ratio)

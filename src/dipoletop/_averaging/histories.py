@@ -12,7 +12,7 @@ from .._base.checks import concrete, or_nan
 from .._base.compiling import compiled_soon, with_special_numbers
 from .._base.guards import safe_divisor
 from .._base.types import Real, Regime
-from .ends import shape, turns_fast
+from .ends import turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS
@@ -93,7 +93,7 @@ def _slow_values(rotation: FreeRotation, weakness: Real) -> Callable[[Real], Flo
     def values(time: Real) -> Float[Array, "3"]:
         point = motion.at(jnp.log(time))
         side = rotation.side(point.high)
-        h = shape(side, point.x, point.rest)
+        h = side.shape(point.x, point.rest)
         found = jnp.stack([point.log, h, mean_square_speed(side.moments, point.x, point.rest)])
         captured = rotation.is_needle & ~turns_fast(rotation, point, weakness)
         return or_nan(found, ~captured & ~motion.failed)

@@ -98,6 +98,17 @@ class Stage(eqx.Module):
         """The state at the last knot."""
         return self.knot(self.last)
 
+    @property
+    def energies(self) -> Float[Array, "K"]:
+        """The energies at the knots; 0 after the last one."""
+        known = jnp.arange(self.knots.size) <= self.last
+        return jnp.where(known, jax.vmap(self.energy)(self.knots, self.states), 0.0)
+
+    def energy(self, y: Real, state: State) -> Real:
+        """Return the energy in a state, in units of L₀²/J₃."""
+        shape = self.interval.side.shape(*self.interval.position(y))
+        return shape * jnp.exp(state.log) / 2
+
     def knot(self, index: Int[Array, ""]) -> State:
         """Return the state at a knot."""
         return State(*(values[index] for values in self.states))
@@ -265,6 +276,11 @@ class SlowMotion(eqx.Module):
         first, second = self.stages.error
         return first + jnp.where(self.crosses, second, 0.0)
 
+    @property
+    def energy(self) -> Real:
+        """The first energy, in units of L₀²/J₃."""
+        return self.stage(0).energies[0]
+
     def stage(self, index: Any) -> Stage:
         """Return the first or the second stage."""
         return jax.tree.map(lambda leaf: leaf[index], self.stages)
@@ -295,6 +311,26 @@ class SlowMotion(eqx.Module):
         farther = fall / safe_divisor(limit.r * pace)
         rest = jnp.where(stage.reaches_separatrix, rest * jnp.exp(farther), rest)
         return Point(self.starts_high ^ second, x, rest, state.log + fall)
+
+    def time_at(self, energy: Real) -> Real:
+        """Return the time at which the energy has fallen to a value."""
+        first = self.stage(0)
+        second = self.crosses & (first.energies[first.last] > energy)
+        stage = self.stage(second.astype(int))
+        above = jnp.sum(stage.energies > energy)
+        piece = stage.piece(above - 1)
+
+        def lost(part: Real) -> Real:
+            return energy - stage.energy(*piece.at(part))
+
+        part = root(lost, jnp.zeros_like(energy), jnp.ones_like(energy), HALVINGS)
+        y, state = piece.at(part)
+        # After the last knot E falls as L² does, by 1 + r(t − tₑ)L²ₑ.
+        r = stage.limit.r
+        excess = jnp.maximum(stage.energy(y, state) / energy - 1, 0.0)
+        late = above > stage.last
+        later = jnp.where(late, excess / jnp.where(r > 0, r, 1.0), 0.0)
+        return jnp.exp(-state.log) * (state.u + later)
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion:

@@ -52,6 +52,11 @@ class Side(eqx.Module):
         r, growth = averages(self.moments, x, rest)
         return self.weights @ r, self.weights @ growth
 
+    def shape(self, x: Real, rest: Real) -> Real:
+        """Compute the shape h = 2E/L² of the rotation at x, with rest = 1 − x."""
+        _, jb, jc = self.moments
+        return rest / jc + x / jb
+
     def growth(self, z: Real) -> Real:
         """Compute the rate F at z = logit x."""
         return self.rates(*from_logit(z))[1]

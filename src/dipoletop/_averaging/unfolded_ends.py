@@ -20,7 +20,8 @@ from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS
-from .ends import SlowEnd, slow_end, time_at
+from .capture_times import clock_from, error_of_entry
+from .ends import SlowEnd, slow_end
 from .motion import HALVINGS, SlowMotion, motion_from
 from .planar_orbits import Settled, follow
 from .principal_axes import FreeRotation
@@ -44,7 +45,7 @@ def order_error(top: Top, log_u: Real) -> Real:
 
 def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[SlowEnd, Real]:
     """Return the end of a needle that is captured at a random phase, and its relative error."""
-    log_time, q, log_u = entry_of(rotation, motion, top)
+    _, q, log_u = entry_of(rotation, motion, top)
     plane = PlanarMotion(top.delta, top.eta * jnp.exp(-log_u))
     lanes = jax.vmap(functools.partial(settle, plane))(phases(plane, q))
     logs = lanes.log_ratio + _log_momentum(top, log_u)
@@ -58,9 +59,13 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[
     residual = jnp.where(certain, share, jnp.clip(share, 0.5 / PHASES, 1 - 0.5 / PHASES))
     ends = residual / 2 * (_one(0) + _one(1)) + (1 - residual) * _one(5)
     end = _end_of(rotation, top, ends, logs)
-    half = time_at(motion, (end.energy + end.last_energy) / 2)
-    half_time = jnp.where(jnp.log(half) < log_time, half, jnp.nan)
-    error = order_error(top, log_u) + _sampling_error(logs)
+    square = jnp.exp(log_u - 2 * top.log_unit)
+    clock = clock_from(plane, q, jnp.mean(jnp.exp(2 * lanes.log_ratio)))
+    half = (end.energy + end.last_energy) / 2
+    half_time, steepness = clock.time_at(motion, half, square, top.moment)
+    order = order_error(top, log_u)
+    error = order + _sampling_error(logs)
+    error += jnp.where(steepness > 0, error_of_entry(q) + steepness * order, 0.0)
     error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
     return end._replace(half_time=half_time), error
 
