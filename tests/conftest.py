@@ -1,4 +1,4 @@
-"""How every test runs: float64, strict promotion, and every shape and type checked.
+"""How every test runs: float64, strict promotion, and, unless it is slow, shapes and types checked.
 
 Nothing here imports dipoletop at once: jaxtyping must see it first.
 """
@@ -54,8 +54,11 @@ def checked_modules():
             yield "dipoletop." + module.replace("/", ".")
 
 
-install_import_hook(list(checked_modules()), "beartype.beartype")
-quick.set_compiler_options()
+def pytest_configure(config):
+    """Check shapes and types, but not in the slow tests: checks take a fifth of their time."""
+    if config.option.markexpr != "slow":
+        install_import_hook(list(checked_modules()), "beartype.beartype")
+    quick.set_compiler_options()
 
 
 MOST_PROGRAMS = 170
@@ -142,4 +145,4 @@ def nothing_is_left(request):
     """No picture outlives its test, and no worker keeps too many programs in its memory."""
     yield
     plt.close("all")
-    give_programs_up(1300 if request.config.option.markexpr == PLAIN else MEMORY_OF_SLOW_TESTS)
+    give_programs_up(1150 if request.config.option.markexpr == PLAIN else MEMORY_OF_SLOW_TESTS)
