@@ -120,13 +120,6 @@ def capture(delta: Scalar) -> Capture:
 
     Args:
         delta: δ between 0 and 1; NaN outside.
-
-    Example:
-        >>> import jax, jax.numpy as jnp
-        >>> from dipoletop._averaging.capture import capture
-        >>> needle = jax.jit(capture)(jnp.asarray(0.8))
-        >>> f"{needle.residual:.4f} {jnp.exp(needle.log_mean):.4f}"
-        '0.8260 0.8845'
     """
     points, count = computed_at(delta, jnp)
 

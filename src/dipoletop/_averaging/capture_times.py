@@ -52,8 +52,9 @@ class Clock(NamedTuple):
 
     def time(self, energy: Real) -> Real:
         """Return the time at which the mean energy has fallen to a value."""
+        rule = collocation_rule(NODES).coefficients
         lost = jnp.clip((self.first - energy) / (self.first - self.last), 0.0, 0.5)
-        return chebyshev_sum(collocation_rule(NODES).coefficients @ self.times, 4 * lost - 1)
+        return chebyshev_sum(jnp.asarray(rule) @ self.times, 4 * lost - 1)
 
     def time_at(
         self, motion: SlowMotion, energy: Real, square: Real, moment: Real | float = 1.0
