@@ -35,7 +35,7 @@ def test_thin_rods_lose_energy_as_their_slow_angle_moves():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("delta", "size", "asymmetry"),
-    [(0.8, 5e-4, 0.0), (0.95, 1e-4, 0.0), (0.99, 1e-5, 0.0), (0.8, 1e-4, 0.05), (0.8, 1e-4, -0.05)],
+    [(0.95, 1e-4, 0.0), (0.8, 1e-4, 0.05), (0.8, 1e-4, -0.05)],
 )
 def test_half_of_the_mean_energy_of_random_phases_is_lost_at_the_half_time(delta, size, asymmetry):
     """The first states lie on the circle of one averaged motion, by the oscillations of (4.2)."""
