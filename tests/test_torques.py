@@ -372,16 +372,17 @@ def test_a_function_that_holds_a_traced_number_is_refused():
     assert end(GAMMA) > 0  # a plain number may be held
 
 
-PULSE = jnp.array([50.0, 50.01])
+PULSE = (50.0, 50.01)
 
 
 class Pulse(eqx.Module):
     """A torque between two times."""
 
     torque: jax.Array
+    times: jax.Array = eqx.field(converter=jnp.asarray, default=PULSE)
 
     def __call__(self, t, omega):
-        return jnp.where((t > PULSE[0]) & (t < PULSE[1]), self.torque, 0.0)
+        return jnp.where((t > self.times[0]) & (t < self.times[1]), self.torque, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -402,17 +403,14 @@ def test_a_short_pulse_is_not_stepped_over(top):
 def test_a_body_moves_before_a_jump_as_the_bounded_solution_does(level, first):
     """A slow rotator about axis 3: Iω′ = M + ω″, so ω′ = ∫M(s) e^{−I(s − τ)} ds from τ on."""
     inertia, torque = 1.2, 1e-8
-    jumps = jnp.array([first, first + 4.0])
+    push = Pulse(jnp.array([0.0, 0.0, torque]), [first, first + 4.0])
     ts = np.append(0.0, first + np.array([-1.0, -0.1, 0.0, 2.0, 3.9, 4.0, 6.0]))
-
-    def push(t, omega):
-        return jnp.where((t > jumps[0]) & (t < jumps[1]), torque, 0.0) * jnp.array([0.0, 0.0, 1.0])
 
     def after(start):  # ω of a torque that acts from `start` on
         late = np.maximum(ts - start, 0.0)
         return torque / inertia * (np.exp(-inertia * np.maximum(start - ts, 0)) / inertia + late)
 
-    run = dt.simulate(torques.with_torque(level, push, jumps=jumps), np.zeros(3), ts)
+    run = dt.simulate(torques.with_torque(level, push, jumps=push.times), np.zeros(3), ts)
     exact = after(first) - after(first + 4.0)
     np.testing.assert_allclose(run.omega[:, 2], exact - exact[0], rtol=1e-9, atol=1e-18)
 

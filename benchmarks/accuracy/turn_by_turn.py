@@ -14,6 +14,7 @@ from dipoletop import Outcome, prediction
 
 RTOL = 1e-10  # of the integration: its error is far below that of the prediction
 LATEST = 30.0  # braking times up to which energies are compared
+BEFORE_CAPTURE = 0.3  # braking times after which they are, if a needle is captured before
 LARGEST_ERROR = 0.5  # of a prediction that is not refused
 
 
@@ -27,7 +28,7 @@ class Predicted(NamedTuple):
     ratio: np.ndarray
     quantiles: np.ndarray  # (N, 5), of the ratio
     error: np.ndarray
-    time: np.ndarray  # at which energies are compared, see `_time`
+    time: np.ndarray  # at which energies are compared: the half time, if their law holds so long
     energy: np.ndarray  # at that time
 
     @property
@@ -75,19 +76,14 @@ def predicted(sample: Starts) -> Predicted:
         if one.error > LARGEST_ERROR:
             rows.append(UNKNOWN)
             continue
-        time = _time(float(one.half_time), unit)
-        energy = one.history(np.array([time])).energy[0]
+        half = float(one.half_time)
+        times = np.array([min(half, LATEST * unit) if half > 0 else unit, BEFORE_CAPTURE * unit])
+        energies = one.history(times).energy
+        time, energy = (x[int(np.isnan(energies[0]))] for x in (times, energies))
         label = one.outcome, False, one.probability, one.omega_inf
         sizes = one.ratio, one.ratio_quantiles, one.error
         rows.append(Predicted(*label, *sizes, time, energy))
     return Predicted(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def _time(half: float, unit: float) -> float:
-    """Return the half time, or another time if it is unknown or very late."""
-    if not np.isfinite(half):
-        return 0.3 * unit  # before the capture of a needle
-    return min(half, LATEST * unit) if half > 0 else unit
 
 
 def resolved(sample: Starts, times: np.ndarray, max_steps: int) -> Resolved:

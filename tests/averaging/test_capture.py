@@ -31,6 +31,7 @@ def ends_of_tops(delta, starts):
     return each_end(jnp.asarray(delta), jnp.asarray(starts), found)
 
 
+@pytest.mark.slow
 def test_distribution_is_that_of_sampled_phases():
     found = captures(jnp.array(list(SAMPLED)))
     quantiles = jax.vmap(lambda one: one.log_quantiles())(found)

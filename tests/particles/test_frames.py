@@ -57,6 +57,7 @@ def test_a_prediction(nearly, dipole):
             assert_same(dt.predict(dt.Body(inertia, n), omega), known)
 
 
+@pytest.mark.slow
 def test_a_residual_rotation_in_turned_axes():
     """A dipole on a principal axis, to rounding: L∞/L₀ is that in the principal axes."""
     inertia = np.array(

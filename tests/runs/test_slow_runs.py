@@ -120,6 +120,7 @@ def test_what_the_first_state_decides_is_not_predicted():
         assert found.certified.tolist() == [True]
 
 
+@pytest.mark.slow
 def test_a_certified_label_keeps_its_certificate_beside_a_predicted_value():
     """Near the residual line the first state tells the outcome, but not ω∞ to the tolerance."""
     omegas = np.array([[1e-4, 1e-5, 1e-10]])
