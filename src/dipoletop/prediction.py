@@ -88,8 +88,8 @@ class Prediction(eqx.Module):
             outcome is undecided.
         ratio: L∞/L₀, the mean over chance.
         ratio_quantiles: the `QUANTILES` of L∞/L₀, shape (5,).
-        half_time: the time after which E − E∞ has fallen to one half, where chance decides on
-            average: that of ⟨E⟩ − ⟨E∞⟩. NaN for a needle of known phase if it is traced.
+        half_time: the time after which E − E∞ has fallen to one half; where chance decides, the
+            mean of E − E∞. NaN for a needle of known phase if it is traced.
         radiated_energy: E₀ − E∞.
         lifetime: the time scale of the late law L² = L²ₚ/(1 + t/lifetime); infinite for residual
             rotation, NaN if chance decides, if a stop is UNFOLDED, or if no such law holds because

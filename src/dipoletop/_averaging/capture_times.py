@@ -31,10 +31,10 @@ LANES = 64  # phases that are followed
 NODES = 24  # shares p at which the time is computed
 PRECISION = 1e-8  # relative tolerance of an orbit
 
-
-def error_of_entry(q: Real) -> Real:
-    """Return the relative error of a time after the entry at q, a bound from entries at 4q."""
-    return 0.2 / q + 2e-4
+MATCHING = 0.2  # times q: the relative error of a time after the entry, by entries at 4q
+INTERPOLATION = 2e-3
+"""The error of the times of thin rods over s(1 − s), with s the weight of δ = `LARGEST`."""
+FOLLOWING = 2e-4  # the relative error that so few phases and nodes make
 
 
 class Clock(NamedTuple):
@@ -49,6 +49,10 @@ class Clock(NamedTuple):
     """The mean energy at the end."""
     times: Float[Array, "n"]
     """The times at the `NODES`."""
+    q: Real
+    """The q of entry."""
+    error: Real | float = 0.0
+    """The error of `times` by interpolation."""
 
     def time(self, energy: Real) -> Real:
         """Return the time at which the mean energy has fallen to a value."""
@@ -57,15 +61,21 @@ class Clock(NamedTuple):
         return chebyshev_sum(jnp.asarray(rule) @ self.times, 4 * lost - 1)
 
     def time_at(
-        self, motion: SlowMotion, energy: Real, square: Real, moment: Real | float = 1.0
+        self,
+        motion: SlowMotion,
+        energy: Real,
+        error: Real,
+        square: Real,
+        moment: Real | float = 1.0,
     ) -> tuple[Real, Real]:
-        """Return the time at which the mean energy has fallen to a value, and −d ln t/d ln E.
+        """Return the time at which the mean energy has fallen to a value, and its relative error.
 
-        The latter is 0 if the entry comes later.
+        The latter is 0 if the entry comes later: the time is then that of the slow flow.
 
         Args:
             motion: the slow flow before the entry; time and energy are in its units.
             energy: the value.
+            error: the relative error of energies.
             square: ω⊥² at entry.
             moment: J₁.
         """
@@ -74,10 +84,11 @@ class Clock(NamedTuple):
         entered = energy < entry
         value = energy / safe_divisor(unit)
         passed, slope = jax.jvp(self.time, (value,), (value,))
-        time = motion.time_at(jnp.maximum(energy, entry))
-        scale = jnp.where(entered, 2 * moment / safe_divisor(square), 0.0)
-        time += passed * scale
-        return time, -slope * scale / time
+        scale = 2 * moment / safe_divisor(square)
+        time = motion.time_at(jnp.maximum(energy, entry)) + jnp.where(entered, passed * scale, 0.0)
+        absolute = (self.error - slope * error) * scale
+        off = MATCHING / self.q + FOLLOWING + absolute / time
+        return time, jnp.where(entered, off, 0.0)
 
 
 def clock_of_needle(delta: Real, last: Real) -> Clock:
@@ -94,7 +105,8 @@ def clock_of_needle(delta: Real, last: Real) -> Clock:
     energies = clock.first - collocation_rule(NODES).nodes / 2 * (clock.first - last)
     times, values = _of_rods()
     limit = jnp.interp(-energies, -values, times)
-    return clock._replace(times=share * clock.times + (1 - share) * limit)
+    both = share * clock.times + (1 - share) * limit
+    return clock._replace(times=both, error=INTERPOLATION * share * (1 - share))
 
 
 def clock_from(plane: PlanarMotion, q: Real, last: Real) -> Clock:
@@ -114,7 +126,7 @@ def clock_from(plane: PlanarMotion, q: Real, last: Real) -> Clock:
     start = jnp.append(states.ravel(), 0.0)
     saveat = diffrax.SaveAt(ts=nodes)
     found = integrated(field, (0.0, 0.5), start, pid, MAX_STEPS, 1e-3, saveat=saveat)
-    return Clock(first, last, found.ys[:, -1])
+    return Clock(first, last, found.ys[:, -1], q)
 
 
 def _at_one_time(plane: PlanarMotion, q: Real) -> Float[Array, "n 3"]:

@@ -16,7 +16,7 @@ from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS as QUANTILES
 from .capture import TopEnd, capture, end_of_top
-from .capture_times import clock_of_needle, error_of_entry
+from .capture_times import clock_of_needle
 from .estimates import estimated_error, largest_loss, rate_error
 from .free_rotation import averages, gaps_of
 from .motion import RTOL, Point, SlowMotion, Stage
@@ -223,9 +223,8 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
     square = jnp.exp(jnp.where(end.random, log_square, 0.0))
     last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
     clock = clock_of_needle(delta, last)
-    half_time, steepness = clock.time_at(motion, (energy + last_energy) / 2, square)
     averaging = estimated_error(rotation, largest_loss(motion), weakness)
-    late = jnp.where(steepness > 0, error_of_entry(q) + steepness * averaging, 0.0)
+    half_time, late = clock.time_at(motion, (energy + last_energy) / 2, averaging, square)
     error = end.capture.error + jnp.where(end.random, late, 0.0)
     probability, log_ratio = needle_chances(rotation, end)
     return SlowEnd(

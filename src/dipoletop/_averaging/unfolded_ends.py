@@ -20,7 +20,7 @@ from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS
-from .capture_times import clock_from, error_of_entry
+from .capture_times import clock_from
 from .ends import SlowEnd, slow_end
 from .motion import HALVINGS, SlowMotion, motion_from
 from .planar_orbits import Settled, follow
@@ -62,10 +62,9 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[
     square = jnp.exp(log_u - 2 * top.log_unit)
     clock = clock_from(plane, q, jnp.mean(jnp.exp(2 * lanes.log_ratio)))
     half = (end.energy + end.last_energy) / 2
-    half_time, steepness = clock.time_at(motion, half, square, top.moment)
     order = order_error(top, log_u)
-    error = order + _sampling_error(logs)
-    error += jnp.where(steepness > 0, error_of_entry(q) + steepness * order, 0.0)
+    half_time, late = clock.time_at(motion, half, order, square, top.moment)
+    error = order + _sampling_error(logs) + late
     error = jnp.where(known & (jnp.abs(plane.ratio) < LARGEST), error, jnp.inf)
     return end._replace(half_time=half_time), error
 
