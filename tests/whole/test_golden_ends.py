@@ -45,10 +45,27 @@ RIGID = {
     "semi": dt.SemiReduced,
 }
 SHAPES = (-0.7, -0.3, -0.05, 1e-4, 0.2, 0.8)
-FIELDS = "outcome omega_inf omega_inf_error time steps certified stop regime probability".split()
-OF_PREDICTIONS = (
-    "outcome probability omega_inf ratio half_time lifetime radiated_energy error".split()
-)
+FIELDS = [
+    "outcome",
+    "omega_inf",
+    "omega_inf_error",
+    "time",
+    "steps",
+    "certified",
+    "stop",
+    "regime",
+    "probability",
+]
+OF_PREDICTIONS = [
+    "outcome",
+    "probability",
+    "omega_inf",
+    "ratio",
+    "half_time",
+    "lifetime",
+    "radiated_energy",
+    "error",
+]
 
 
 def starts():
@@ -95,7 +112,9 @@ def of_predictions(which):
     if which == "single":
         found = jax.tree.map(lambda *leaves: np.stack(leaves), *(predict(*x) for x in rows[::4]))
     else:
-        found = jax.jit(jax.vmap(predict))(*(jnp.asarray(np.stack(x)) for x in zip(*rows)))
+        found = jax.jit(jax.vmap(predict))(
+            *(jnp.asarray(np.stack(x)) for x in zip(*rows, strict=True))
+        )
     return {name: np.asarray(getattr(found, name)) for name in OF_PREDICTIONS}
 
 
