@@ -101,6 +101,26 @@ def test_programs_that_were_not_used_for_long_are_given_up(monkeypatch):
     np.testing.assert_array_equal(again, found[0])
 
 
+class Fading(Braked):
+    """A third component that falls exponentially beside others that are constant."""
+
+    def __call__(self, t, y, args=None):
+        return jnp.stack([0 * y[0], 0 * y[0], -y[2]])
+
+
+def test_subnormal_numbers_count_as_zero_during_a_run_and_only_then():
+    last = np.linspace(0.1, 2.0, 16)
+    limits = Limits(jnp.asarray(1e-6), 0 * last, jnp.asarray(last), jnp.asarray(10_000))
+    starts = np.array([[1.0], [1.0], [4e-308]]) * np.ones(16)
+    ends = NativeEngine().end_states(Fading(1), starts, limits, until="time")
+    assert np.all(ends.t == last)
+    least, fading = np.finfo(float).tiny, ends.y[2]
+    assert np.all((fading >= least) | (fading == 0))
+    assert np.any(fading > 0)
+    assert np.any(fading == 0)
+    assert np.all(np.full(8, least) * 0.5 > 0)
+
+
 def test_threads_share_the_queue():
     equation, starts, limits = problem(dt.TransverseReduced, n=1003)
 

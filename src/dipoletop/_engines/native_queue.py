@@ -3,6 +3,9 @@
 The steps themselves are machine code at addresses (`jaxpr_to_llvm`). The loop is also machine code,
 written here once for all equations. Transfers describe where the numbers of a run lie in memory:
 rows of (row of the table, address of its first number, stride in bytes, kind).
+
+Meanwhile subnormal numbers count as 0, as in XLA: a component that decays becomes one, and then a
+step would take ten times as long.
 """
 
 import ctypes
@@ -11,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from llvmlite import ir
+from llvmlite import binding, ir
 
 from .._base.stopping import RUNNING
 from .machine_code import MachineCode, machine_code
@@ -72,12 +75,46 @@ def _loop_in_llvm() -> str:
     """Return the loop as LLVM code."""
     module = ir.Module("queue")
     function = ir.Function(module, ir.FunctionType(LONG, [LONG.as_pointer()]), "treat")
-    _write_loop(_Code(ir.IRBuilder(function.append_basic_block())), function.args[0])
+    code = _Code(ir.IRBuilder(function.append_basic_block()))
+    with _without_subnormals(module, code.builder):
+        steps = _write_loop(code, function.args[0])
+    code.builder.ret(steps)
     return str(module)
 
 
-def _write_loop(code: "_Code", arguments: Any) -> None:
-    """Write the loop; a lane without a run has the slot −1, as all have at first."""
+@contextmanager
+def _without_subnormals(module: ir.Module, builder: ir.IRBuilder) -> Iterator[None]:
+    """Let the processor take subnormal numbers for 0 in the block under `with`."""
+    byte, word, void = ir.IntType(8).as_pointer(), ir.IntType(32), ir.VoidType()
+    machine = binding.get_process_triple().split("-")[0]
+    if machine == "x86_64":  # bits FTZ and DAZ of MXCSR
+        to_memory, from_memory = (
+            ir.Function(module, ir.FunctionType(void, [byte]), f"llvm.x86.sse.{name}")
+            for name in ("stmxcsr", "ldmxcsr")
+        )
+        places = [builder.alloca(word) for _ in range(2)]
+        old, new = (builder.bitcast(place, byte) for place in places)
+        builder.call(to_memory, [old])
+        builder.store(builder.or_(builder.load(places[0]), word(0x8040)), places[1])
+        builder.call(from_memory, [new])
+        yield
+        builder.call(from_memory, [old])
+    elif machine in ("aarch64", "arm64"):  # bit FZ of FPCR
+        get = ir.Function(module, ir.FunctionType(LONG, []), "llvm.aarch64.get.fpcr")
+        put = ir.Function(module, ir.FunctionType(void, [LONG]), "llvm.aarch64.set.fpcr")
+        before = builder.call(get, [])
+        builder.call(put, [builder.or_(before, LONG(1 << 24))])
+        yield
+        builder.call(put, [before])
+    else:
+        yield
+
+
+def _write_loop(code: "_Code", arguments: Any) -> Any:
+    """Write the loop, and return the number of its steps.
+
+    A lane without a run has the slot −1, as all have at first.
+    """
     job = Job(*(code.load(arguments, i) for i in range(len(Job._fields))))
     fresh, block, ended = (code.pointer(x) for x in (job.fresh, job.block, job.ended))
     slot, slots = code.array(WIDTH), code.array(WIDTH)  # the runs in `block` and in `ended`
@@ -158,7 +195,7 @@ def _write_loop(code: "_Code", arguments: Any) -> None:
         with code.when(running.value, ">", 0):
             advance()
     write_results()
-    code.builder.ret(steps.value)
+    return steps.value
 
 
 def _copy_lane(code: "_Code", rows: Any, source: Any, target: Any) -> None:
