@@ -17,7 +17,7 @@ from .._base.compiling import with_special_numbers
 from .._base.parallel import Device
 from .._base.types import DecidingEquation, Equation
 from .._engines.interface import Engine, Limits, Queue
-from ..equations._common import omega_scale_of, physical
+from ..equations._common import physical
 from .classification import Classification, Value, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
 from .label_doubt import CERTAIN, finish_of, made_twice
@@ -67,10 +67,9 @@ def _classified(runs: tuple[Any, Any, Limits], way: RunOptions) -> Classificatio
     def classified(limits: Limits) -> Classification:
         if value is False and way.loosely:
             return outcomes(block, limits)
-        runs = block.run(limits).runs
+        runs, _, around = block.run(limits)
         if value is True:
-            scales = omega_scale_of(block.equation)
-            return with_error_estimates(runs, block.run_some, omegas, limits, scales)
+            return with_error_estimates(runs, block.run_around, (omegas, around), limits)
         return runs if value is False else without_error_estimates(runs, value, np)
 
     def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
@@ -106,19 +105,35 @@ class RunBlock:
         # All arrays in one transfer.
         return jax.device_get(engine.classify(finish_of(value), queue, device, threads))
 
-    def run_some(self, lanes: Lanes, limits: Limits, omegas: Any = None) -> Classification:
-        """Make some of the runs, from their own starts or from others.
+    def run_some(self, lanes: Lanes, limits: Limits) -> Classification:
+        """Make some of the runs.
 
         If a new number of runs would need a compilation, all are passed and the others rest.
         """
-        block = self if omegas is None else replace(self, omegas=omegas)
-        size = block.omegas.shape[1]
+        size = self.omegas.shape[1]
         if self.way.engine.compiles_for_size:
-            t1 = np.zeros(size, block.omegas.dtype)
+            t1 = np.zeros(size, self.omegas.dtype)
             t1[lanes] = np.inf
-            return part_of(block.run(limits._replace(t1=t1)).runs, lanes, size)
-        equation, omegas, limits = part_of((block.equation, block.omegas, limits), lanes, size)
-        return replace(block, equation=equation, omegas=omegas).run(limits).runs
+            return part_of(self.run(limits._replace(t1=t1)).runs, lanes, size)
+        equation, omegas, limits = part_of((self.equation, self.omegas, limits), lanes, size)
+        return replace(self, equation=equation, omegas=omegas).run(limits).runs
+
+    def run_around(
+        self, lanes: Lanes, limits: Limits, starts: Float[np.ndarray, "k 3 some"]
+    ) -> Classification:
+        """Make some of the runs from k other starts each; the results have shape (k, some)."""
+        size, shape = self.omegas.shape[1], (len(starts), len(lanes))
+        if self.way.engine.compiles_for_size:
+            each = []
+            for moved in starts:
+                omegas = np.array(self.omegas)
+                omegas[:, lanes] = moved
+                each.append(replace(self, omegas=omegas).run_some(lanes, limits))
+            return jax.tree.map(lambda *x: np.stack(x), *each)
+        equation, limits = part_of((self.equation, limits), np.tile(lanes, len(starts)), size)
+        omegas = np.swapaxes(starts, 0, 1).reshape(3, -1)
+        runs = replace(self, equation=equation, omegas=omegas).run(limits).runs
+        return jax.tree.map(lambda x: x.reshape(*x.shape[:-1], *shape), runs)
 
 
 def outcomes(block: RunBlock, limits: Limits) -> Classification:

@@ -16,118 +16,167 @@ C and MIDWAY were measured (benchmarks/accuracy/residual.py). C is far below n, 
 estimates the error of the lower of its two orders, and since errors of different steps partly
 cancel; MIDWAY exceeds 1, since a motion can be more sensitive on its way than at both ends.
 
-The gradient at the start comes from differences. Each start is run three more times, with component
-i of ω₀ moved by h·sᵢ:
+A gradient grows exponentially in time at most, and so in the number of steps. Measured,
 
-    |s ∂ω∞/∂ω₀|² ≈ Σᵢ [(ω∞(ω₀ + h·sᵢ·eᵢ) − ω∞(ω₀))/h]².
+    |s ∂ω∞/∂ω₀| ≤ max(s) tr J tr J⁻¹/3 exp(n′/GROWTH),     n′ = n (rtol/1e-8)^⅛,
 
-Unlike first variations, this works for any equation. The neighbours may be run at a looser
-tolerance, if h is so large that their own errors do not matter. Near a zero of ω∞, at the boundary
-of the basin or between rotations in opposite senses, the gradient is large or infinite. There ω∞
-is not linear over the distance h; if it is not linear over the second, smaller h either, the error
-is unknown (infinite).
+for any body, level and tolerance. If the error is small with this bound, as for about half of all
+runs, the bound takes the place of the gradient.
+
+The gradient at the start comes from differences. Each start is run again with ω₀ moved by h·s along
+some unit vectors eₖ of ω₀/s, for s a diagonal matrix:
+
+    |s ∂ω∞/∂ω₀|² ≈ Σₖ [(ω∞(ω₀ + h·s eₖ) − ω∞(ω₀))/h]².
+
+Since ω∞ is constant along a motion, ∂ω∞/∂ω₀·f = 0 with f the rate of ω at the start. So two vectors
+across s⁻¹f are enough if f depends on ω only; else there are three. Unlike first variations, this
+works for any equation. The neighbours may be run at a looser tolerance, if h is larger than that.
+They may not differ by a whole rotation, so h falls with the number of steps. Near a zero of ω∞, at
+the boundary of the basin or between rotations in opposite senses, the gradient is large or
+infinite. There ω∞ is not linear over the distance h; if it is not linear over the smallest h
+either, the error is unknown (infinite).
 """
 
-import functools
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._base.checks import or_nan
+from .._base.guards import safe_divisor
+from .._base.linalg import inverse, largest, length, scale, trace
 from .._base.tolerances import Tolerances
-from .._base.types import OmegaScale, Outcome
-from .._engines.interface import Limits, power_of_two
+from .._base.types import Equation, Outcome, Vector
+from .._engines.interface import Limits
+from ..equations._common import has_body_field, omega_scale_of
+from ..equations.longitudinal import LongitudinalReduced, LongitudinalSemi
+from ..equations.rigid import Reduced, SemiReduced
+from ..equations.transverse import TransverseReduced, TransverseSemi
 from .classification import Classification, Value
 from .memory_limits import Lanes
 
-FIXED, PER_STEP, MIDWAY = 0.04, 1.2e-2, 5.0  # measured
-NEIGHBOUR_RTOLS = 1e3, 3.0  # rtol of the neighbours over the run's, at the first and second try
+FIXED, PER_STEP, MIDWAY = 0.04, 1.6e-2, 5.0  # measured
+GROWTH, ENOUGH = 8.0, 20.0  # measured; relative error over rtol with which the bound is good enough
+NEIGHBOUR_RTOLS = 1e4, 1e3, 1e2, 1e1  # rtol of the neighbours over the run's, in successive tries
 LARGEST_RTOL = 1e-4  # largest rtol of the neighbours
-LONG_RUN = 400  # steps from which the distance grows like the errors of the neighbours
-LARGEST_PHASE = 0.01  # distance · steps: beyond, neighbours may differ by a whole rotation
+DISTANCE = 2.0  # h over the rtol of the neighbours
+LARGEST_PHASE = 0.04  # h · steps: beyond, neighbours may differ by a whole rotation
 SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # for one start: rtol over the run's; distance over rtol
 LINEAR = 0.2  # largest relative change of ω∞ that still gives a gradient
 
-RunSome = Callable[[Lanes, Limits, Float[np.ndarray, "3 N"]], Classification]
-"""A function of the indices of some runs, limits and all starts to their classifications."""
+RunSome = Callable[[Lanes, Limits, Float[np.ndarray, "k 3 some"]], Classification]
+"""A function of the indices of some runs, limits, and k starts in place of each, to the
+classifications of the runs from these, shape (k, some)."""
+AUTONOMOUS = (
+    TransverseReduced,
+    TransverseSemi,
+    LongitudinalReduced,
+    LongitudinalSemi,
+    Reduced,
+    SemiReduced,
+)
+"""Equations whose rate depends on ω only, which is the whole state."""
+
+
+class Vicinity(NamedTuple):
+    """What the gradient at a start needs beside ω₀."""
+
+    directions: Float[Array, "k 3 *n"] | Float[np.ndarray, "k 3 *n"]
+    """The vectors s eₖ to the neighbours, in units of h; NaN at rest."""
+    reach: Float[Array, "*n"] | Float[np.ndarray, "*n"]
+    """max(s) tr J tr J⁻¹/3, by which the gradient is bounded; infinite if there is no bound."""
+
+
+def vicinity(equation: Any, omegas: Vector) -> Vicinity:
+    """Return the vicinity of starts."""
+    scales = omega_scale_of(equation)(omegas)
+    if type(equation) not in AUTONOMOUS:
+        axes = [jnp.zeros_like(scales).at[k].set(scales[k]) for k in range(3)]
+        return Vicinity(jnp.stack(axes), jnp.full_like(scales[0], jnp.inf))
+    if has_body_field(equation):
+        inertia = equation.body.inertia
+        spread = trace(inertia) * trace(inverse(inertia)) / 3
+    else:  # moments 1, 1 and 1 − δ
+        last = 1 - equation.delta
+        spread = (2 + last) * (2 + 1 / last) / 3
+    return Vicinity(_across_flow(equation, omegas, scales), largest(scales) * spread)
+
+
+def _across_flow(equation: Equation, omegas: Vector, scales: Vector) -> Float[Array, "2 3 *lanes"]:
+    """Return s e₁ and s e₂, for two unit vectors across s⁻¹f."""
+    rate = equation(jnp.zeros_like(omegas[0]), omegas, None) / safe_divisor(scales)
+    rate = rate / safe_divisor(largest(jnp.abs(rate)))[None]
+    moves = largest(jnp.abs(rate)) > 0
+    a, b, c = scale(1 / safe_divisor(length(rate)), rate)
+    # Two unit vectors across (a, b, c): Duff et al., J. Comput. Graph. Tech. 6 (2017) 1.
+    sign = jnp.where(c < 0, -1.0, 1.0).astype(c.dtype)
+    part = -1 / (sign + c)
+    both = a * b * part
+    first = jnp.stack([1 + sign * a**2 * part, sign * both, -sign * a])
+    second = jnp.stack([both, sign + b**2 * part, -b])
+    return or_nan(jnp.stack([scales * first, scales * second]), moves)
 
 
 def with_error_estimates(
     runs: Classification,
     run: RunSome,
-    omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"],
+    around: tuple[Any, Vicinity],
     limits: Limits,
-    scales: OmegaScale,
 ) -> Classification:
     """Add the error of the integration to classifications; ω∞ is NaN where the error exceeds it.
 
     Args:
         runs: in NumPy, with the error of the formula for ω∞ at their ends.
         run: classifies neighbours of the runs.
-        omegas: the starts ω₀, shape (3, N).
+        around: the starts ω₀, shape (3, N), and their vicinity.
         limits: the limits of the runs.
-        scales: the function that gives the scales s of ω₀.
     """
     integrated = is_integrated(runs)
     if not integrated.any():
         return _with_added_error(runs, 0.0, np)
-    starts = np.asarray(omegas)
-    around = starts, _scaled(scales, starts)
     tolerances = float(limits.rtol), np.asarray(limits.atol)
     with np.errstate(all="ignore"):  # of runs that failed
-        gradient = _gradient_by_neighbours(runs, run, around, limits, integrated)
-        error = _integration_error(runs.omega_inf, runs.steps, gradient, tolerances)
+        bound = around[1].reach * np.exp(runs.steps * (tolerances[0] / 1e-8) ** 0.125 / GROWTH)
+        error = _integration_error(runs.omega_inf, runs.steps, bound, tolerances)
+        unclear = integrated & ~(error <= ENOUGH * tolerances[0] * np.abs(runs.omega_inf))
+        if unclear.any():
+            gradient = _gradient_by_neighbours(runs, run, around, limits, unclear)
+            found = _integration_error(runs.omega_inf, runs.steps, gradient, tolerances)
+            error = np.where(unclear, found, error)
     return _with_added_error(runs, np.where(integrated, error, 0.0), np)
-
-
-def _scaled(scales: OmegaScale, omegas: Float[np.ndarray, "3 N"]) -> Float[np.ndarray, "3 N"]:
-    """Return the scales s of N starts, by a program for a power of 2."""
-    size = omegas.shape[1]
-    padded = np.zeros((3, power_of_two(size)), omegas.dtype)
-    padded[:, :size] = omegas
-    return np.asarray(_jitted_scales(scales, padded))[:, :size]
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _jitted_scales(scales: OmegaScale, omegas: Array) -> Array:
-    return scales(omegas)
 
 
 def _gradient_by_neighbours(
     runs: Classification,
     run: RunSome,
-    around: tuple[np.ndarray, np.ndarray],
+    around: tuple[Any, Vicinity],
     limits: Limits,
     wanted: Bool[np.ndarray, "N"],
 ) -> Float[np.ndarray, "N"]:
-    """Return |s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown.
-
-    `around` holds the starts and the scales s, both of shape (3, N).
-    """
-    omega_inf, (starts, sizes) = runs.omega_inf, around
+    """Return |s ∂ω∞/∂ω₀| of the wanted runs; infinite where it is unknown."""
+    omega_inf, (starts, (directions, _)) = runs.omega_inf, around
     gradient = np.full(omega_inf.shape, np.inf, omega_inf.dtype)
     rtol = float(limits.rtol)
     for looser in dict.fromkeys(max(1.0, min(x, LARGEST_RTOL / rtol)) for x in NEIGHBOUR_RTOLS):
-        distance = looser * rtol * np.maximum(1.0, runs.steps / LONG_RUN)
+        distance = DISTANCE * looser * rtol
         tried = wanted & np.isinf(gradient) & np.isfinite(omega_inf)
         tried &= distance * runs.steps <= LARGEST_PHASE
         lanes = np.flatnonzero(tried)
         if not lanes.size:
             continue
-        limits_here, middle, changes = limits.loosened(looser), omega_inf[lanes], []
-        for axis in range(3):
-            moved = starts.copy()
-            moved[axis] += distance * sizes[axis]
-            neighbours = run(lanes, limits_here, moved).omega_inf
-            changes.append((neighbours - middle) / middle)
+        lanes = lanes[
+            np.argsort(-runs.steps[lanes], kind="stable")
+        ]  # no thread ends with a long run
+        moved = np.asarray(starts)[:, lanes] + distance * directions[..., lanes]
+        found = run(lanes, limits.loosened(looser), moved).omega_inf
+        changes = found / omega_inf[lanes] - 1
         linear = np.max(np.abs(changes), axis=0) <= LINEAR
-        found = np.linalg.norm(changes, axis=0) / distance[lanes]
-        gradient[lanes] = np.where(linear, found, np.inf)
+        gradient[lanes] = np.where(linear, np.linalg.norm(changes, axis=0) / distance, np.inf)
     return gradient * np.abs(omega_inf)
 
 

@@ -37,7 +37,7 @@ from ..equations.levels import Level
 from ..equations.rigid import Reduced, SemiReduced
 from ..equations.transverse import TransverseReduced, TransverseSemi
 from .classification import Classification, Value, classification_of
-from .conditioning import without_error_estimates
+from .conditioning import Vicinity, vicinity, without_error_estimates
 
 CERTAIN = 4.0  # doubt below which a label is certain: no wrong label had a doubt below 8
 FADED = 1e-6  # (|ω|/|ω₀|)² below which a label is in doubt although no boundary exists
@@ -50,6 +50,8 @@ class Ended(NamedTuple):
     runs: Classification
     doubt: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
     """Doubt of each label (module docstring); only for `value=False`; inf without a label."""
+    around: Vicinity | None = None
+    """The vicinity of the starts; only if ω∞ is wanted."""
 
 
 def finish_of(value: Value) -> Finish[Ended]:
@@ -58,10 +60,11 @@ def finish_of(value: Value) -> Finish[Ended]:
 
 
 def ended_with_value(
-    equation: DecidingEquation, _omegas: Vector, ends: EndStates, tolerances: Tolerances
+    equation: DecidingEquation, omegas: Vector, ends: EndStates, tolerances: Tolerances
 ) -> Ended:
-    """Return the classification with ω∞, without a doubt of the label."""
-    return Ended(classification_of(equation, ends, tolerances))
+    """Return the classification with ω∞, and the vicinity of the starts."""
+    around = vicinity(equation, omegas)
+    return Ended(classification_of(equation, ends, tolerances), around=around)
 
 
 def ended_with_label(
