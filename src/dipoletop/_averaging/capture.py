@@ -36,6 +36,7 @@ from .planar_orbits import (
     MAX_STEPS,
     Expansion,
     Scalar,
+    Settled,
     at_angle,
     follow,
     log_scale_of,
@@ -215,7 +216,26 @@ def _sums(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(values)])
 
 
-def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
+def is_random(delta: Scalar, omega0: Float[Array, "3"]) -> Bool[Array, ""]:
+    """Return whether a start turns many times before its capture, so that chance decides."""
+    w1, w2, w3 = omega0
+    d = jnp.where((delta > 0) & (delta < 1), delta, 0.5)
+    log_perp, log_w3 = _log_sizes(omega0)
+    log_entry = jnp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
+    turns = (w3 != 0) & ((w1 != 0) | (w2 != 0))
+    return turns & (log_w3 - 2 * log_perp > log_entry)
+
+
+def _log_sizes(omega0: Float[Array, "3"]) -> tuple[Scalar, Scalar]:
+    """Return ln ω⊥ and ln |ω₃|; 0 for a size of 0."""
+    w1, w2, w3 = omega0
+    flat = jnp.where((w1 == 0) & (w2 == 0), 1.0, jnp.hypot(w1, w2))
+    return jnp.log(flat), jnp.log(jnp.where(w3 == 0, 1.0, jnp.abs(w3)))
+
+
+def end_of_top(
+    delta: Scalar, omega0: Float[Array, "3"], chance: Capture, *, by_chance: bool = False
+) -> TopEnd:
     """Return how a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
 
     W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
@@ -226,22 +246,26 @@ def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> Top
         delta: δ between 0 and 1; NaN outside.
         omega0: ω₀, not 0, of any small size: it enters by logarithms.
         chance: the `capture` of this δ.
+        by_chance: whether chance decides for certain (`is_random`): no phase is followed then.
     """
     w1, w2, w3 = omega0
     symmetry_axis = (w1 == 0) & (w2 == 0)
     across = (w1 == 0) & (w3 == 0) & ~symmetry_axis
+    log_perp, log_w3 = _log_sizes(omega0)
     flat = jnp.where(symmetry_axis, 1.0, jnp.hypot(w1, w2))
-    log_perp, log_w3 = jnp.log(flat), jnp.log(jnp.where(w3 == 0, 1.0, jnp.abs(w3)))
     log_all = jnp.logaddexp(2 * log_perp, jnp.where(w3 == 0, -jnp.inf, 2 * log_w3)) / 2
-    log_z = log_w3 - 2 * log_perp
     d = jnp.where((delta > 0) & (delta < 1), delta, 0.5)
-    log_entry = jnp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
-    random = (w3 != 0) & (log_z > log_entry) & ~symmetry_axis
+    random = is_random(delta, omega0)
     stops = symmetry_axis | across
 
-    z = jnp.where(random | (w3 == 0), 0.0, jnp.sign(w3) * jnp.exp(jnp.minimum(log_z, log_entry)))
+    log_z = jnp.where(random, 0.0, log_w3 - 2 * log_perp)
+    z = jnp.where(random | (w3 == 0), 0.0, jnp.sign(w3) * jnp.exp(log_z))
     phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
-    known = settle(d, phi, z)
+    if by_chance:
+        nowhere = jnp.zeros((), bool)
+        known = Settled(nowhere, nowhere, nowhere, jnp.zeros_like(d), jnp.zeros(3))
+    else:
+        known = settle(d, phi, z)
     turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
     log_w = log_scale_of(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
     log_scale = or_nan(log_w - log_all, random)

@@ -56,8 +56,12 @@ def start_error(rotation: FreeRotation, weakness: Real) -> Real:
 
 def loss(side: Side, x: Real, rest: Real, log: Real) -> Real:
     """Compute the part of L² that is radiated within one period, over 2κL₀, at ln L²/L₀² = log."""
-    r, _ = side.rates(x, rest)
-    return r * period(side.moments, x, rest, LONGEST) * jnp.exp(log / 2)
+    return loss_at_rate(side.rates(x, rest)[0], side, (x, rest), log)
+
+
+def loss_at_rate(r: Real, side: Side, place: tuple[Real, Real], log: Real) -> Real:
+    """Compute the `loss` where the mean rate r is known, at x and 1 − x."""
+    return r * period(side.moments, *place, LONGEST) * jnp.exp(log / 2)
 
 
 def error_at(rotation: FreeRotation, point: Point, weakness: Real) -> Real:

@@ -8,18 +8,19 @@ its own.
 import functools
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.compiling import with_special_numbers
-from .._base.types import Real
-from .capture import Capture, capture_from, computed_at, distribution, end_of_top
+from .._base.compiling import FOR_MANY, compiled_soon, with_special_numbers
+from .._base.parallel import pool
+from .._base.types import Outcome, Real
+from .capture import Capture, capture_from, computed_at, distribution, end_of_top, is_random
 from .ends import needle_chances, needle_start, slow_probability, sphere_end, spin_end
 from .estimates import error_of_phase, estimated_error, rounding_error, start_error
 from .forecast import (
+    LARGEST_ERROR,
     Units,
     Variables,
     decided,
@@ -29,9 +30,10 @@ from .forecast import (
     speed_about_dipole,
 )
 from .principal_axes import FreeRotation
-from .slow_course import outline
+from .slow_course import Course, course
+from .slow_flow import Side
 
-CHUNKS = 64, 1024  # starts computed at once; only two sizes, since each needs a compilation
+CHUNK = 128  # starts computed at once; only one size, since each needs a compilation
 DOUBT = 1e-6  # estimated error of ln L∞² beyond which a start is predicted on its own
 
 
@@ -46,12 +48,27 @@ class ManyEnds(NamedTuple):
     error: Any
 
 
+class _Begin(NamedTuple):
+    """A start in the variables of the slow motion."""
+
+    rotation: FreeRotation
+    units: Units
+    side: Side
+    z: Real
+    """logit x."""
+    high: Bool[Array, "*n"]
+    """Whether it begins on the side of the axis of J₁."""
+    least_error: Real
+    """The least error that the end can have."""
+
+
 @with_special_numbers
 def ends_of_many(
     inertia: Float[np.ndarray, "N 3 3"],
     dipole: Float[np.ndarray, "N 3"],
     omega0: Float[np.ndarray, "N 3"],
     strength: float = 1.0,
+    threads: int = 1,
 ) -> ManyEnds:
     """Return how N free rotations end.
 
@@ -60,30 +77,63 @@ def ends_of_many(
         dipole: dipoles.
         omega0: initial angular velocities, not zero.
         strength: the k of κ = k d².
+        threads: the number of threads.
     """
     size = len(omega0)
     variables = np.concatenate([np.reshape(inertia, (size, 9)), dipole, omega0], axis=1)
-    coupling = jnp.asarray(strength)
-    ends, delta, doubtful = _in_chunks(_slow_ends, variables, coupling)
+    starts = variables, np.full(size, strength)
+    in_chunks = functools.partial(_in_chunks, threads)
+    begin = in_chunks(_begin, starts)
+    unknown = np.full(size, np.nan)
+    ends = ManyEnds(
+        outcome=np.full(size, int(Outcome.UNDECIDED)),
+        probability=np.full((size, 8), np.nan),
+        omega_inf=unknown,
+        ratio=unknown.copy(),
+        regime=np.zeros(size, int),
+        error=begin.least_error,
+    )
+    lanes = np.flatnonzero(~(begin.least_error > LARGEST_ERROR))
+    if lanes.size:
+        some = jax.tree.map(lambda x: x[lanes], (begin, starts))
+        _put(ends, lanes, _followed(in_chunks, *some))
+    return ends
+
+
+def _followed(in_chunks: Any, begin: _Begin, starts: tuple[np.ndarray, np.ndarray]) -> ManyEnds:
+    """Return the ends of starts, by their courses on both sides, and by capture."""
+    moments, crossed = begin.side.moments, np.zeros(len(begin.z), bool)
+    first = in_chunks(_course, (begin.side, begin.z, crossed))
+    crosses = first.rises & ~first.turns & (moments[:, 1] != moments[:, 0])
+    second = jax.tree.map(np.zeros_like, first)
+    if (lanes := np.flatnonzero(crosses)).size:
+        there = jax.tree.map(lambda x: x[lanes], (begin.side, begin.z, crosses))
+        _put(second, lanes, in_chunks(_course, there))
+    ends, delta, by_chance, doubtful = in_chunks(_slow_ends, (begin, first, second, crosses))
     shared = _nearly(delta)
-    for value in np.unique(shared[shared != 0]):
-        (lanes,) = np.nonzero(shared == value)
-        captured = _in_chunks(_needle_ends, variables[lanes], (coupling, _capture(value)))
-        _put(ends, lanes, captured)
+    for value, random in np.unique(np.stack([shared, by_chance])[:, shared != 0], axis=1).T:
+        (lanes,) = np.nonzero((shared == value) & (by_chance == random))
+        chance = jax.tree.map(lambda x, n=lanes.size: np.stack([x] * n), _capture(value))
+        needles = jax.tree.map(lambda x, lanes=lanes: x[lanes], starts)
+        _put(ends, lanes, in_chunks(_needle_ends[bool(random)], (*needles, chance)))
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
-        alone = forecast(jnp.asarray(variables[lane]), coupling, False)
+        alone = forecast(*(jnp.asarray(x[lane]) for x in starts), False)
         _put(ends, lane, ManyEnds(*(getattr(alone, name) for name in ManyEnds._fields)))
     return ends
 
 
-def _in_chunks(function: Any, variables: Float[np.ndarray, "N 15"], constants: Any) -> Any:
-    """Apply a vectorised function to chunks of the starts; the last chunk is padded."""
-    small, large = CHUNKS
-    length = small if len(variables) <= small else large
-    count = max(1, -(-len(variables) // length))
-    padded = np.resize(variables, (count * length, 15))
-    parts = [function(part, constants) for part in np.split(padded, count)]
-    return jax.tree.map(lambda *x: np.concatenate(x)[: len(variables)], *parts)
+def _in_chunks(threads: int, function: Any, arguments: Any) -> Any:
+    """Apply a vectorised function to chunks of its arguments; the last chunk is padded."""
+    size = len(jax.tree.leaves(arguments)[0])
+    count = max(1, -(-size // CHUNK))
+    places = np.resize(np.arange(max(size, 1)), (count, CHUNK))
+
+    def part(chosen: Any) -> Any:
+        return jax.device_get(function(*jax.tree.map(lambda x: x[chosen], arguments)))
+
+    several = threads > 1 and count > 1
+    parts = list(pool(threads).map(part, places) if several else map(part, places))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:size], *parts)
 
 
 def _nearly(delta: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
@@ -92,47 +142,76 @@ def _nearly(delta: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
     return np.round(delta / size, 12) * size
 
 
-def _put(ends: ManyEnds, lanes: Any, values: ManyEnds) -> None:
-    """Replace the ends of some starts."""
+def _put(ends: Any, lanes: Any, values: Any) -> None:
+    """Replace the numbers of some starts."""
     for array, value in zip(ends, values, strict=True):
         array[lanes] = value
 
 
-@eqx.filter_jit
-@functools.partial(jax.vmap, in_axes=(0, None))
-def _slow_ends(variables: Variables, strength: Real) -> tuple[ManyEnds, Real, Bool[Array, ""]]:
-    """Return the end by the slow flow, δ of a needle or 0, and whether the error is too large."""
+def _of_lanes(function: Any) -> Any:
+    """Return a function of many starts, from a function of one."""
+    return compiled_soon(jax.vmap(function), FOR_MANY)
+
+
+@_of_lanes
+def _begin(variables: Variables, strength: Real) -> _Begin:
+    """Return where a slow motion begins; an ordinary one in place of a pure spin and a sphere."""
     rotation, units = scaled_rotation(variables, strength)
+    apart = rotation.replaced_where(rotation.is_sphere | rotation.spin_axis[0])
+    high, z = apart.place
+    error, phase = start_error(apart, units.weakness), error_of_phase(apart, units.weakness)
+    error = jnp.where(apart.is_needle, jnp.minimum(error, phase), error)
+    error = jnp.where(rotation.is_sphere | rotation.spin_axis[0], units.weakness**2, error)
+    return _Begin(rotation, units, apart.side(high), z, high, error)
+
+
+_course = _of_lanes(course)
+
+
+@_of_lanes
+def _slow_ends(
+    begin: _Begin, first: Course, second: Course, crosses: Bool[Array, ""]
+) -> tuple[ManyEnds, Real, Bool[Array, ""], Bool[Array, ""]]:
+    """Return the end by the slow flow, δ and `is_random` of a needle, and a doubt of the error.
+
+    δ is 0 for other bodies.
+    """
+    rotation, units, _, _, high, _ = begin
     is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
     apart = rotation.replaced_where(is_sphere | is_spin)
-    leads = outline(apart)
-    last = apart.moments[jnp.where(leads.ends_high, 0, 2)]
-    probability = slow_probability(apart, leads.crosses, leads.ends_high, leads.spins)
-    end = probability, leads.log / 2, last
+    ends_high = high ^ crosses
+    spins = jnp.where(crosses, ~second.turns, ~first.rises & ~first.turns)
+    residual = spins & (apart.spin_decay(jnp.where(ends_high, 0, 2)) == 0)
+    log = jnp.where(residual, (first.log + second.log) / 2, -jnp.inf)
+    last = apart.moments[jnp.where(ends_high, 0, 2)]
+    end = slow_probability(apart, crosses, ends_high, spins), log, last
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         exact = known.probability, known.log_ratio, known.last_moment
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), exact, end)
-    error = estimated_error(apart, leads.loss, units.weakness)
-    error += rounding_error(apart, leads.log / 2)
+    # If a zero of F lies beyond the separatrix, `first.loss` also stands for the way to that zero.
+    later = jnp.where(crosses & spins, second.loss * jnp.exp(first.log / 2), 0.0)
+    error = estimated_error(apart, jnp.maximum(first.loss, later), units.weakness)
+    error += rounding_error(apart, log)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.left_out
-    delta, _ = needle_start(apart, units.weakness)
-    doubtful = ~(leads.error < DOUBT) & ~is_sphere & ~is_spin
-    return _untimed(rotation, units, end, error), jnp.where(apart.is_needle, delta, 0.0), doubtful
+    delta, omega = needle_start(apart, units.weakness)
+    needle = jnp.where(apart.is_needle, delta, 0.0), is_random(delta, omega)
+    doubtful = residual & ~(first.error + second.error < DOUBT) & ~is_sphere & ~is_spin
+    return _untimed(rotation, units, end, error), *needle, doubtful
 
 
-@eqx.filter_jit
-@functools.partial(jax.vmap, in_axes=(0, None))
-def _needle_ends(variables: Variables, constants: tuple[Real, Capture]) -> ManyEnds:
+def _needle_end(by_chance: bool, variables: Variables, strength: Real, chance: Capture) -> ManyEnds:
     """Return the end of a needle, given the distribution of its capture."""
-    strength, chance = constants
     rotation, units = scaled_rotation(variables, strength)
     delta, omega = needle_start(rotation, units.weakness)
-    end = end_of_top(delta, omega, chance)
+    end = end_of_top(delta, omega, chance, by_chance=by_chance)
     averaging = start_error(rotation, units.weakness)
     error = jnp.where(end.random, averaging, error_of_phase(rotation, units.weakness))
     probability, log_ratio = needle_chances(rotation, end)
     error += rotation.left_out + rounding_error(rotation, log_ratio) + end.capture.error
     return _untimed(rotation, units, (probability, log_ratio, rotation.moments[2]), error)
+
+
+_needle_ends = [_of_lanes(functools.partial(_needle_end, by_chance)) for by_chance in (False, True)]
 
 
 def _untimed(
@@ -158,5 +237,5 @@ def _distribution(delta: float) -> np.ndarray:
     return np.asarray(_computed(jnp.asarray(delta)))
 
 
-_captured = eqx.filter_jit(capture_from)
-_computed = eqx.filter_jit(distribution)
+_captured = compiled_soon(capture_from)
+_computed = compiled_soon(distribution)

@@ -20,6 +20,10 @@ CPU_OPTIONS: dict[str, Any] = {}
 """Options of every program for CPUs: the older emitters compile in half the time."""
 if version("jaxlib").startswith("0.10."):
     CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
+LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # faster if the CPU has them
+"""Options of programs that run for long, on blocks of lanes."""
+FOR_MANY = LANE_OPTIONS | {"xla_llvm_disable_expensive_passes": True}
+"""Options of programs on blocks of lanes that are as long to compile as to run."""
 COMPILED_SOON: dict[str, Any] = CPU_OPTIONS | {
     "xla_backend_optimization_level": 1,
     "xla_llvm_disable_expensive_passes": True,
@@ -44,15 +48,15 @@ def with_special_numbers(function: Function) -> Function:
     return call  # pyright: ignore[reportReturnType]
 
 
-def compiled_soon(function: Function) -> Function:
-    """Return `eqx.filter_jit(function)`, compiled with `COMPILED_SOON` where that is allowed.
+def compiled_soon(function: Function, options: dict[str, Any] = COMPILED_SOON) -> Function:
+    """Return `eqx.filter_jit(function)`, compiled with these options where that is allowed.
 
     A call from the host on CPUs uses these options: compilation is two to three times faster, and
     the run time is the same within some ten per cent. A call in a trace belongs to a user's
     program, which has options of its own.
     """
     jit: Any = eqx.filter_jit
-    in_trace, on_host = jit(function), jit(function, compiler_options=COMPILED_SOON)
+    in_trace, on_host = jit(function), jit(function, compiler_options=options)
 
     @functools.wraps(function)
     @with_special_numbers

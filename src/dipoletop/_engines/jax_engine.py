@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.compiling import CPU_OPTIONS
+from .._base.compiling import LANE_OPTIONS
 from .._base.parallel import Device
 from .._base.stopping import FINISHED, RUNNING, Until
 from .._base.types import Equation
@@ -30,7 +30,6 @@ ON_PROCESSOR, ON_ACCELERATOR = 128, 65536
 on some ten thousand on an accelerator (not measured)."""
 _Method = tuple[diffrax.AbstractERK, int]
 """The solver and the number of lanes of a block, known when the program is compiled."""
-LANE_OPTIONS = CPU_OPTIONS | {"xla_cpu_prefer_vector_width": 512}  # faster if the CPU has them
 
 
 @final

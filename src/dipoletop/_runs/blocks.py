@@ -145,7 +145,7 @@ def outcomes(block: RunBlock, limits: Limits) -> Classification:
     if factor <= 1 or block.way.engine.compiles_for_size or not made_twice(block.equation):
         return block.run(limits).runs
     brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
-    runs, doubt = block.run(brief)
+    runs, doubt, _ = block.run(brief)
     lanes = np.flatnonzero(doubt >= CERTAIN)
     lanes = lanes[np.asarray(limits.t1)[lanes] > 0]
     return put_back(runs, lanes, block.run_some(lanes, limits)) if lanes.size else runs

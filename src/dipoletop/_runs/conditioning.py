@@ -119,7 +119,7 @@ def _across_flow(equation: Equation, omegas: Vector, scales: Vector) -> Float[Ar
     both = a * b * part
     first = jnp.stack([1 + sign * a**2 * part, sign * both, -sign * a])
     second = jnp.stack([both, sign + b**2 * part, -b])
-    return or_nan(jnp.stack([scales * first, scales * second]), moves)
+    return or_nan(jnp.stack([scales * first, scales * second]), moves[None, None])
 
 
 def with_error_estimates(
