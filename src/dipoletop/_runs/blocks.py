@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._base.compiling import with_special_numbers
 from .._base.parallel import Device
@@ -61,27 +61,11 @@ def classify_block(
 def _classified(runs: tuple[Any, Any, Limits], way: RunOptions) -> Classification:
     """Return the classifications of all N runs at once, by their equation, starts and limits."""
     equation, omegas, limits = runs
-    value, slow_flow = way.value, way.slow_flow
     block = RunBlock(physical(equation), omegas, way)
-
-    def classified(limits: Limits) -> Classification:
-        if value is False and way.loosely:
-            return outcomes(block, limits)
-        runs, _, around = block.run(limits)
-        if value is True:
-            return with_error_estimates(runs, block.run_around, (omegas, around), limits)
-        return runs if value is False else without_error_estimates(runs, value, np)
-
-    def classified_where(followed: Bool[np.ndarray, "N"]) -> Classification:
-        if followed.all():
-            return classified(limits)
-        t1 = np.where(followed, limits.t1, 0.0)  # the others take no step
-        return classified(limits._replace(t1=t1))
-
-    if slow_flow is False or why_unpredictable(equation):
-        return classified(limits)
-    every, label_only = slow_flow is True, value is False
-    return with_predictions(classified_where, (equation, omegas), limits, label_only, every)
+    if way.slow_flow is False or why_unpredictable(equation):
+        return block.classified(limits)
+    every, label_only = way.slow_flow is True, way.value is False
+    return with_predictions(block, (equation, omegas), limits, label_only, every)
 
 
 @dataclass(frozen=True)
@@ -98,6 +82,33 @@ class RunBlock:
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"]
     way: RunOptions
 
+    def classified(self, limits: Limits) -> Classification:
+        """Return the classifications of all runs; a run with t1 ≤ 0 takes no step."""
+        value = self.way.value
+        if value is False and self.way.loosely:
+            return outcomes(self, limits)
+        runs, _, around = self.run(limits)
+        if value is True:
+            return with_error_estimates(runs, self.run_around, (self.omegas, around), limits)
+        return runs if value is False else without_error_estimates(runs, value, np)
+
+    def some_classified(self, lanes: Lanes, limits: Limits) -> Classification:
+        """Return the classifications of some runs.
+
+        If a new number of runs would need a compilation, all are passed and the others rest.
+        """
+        size = self.omegas.shape[1]
+        if self.way.engine.compiles_for_size:
+            return part_of(self.classified(_only(lanes, limits, size)), lanes, size)
+        block, limits = self.part(lanes, limits)
+        return block.classified(limits)
+
+    def part(self, lanes: Lanes, limits: Limits) -> tuple["RunBlock", Limits]:
+        """Return some of the runs, and their limits."""
+        parts = part_of((self.equation, self.omegas, limits), lanes, self.omegas.shape[1])
+        equation, omegas, limits = parts
+        return replace(self, equation=equation, omegas=omegas), limits
+
     def run(self, limits: Limits) -> Any:
         """Make all runs; return `Ended` in NumPy."""
         value, engine, device, _, threads, _ = self.way
@@ -106,17 +117,12 @@ class RunBlock:
         return jax.device_get(engine.classify(finish_of(value), queue, device, threads))
 
     def run_some(self, lanes: Lanes, limits: Limits) -> Classification:
-        """Make some of the runs.
-
-        If a new number of runs would need a compilation, all are passed and the others rest.
-        """
+        """Make some of the runs, as in `some_classified`."""
         size = self.omegas.shape[1]
         if self.way.engine.compiles_for_size:
-            t1 = np.zeros(size, self.omegas.dtype)
-            t1[lanes] = np.inf
-            return part_of(self.run(limits._replace(t1=t1)).runs, lanes, size)
-        equation, omegas, limits = part_of((self.equation, self.omegas, limits), lanes, size)
-        return replace(self, equation=equation, omegas=omegas).run(limits).runs
+            return part_of(self.run(_only(lanes, limits, size)).runs, lanes, size)
+        block, limits = self.part(lanes, limits)
+        return block.run(limits).runs
 
     def run_around(
         self, lanes: Lanes, limits: Limits, starts: Float[np.ndarray, "k 3 some"]
@@ -134,6 +140,13 @@ class RunBlock:
         omegas = np.swapaxes(starts, 0, 1).reshape(3, -1)
         runs = replace(self, equation=equation, omegas=omegas).run(limits).runs
         return jax.tree.map(lambda x: x.reshape(*x.shape[:-1], *shape), runs)
+
+
+def _only(lanes: Lanes, limits: Limits, size: int) -> Limits:
+    """Return the limits with which only some of all runs take steps."""
+    t1 = np.zeros(size, np.asarray(limits.t1).dtype)
+    t1[lanes] = np.asarray(limits.t1)[lanes]
+    return limits._replace(t1=t1)
 
 
 def outcomes(block: RunBlock, limits: Limits) -> Classification:

@@ -13,11 +13,9 @@ phase passes late, so it depends on L∞, which the slow flow gives. The factors
 bodies: for 90 % of the runs the number is right within a factor of three.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,7 +30,7 @@ from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
 from .classification import Classification
-from .memory_limits import part_of, put_back
+from .memory_limits import Lanes, part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
@@ -216,31 +214,36 @@ def why_unpredictable(equation: Any) -> str:
     return ""
 
 
+class Block(Protocol):
+    """Runs that can be classified, all or some."""
+
+    def classified(self, limits: Limits) -> Classification:
+        """Return the classifications in NumPy; of a run with t1 ≤ 0 by its first state."""
+        ...
+
+    def some_classified(self, lanes: Lanes, limits: Limits) -> Classification:
+        """Return the classifications of some of the runs."""
+        ...
+
+
 def with_predictions(
-    run: Callable[[Bool[np.ndarray, "N"]], Classification],
-    begin: tuple[Any, Any],
-    limits: Limits,
-    label_only: bool,
-    every: bool,
+    block: Block, begin: tuple[Any, Any], limits: Limits, label_only: bool, every: bool
 ) -> Classification:
     """Return the classifications of N runs, predicted where they would exceed the budget.
 
     Args:
-        run: classifies the runs, in NumPy; for runs that are not marked it tests only the first
-            state.
+        block: the runs.
         begin: the predictable equation, with a trailing axis of N lanes, and the starts (3, N).
         limits: their tolerance and budget; a run with t1 ≤ 0 is not wanted.
         label_only: whether only the outcome is wanted.
         every: whether all runs that the first state does not decide are predicted.
     """
-    rtol, most, wanted = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1) > 0
+    rtol, most, t1 = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1)
     budget = MARGIN * most
-    waiting = ~np.zeros_like(wanted) if every else _long_runs(*begin, budget, rtol, label_only)
-    runs = run(~waiting)
-    unknown = _is_open(runs, label_only)
-    if not unknown.any():
-        return runs
-    unknown &= wanted
+    waiting = ~np.zeros(t1.shape, bool) if every else _long_runs(*begin, budget, rtol, label_only)
+    rest = limits._replace(t1=np.where(waiting, np.zeros_like(t1), t1)) if waiting.any() else limits
+    runs = block.classified(rest)
+    unknown = _is_open(runs, label_only) & (t1 > 0)
     if not every:  # predict the runs that have exhausted the budget
         unknown &= waiting | (runs.steps >= most)
     lanes = np.flatnonzero(unknown)
@@ -252,10 +255,9 @@ def with_predictions(
     known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
         long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
-        again = np.zeros_like(unknown)
-        again[lanes] = waiting[lanes] & ~long
-        if again.any():
-            runs = jax.tree.map(lambda a, b: np.where(again, a, b), run(again), runs)
+        again = lanes[waiting[lanes] & ~long]
+        if again.size:
+            runs = put_back(runs, again, block.some_classified(again, limits))
             known &= _is_open(runs, label_only)[lanes]
     filled = _filled_in(part_of(runs, lanes, unknown.size), ends, known, motions)
     return put_back(runs, lanes, filled)
