@@ -19,6 +19,8 @@ import dipoletop as dt
 from benchmarks.problems.mixed_basin import MAX_STEPS
 from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
+from dipoletop._base.stopping import decided, verdict_on
+from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._runs import blocks
@@ -135,3 +137,10 @@ def driven(
     loose = 0.0 if once else LOOSE
     with patch.object(module, "select_engines", selected), patch.object(blocks, "LOOSE", loose):
         yield
+
+
+def known_end(equation: Any, y: Any, rtol: Any) -> tuple[Any, Any, Any]:
+    """Whether outcome and ω∞ are known to the tolerance at states (3, N), and both."""
+    tolerances = Tolerances(rtol, jnp.zeros(y.shape[1]))
+    verdict = verdict_on(equation, y)
+    return decided(equation, y, tolerances, "value"), verdict.outcome, verdict.omega_inf

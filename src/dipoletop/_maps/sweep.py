@@ -75,8 +75,8 @@ def sweep(
 
     | `value` | a run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
-    | True | ω∞ is known | from three neighbouring starts | 1 |
-    | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about 1/3 |
+    | True | ω∞ is known | estimated, if need be from neighbouring starts | 1 |
+    | "unchecked" | ω∞ is known | infinite where ω∞ was integrated | about ½ |
     | False | the outcome is certain | infinite, and ω∞ NaN, unless ω₁ is constant | least |
 
     With `value=False` the native engine runs starts at rtol = 1e-4 first, and again at `rtol` if

@@ -57,8 +57,8 @@ def classify(
 
     | `value` | the run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
-    | True | outcome and ω∞ are known | estimated from three neighbouring starts | 1 |
-    | "unchecked" | outcome and ω∞ are known | infinite if ω∞ was integrated | about 1/3 |
+    | True | outcome and ω∞ are known | estimated, if need be from neighbouring starts | 1 |
+    | "unchecked" | outcome and ω∞ are known | infinite if ω∞ was integrated | about ½ |
     | False | the outcome is known | as "unchecked"; ω∞ is NaN where it was integrated | less |
 
     The slower a top radiates, the more steps its run takes. Where their estimated number exceeds

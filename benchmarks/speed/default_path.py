@@ -1,0 +1,135 @@
+"""What the calls cost that a user makes first: the semi-reduced level, defaults, one core.
+
+python -m benchmarks.speed.default_path --small       a look
+python -m benchmarks.speed.default_path --write       all; kept: results/default_path.md
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dipoletop as dt
+from benchmarks.problems import mixed_basin
+from benchmarks.reporting import measure, pages
+
+RTOL = 1e-8
+MAX_STEPS = 50_000  # of dipoletop by default; also of heyoka
+CALLS: dict[str, dict[str, Any]] = {
+    "all defaults": {},
+    "`slow_flow=False`": {"slow_flow": False},
+    '`value="unchecked"`': {"value": "unchecked"},
+    "`value=False`": {"value": False},
+}
+PEER = "heyoka, SIMD batches"
+
+
+def tops(n: int) -> tuple[Any, np.ndarray]:
+    """Return the tops and starts of the mixed basin."""
+    deltas, omegas = mixed_basin.sample(n)
+    return dt.TransverseSemi(jnp.asarray(deltas)), omegas
+
+
+def bodies(n: int) -> tuple[Any, np.ndarray]:
+    """Return random triaxial bodies with the dipole on a principal axis, J = 1 about it."""
+    _, omegas = mixed_basin.sample(n, seed=5)
+    moments = 1 - np.random.default_rng(1).dirichlet(np.ones(3), n)
+    moments = jnp.asarray(moments / moments[:, :1])
+    dipole = jnp.array([1.0, 0.0, 0.0])
+    return dt.SemiReduced(jax.vmap(lambda j: dt.Body(jnp.diag(j), dipole))(moments)), omegas
+
+
+def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dict[str, Any]]:
+    """A row for each call, and for heyoka if it is installed."""
+    equation, omegas = given
+    labels: dict[str, np.ndarray] = {}
+    steps: dict[str, float] = {}
+
+    def ours(call: str) -> Callable[[], measure.Record]:
+        def run() -> measure.Record:
+            found, clocks = measure.timed(dt.classify_many, equation, omegas, **CALLS[call])
+            labels[call], steps[call] = found.outcome, float(found.steps.mean())
+            return clocks
+
+        return run
+
+    cases = {call: ours(call) for call in CALLS}
+    try:
+        from benchmarks.peers.heyoka_ends import Ends
+    except ImportError:
+        pass
+    else:
+        ends = Ends(equation, RTOL)
+
+        def peer() -> measure.Record:
+            (found, _), clocks = measure.timed(ends.find, omegas, MAX_STEPS)
+            labels[PEER] = found
+            return clocks
+
+        cases[PEER] = peer
+    measure.interleaved(cases, 1)  # everybody is measured warm
+    records = measure.interleaved(cases, repeats)
+    costs = {call: measure.summary(runs)["processor_seconds"] for call, runs in records.items()}
+    rows = []
+    for call, cost in costs.items():
+        known = (labels[call] > 0) & (labels["all defaults"] > 0)
+        rows.append(
+            {
+                "of": name,
+                "starts": len(omegas),
+                "call": call,
+                "us": [1e6 * cost[kind] / len(omegas) for kind in ("min", "median")],
+                "peer": costs[PEER]["min"] / cost["min"] if PEER in costs else None,
+                "steps": steps.get(call),
+                "undecided": int(np.sum(labels[call] <= 0)),
+                "differ": int(np.sum((labels[call] != labels["all defaults"]) & known)),
+            }
+        )
+    return rows
+
+
+def surveys(points: int) -> list[dict[str, Any]]:
+    """A map in a store, and counts without one, of points × points starts."""
+    grid = dt.symmetry_cell(points, points)
+
+    def top(w3: Any, phi: Any) -> Any:
+        return dt.TransverseSemi(-0.2), dt.cylindrical(0.2, w3, phi)
+
+    def stored() -> measure.Record:
+        with tempfile.TemporaryDirectory() as folder:
+            store = Path(folder) / "map.zarr"
+            return measure.timed(dt.sweep, top, grid, store=store, progress=False)[1]
+
+    def counted() -> measure.Record:
+        return measure.timed(dt.tally, top, grid, progress=False)[1]
+
+    rows = []
+    for name, case in {"`sweep` with a store": stored, "`tally`": counted}.items():
+        case()
+        cost = measure.summary([case() for _ in range(3)])["processor_seconds"]
+        us = [1e6 * cost[kind] / points**2 for kind in ("min", "median")]
+        rows.append({"call": name, "starts": points**2, "us": us})
+    return rows
+
+
+def measured(small: bool) -> dict[str, Any]:
+    """Every part, on one core."""
+    with measure.confined(1):
+        if small:
+            rows = compared("tops", tops(256), 1) + compared("triaxial bodies", bodies(32), 1)
+            return {"rows": rows, "surveys": surveys(16), "run": _run()}
+        rows = [row for n in (4096, 32_768, 262_144) for row in compared("tops", tops(n), 3)]
+        rows += compared("triaxial bodies", bodies(4096), 2)
+        return {"rows": rows, "surveys": surveys(512), "run": _run()}
+
+
+def _run() -> dict[str, Any]:
+    return {"command": measure.command(), **measure.machine()}
+
+
+if __name__ == "__main__":
+    pages.command("default_path", measured)
