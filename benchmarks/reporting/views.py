@@ -173,24 +173,19 @@ def _first_and_later(row: Row) -> list[float]:
 def summary(of: Row) -> Row:
     """The numbers of all files, and the comparisons with peers."""
     speed, fresh = of["speed"], of["speed"]["fresh_outcomes"]
-    first, *_, last = (table["rows"] for table in speed["basin"]["tables"].values())
+    *_, last = (table["rows"] for table in speed["basin"]["tables"].values())
     labels, ends = of["label_precision"]["as_good"], []
     for name, rows in itertools.groupby(speed["precision"]["rows"], key=lambda row: row["name"]):
         ends += _at_error(name, rows)
     many = f"{last[0]['starts']} starts, {speed['cores']} cores, µs/start"
     begun, rtol = f"A fresh process to {fresh['starts']} outcomes", speed["basin"]["rtol"]
     at_error = f"End states at τ = 1000 at equal error {ERROR:.0e}, 1 core, µs/start"
-    compiled = f"Compilation and start, before {first[0]['starts']} outcomes, s"
     compared = [
         *_against(f"Outcomes at rtol {rtol:.0e} of {many}", "speed", last, itemgetter("us")),
         *_against(
             f"Outcomes at equal labels of {many}", "label_precision", labels, itemgetter("us")
         ),
         *_against(at_error, "precision", ends, itemgetter("us")),
-        *_against(compiled, "speed", first, lambda row: _first_and_later(row)[:1]),
         *_against(f"{begun}, first / later, s", "speed", fresh["rows"], _first_and_later),
-        *_against(
-            f"{begun}: memory, MB", "speed", fresh["rows"], lambda row: [row["peak_bytes"] / 1e6]
-        ),
     ]
     return of | {"compared": compared}

@@ -117,7 +117,8 @@ def _followed(in_chunks: Any, begin: _Begin, starts: tuple[np.ndarray, np.ndarra
         needles = jax.tree.map(lambda x, lanes=lanes: x[lanes], starts)
         _put(ends, lanes, in_chunks(_needle_ends[bool(random)], (*needles, chance)))
     for lane in np.nonzero(doubtful & (delta == 0))[0]:
-        alone = forecast(*(jnp.asarray(x[lane]) for x in starts), False)
+        variables, coupling = (jnp.asarray(x[lane]) for x in starts)
+        alone = forecast(variables, coupling, False)
         _put(ends, lane, ManyEnds(*(getattr(alone, name) for name in ManyEnds._fields)))
     return ends
 
@@ -211,7 +212,9 @@ def _needle_end(by_chance: bool, variables: Variables, strength: Real, chance: C
     return _untimed(rotation, units, (probability, log_ratio, rotation.moments[2]), error)
 
 
-_needle_ends = [_of_lanes(functools.partial(_needle_end, by_chance)) for by_chance in (False, True)]
+_needle_ends: list[Any] = [
+    _of_lanes(functools.partial(_needle_end, by_chance)) for by_chance in (False, True)
+]
 
 
 def _untimed(

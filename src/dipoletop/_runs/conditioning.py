@@ -96,8 +96,9 @@ def vicinity(equation: Any, omegas: Vector) -> Vicinity:
     """Return the vicinity of starts."""
     scales = omega_scale_of(equation)(omegas)
     if type(equation) not in AUTONOMOUS:
-        axes = [jnp.zeros_like(scales).at[k].set(scales[k]) for k in range(3)]
-        return Vicinity(jnp.stack(axes), jnp.full_like(scales[0], jnp.inf))
+        zero = jnp.zeros_like(scales[0])
+        axes = [jnp.stack([scales[k] if i == k else zero for i in range(3)]) for k in range(3)]
+        return Vicinity(jnp.stack(axes), zero + jnp.inf)
     if has_body_field(equation):
         inertia = equation.body.inertia
         spread = trace(inertia) * trace(inverse(inertia)) / 3

@@ -14,7 +14,7 @@ bodies: for 90 % of the runs the number is right within a factor of three.
 """
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -214,6 +214,7 @@ def why_unpredictable(equation: Any) -> str:
     return ""
 
 
+@runtime_checkable
 class Block(Protocol):
     """Runs that can be classified, all or some."""
 
