@@ -59,6 +59,12 @@ def test_classify_jits_and_vmaps_and_takes_traced_values():
     assert jnp.all(jnp.isfinite(across(0.2)))
 
 
+def test_a_derivative_is_refused_with_a_way_to_have_it():
+    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)
+    with pytest.raises(ValueError, match="be differentiated here"):
+        jax.grad(lambda d: dt.classify(dt.TransverseReduced(d), start).omega_inf)(-0.2)
+
+
 def test_a_tolerance_that_float32_cannot_meet():
     with jax.enable_x64(False):
         with pytest.raises(ValueError, match=r"`rtol` must lie between 2.4e-06 and 1 in float32"):

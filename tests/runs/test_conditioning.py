@@ -59,6 +59,25 @@ def test_values_of_many_are_as_exact_as_they_say(level, engine):
 
 
 @pytest.mark.slow
+def test_values_of_bodies_are_as_exact_as_they_say():
+    """Against a far smaller tolerance; of many of them the gradient is bounded, not computed."""
+    rng = np.random.default_rng(5)
+    moments = jnp.asarray(1 - rng.dirichlet(np.ones(3), 300))
+    starts = rng.normal(size=(300, 3))
+    dipole = jnp.array([1.0, 0.0, 0.0])
+    bodies = dt.SemiReduced(jax.vmap(lambda j: dt.Body(jnp.diag(j), dipole))(moments))
+    limits = {"slow_flow": False, "max_steps": 3000}
+    found = dt.classify_many(bodies, starts, **limits)
+    exact = dt.classify_many(bodies, starts, rtol=1e-12, value="unchecked", **limits).omega_inf
+    known = np.isfinite(found.omega_inf) & np.isfinite(exact) & (found.steps > 0)
+    assert np.sum(known & (found.steps < 20)) > 20
+    assert np.sum(known & (found.steps > 50)) > 50
+    off = np.abs(found.omega_inf - exact)[known]
+    assert np.all(off <= TRUSTED * found.omega_inf_error[known])
+    assert np.mean(found.omega_inf_error[known] < 1e-6 * np.abs(exact[known])) > 0.5
+
+
+@pytest.mark.slow
 def test_values_of_one_are_as_exact_as_they_say():
     deltas, starts, exact = of_level("semi")
 

@@ -82,6 +82,11 @@ class RunBlock:
     omegas: Float[np.ndarray, "3 N"] | Float[Array, "3 N"]
     way: RunOptions
 
+    @property
+    def threads(self) -> int:
+        """The number of threads that share the runs."""
+        return self.way.threads
+
     def classified(self, limits: Limits) -> Classification:
         """Return the classifications of all runs; a run with t1 ≤ 0 takes no step."""
         value = self.way.value

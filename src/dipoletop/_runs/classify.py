@@ -1,6 +1,6 @@
 """The outcome of one run: by an engine if the start is known, else (in a trace) by diffrax."""
 
-from typing import Any
+from typing import Any, NoReturn
 
 import diffrax
 import equinox as eqx
@@ -18,6 +18,7 @@ from .._base.checks import (
     concrete,
     is_whole_state,
     known_start,
+    refuse,
 )
 from .._base.compiling import compiled_soon
 from .._base.integration import integrated
@@ -48,12 +49,12 @@ def classify(
     value: Value = True,
     slow_flow: SlowFlow = "auto",
 ) -> Classification:
-    """Classify how dω/dτ = equation(ω) ends from ω(0) = ω₀: residual rotation, stop, or undecided.
+    """Classify how dω/dτ = equation(ω) ends from one ω₀ (`classify_many`: from many, far faster).
 
     Integrates (order 8) until the equation's own `verdict` is certain. A full equation is
-    followed along its physical branch, whose windows count as steps. May be jitted and vmapped;
-    for many starts `classify_many` is far faster, and gives the same numbers. Not differentiable:
-    its derivatives are NaN. `residual_rotation` gives derivatives of ω∞.
+    followed along its physical branch, whose windows count as steps. May be jitted and vmapped,
+    with the same numbers as by `classify_many`, which takes known values only. Not differentiable:
+    `residual_rotation` gives ω∞ with its derivatives.
 
     | `value` | the run ends when | `omega_inf_error` | cost |
     |---|---|---|---|
@@ -91,7 +92,7 @@ def classify(
         A `Classification` with scalar fields.
 
     Raises:
-        ValueError: bad arguments. A run that fails is an outcome, FAILED.
+        ValueError: bad arguments; a derivative is wanted. A run that fails is an outcome, FAILED.
 
     Example:
         >>> import dipoletop as dt
@@ -111,10 +112,8 @@ def classify(
     if known and not whole_state:
         return _classify_by_engine(equation, omega0, slow_flow, **settings)
     arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
-    constant = eqx.combine(jax.lax.stop_gradient(arrays), rest)
-    run = classify_with_tangents(*constant, **settings)
-    zero = _zero_without_derivative(jax.tree.leaves(arrays))
-    return jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, run)
+    constant = eqx.combine(_without_derivative(arrays), rest)
+    return classify_with_tangents(*constant, **settings)
 
 
 def _classify_by_engine(
@@ -143,14 +142,16 @@ def _classify_by_engine(
 
 
 @jax.custom_jvp
-def _zero_without_derivative(_: list[Any]) -> float:
-    """Return 0 with derivatives NaN."""
-    return 0.0
+def _without_derivative(arrays: Any) -> Any:
+    """Return arrays that refuse to be differentiated."""
+    return arrays
 
 
-@_zero_without_derivative.defjvp
-def _(primals: Any, tangents: Any) -> tuple[float, Any]:
-    return 0.0, jnp.nan * sum(jnp.sum(change) for change in tangents[0])
+@_without_derivative.defjvp
+def _(_primals: Any, _tangents: Any) -> NoReturn:
+    constants = "`jax.lax.stop_gradient` makes a constant of it"
+    must = f"not be differentiated here (`residual_rotation` differentiates ω∞; {constants})"
+    refuse("omega0", must, "it or the equation is")
 
 
 def classify_with_tangents(

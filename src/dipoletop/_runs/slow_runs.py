@@ -59,14 +59,15 @@ class SlowMotions(NamedTuple):
     is_full: bool
     """Whether the budget counts windows."""
 
-    def ends(self, which: Bool[np.ndarray, "N"]) -> ManyEnds:
+    def ends(self, which: Bool[np.ndarray, "N"], threads: int = 1) -> ManyEnds:
         """Return how the marked motions end; the others are FAILED."""
         size = which.size
         outcome, regime = np.full(size, int(Outcome.FAILED)), np.zeros(size, int)
         omega_inf, ratio, error = np.zeros((3, size))
         whole = ManyEnds(outcome, np.zeros((size, 8)), omega_inf, ratio, regime, error)
         if which.any():
-            some = ends_of_many(self.inertia[which], self.dipole[which], self.omega[which])
+            starts = self.inertia[which], self.dipole[which], self.omega[which]
+            some = ends_of_many(*starts, threads=threads)
             for target, values in zip(whole, some, strict=True):
                 target[which] = values
         return whole
@@ -218,6 +219,11 @@ def why_unpredictable(equation: Any) -> str:
 class Block(Protocol):
     """Runs that can be classified, all or some."""
 
+    @property
+    def threads(self) -> int:
+        """The number of threads."""
+        ...
+
     def classified(self, limits: Limits) -> Classification:
         """Return the classifications in NumPy; of a run with t1 ≤ 0 by its first state."""
         ...
@@ -252,7 +258,7 @@ def with_predictions(
         return runs
     motions = slow_motions(*part_of(begin, lanes, unknown.size))
     law = motions.has_law
-    ends = motions.ends(law)
+    ends = motions.ends(law, block.threads)
     known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     if not every:
         long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
