@@ -22,7 +22,8 @@ def set_compiler_options():
 
     compiling.COMPILED_SOON["xla_backend_optimization_level"] = 0
     if OLDER_EMITTERS:
-        compiling.CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = True
+        for options in (compiling.CPU_OPTIONS, compiling.LANE_OPTIONS):
+            options["xla_cpu_use_fusion_emitters"] = True
 
 
 if __name__ == "__main__":

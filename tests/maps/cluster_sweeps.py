@@ -56,6 +56,18 @@ def submitted_as_workers_join(problem, store, client):
     return counts[:3]
 
 
+def keep_working(local, client, done):
+    """Start further workers if there have been none for 20 s.
+
+    A nanny gives up a worker that starts too slowly, as on a busy machine.
+    """
+    empty = 0
+    while not done.wait(1.0):
+        empty = 0 if client.nthreads() else empty + 1
+        if empty == 20:
+            local.scale(4)
+
+
 def main(folder):
     from distributed import Client, LocalCluster
 
@@ -94,10 +106,15 @@ def main(folder):
         said["joined"] = submitted_as_workers_join(problem, folder / "joined.zarr", client)
         client.run(slow_tiles, 0.2)
         store = folder / "killed.zarr"
+        done = threading.Event()
         killer = threading.Thread(target=kill_both, args=(client, store))
+        keeper = threading.Thread(target=keep_working, args=(local, client, done))
         killer.start()
+        keeper.start()
         killed = dt.sweep(problem, GRID, store=store, client=client)
+        done.set()
         killer.join()
+        keeper.join()
         said["killed"] = killed == dt.sweep(problem, GRID)
         dt.sweep(problem, GRID, store=folder / "alone.zarr")
         for name, settings in {
