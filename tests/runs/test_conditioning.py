@@ -11,6 +11,8 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.types import Outcome
+from dipoletop._runs.conditioning import vicinity
+from dipoletop.equations._common import omega_scale_of
 
 TRUTH = [
     (
@@ -56,6 +58,22 @@ def test_values_of_many_are_as_exact_as_they_say(level, engine):
         assert np.all(found.outcome == Outcome.RESIDUAL)
         assert np.all(np.abs(found.omega_inf - exact) <= TRUSTED * found.omega_inf_error)
         assert np.all(found.omega_inf_error <= largest * np.abs(exact))
+
+
+def test_neighbours_lie_across_the_flow():
+    """Two unit vectors in units of the scales, at right angles to the rate and to each other."""
+    starts = jnp.asarray(np.random.default_rng(8).normal(size=(3, 20)))
+    body = dt.Body([[1.0, 0.1, 0], [0.1, 1.3, 0], [0, 0, 1.8]], [0.5, 0, 0.8])
+    lanes = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, 20)), body)
+    for equation in (dt.TransverseSemi(jnp.full(20, 0.3)), dt.SemiReduced(lanes)):
+        scales = np.asarray(omega_scale_of(equation)(starts))
+        rate = np.asarray(equation(jnp.zeros(20), starts, None)) / scales
+        first, second = np.asarray(vicinity(equation, starts).directions) / scales
+        for one in (first, second):
+            np.testing.assert_allclose(np.sum(one**2, axis=0), 1, rtol=1e-12)
+            off = np.abs(np.sum(one * rate, axis=0)) / np.linalg.norm(rate, axis=0)
+            assert np.all(off < 1e-12)
+        assert np.all(np.abs(np.sum(first * second, axis=0)) < 1e-12)
 
 
 @pytest.mark.slow

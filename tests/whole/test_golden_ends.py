@@ -1,4 +1,4 @@
-"""How 2 000 starts end, by every entry: labels as they were recorded, and numbers to 1e-12.
+"""How 2 718 starts end, by every entry: labels as they were recorded, and numbers to 1e-12.
 
 The recorded ends are those of this library, so they prove nothing about physics. They show that a
 change of its structure changes no result. `python tests/whole/test_golden_ends.py` records them

@@ -25,7 +25,7 @@ STARTS = 16
 """The number of values of h on each side of the separatrix."""
 SECTIONS, ROUNDS = 66, 2
 """The sections into which an interval of h is cut if its ends have different outcomes, and how
-often. 65 points exceed the smaller chunk of `ends_of_many`, so that it need not be compiled."""
+often."""
 CHUNK = 4096
 """The number of motions between two reports of progress."""
 SMALL = 1e-20

@@ -1,8 +1,8 @@
 """How the slow motions of many bodies and starts end: the numbers of predictions without times.
 
-Every case costs the same (see `slow_course`), with two exceptions: the capture of needles is
-computed once for each δ (to 13 digits), and a start whose quadrature is inaccurate is predicted on
-its own.
+Every case costs the same (see `slow_course`), with three exceptions: a start whose error is known
+to be too large is not followed, the capture of needles is computed once for each δ (to 13 digits),
+and a start whose quadrature is inaccurate is predicted on its own.
 """
 
 import functools
