@@ -451,23 +451,6 @@ def test_on_the_boundary_there_is_no_derivative():
 
 
 @pytest.mark.slow
-def test_a_verdict_has_no_derivatives():
-    spin = dt.cylindrical(0.2, 0.2, np.pi / 30)
-
-    def verdict(delta):
-        equation = dt.TransverseReduced(delta)
-        parameters = jax.tree.map(lambda x: jnp.zeros((1, *jnp.shape(x))), equation)
-        found = dt.classify(Tangent(equation, parameters, jnp.eye(3)[:1], jnp.ones(())), spin)
-        return jnp.stack([found.omega_inf, found.time, found.slopes[0]])
-
-    values, push = jax.linearize(verdict, -0.2)
-    assert np.all(np.isfinite(values))
-    assert np.all(np.isnan(push(1.0)))
-    (back,) = jax.linear_transpose(push, 1.0)(jnp.ones(3))
-    assert np.isnan(back)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "moments",
     [

@@ -143,7 +143,8 @@ def test_ends_are_as_they_were_recorded(case):
             assert np.array_equal(values, known), name
             continue
         error = found.get("omega_inf_error" if name == "omega_inf" else None, np.zeros(1))
-        least = 1e-12 * (name == "error")  # part of it is rounding
+        # Part of an error is rounding; chances come from an adaptive integration.
+        least = {"error": 1e-12, "probability": 1e-8}.get(name, 0.0)
         room = (
             least + 1e-12 * np.abs(known) + PART_OF_ERROR * np.where(np.isfinite(error), error, 0)
         )
