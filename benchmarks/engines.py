@@ -4,8 +4,7 @@ An engine is named "native" (machine code, needs llvmlite) or "jax".
 """
 
 import contextlib
-import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -23,7 +22,7 @@ from dipoletop._base.stopping import decided, verdict_on
 from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines.interface import EndStates, Engine, Limits, Unsupported
 from dipoletop._engines.jax_engine import JaxEngine
-from dipoletop._runs import blocks
+from dipoletop._runs import blocks, run_settings
 from dipoletop._runs.blocks import LOOSE
 from dipoletop.equations._common import omega_scale_of as omega_scale_of
 
@@ -123,11 +122,10 @@ def driven(
         once: outcomes are found in one pass at the tolerance that is asked for.
         passes: to which a `Pass` is added for each call of the engine.
     """
-    module = importlib.import_module("dipoletop._runs.classify_many")  # a function has its name
-    select = module.select_engines
+    select = run_settings.select_engines
 
-    def selected(*args: Any) -> dict[Any, Any]:
-        engines: dict[Any, Any] = select(*args)
+    def selected(*args: Any, **kwargs: Any) -> Mapping[Any, Any]:
+        engines: Any = select(*args, **kwargs)
         if method is not None:
             engines = {device: replace(engine, solver=method) for device, engine in engines.items()}
         if passes is not None:
@@ -135,7 +133,10 @@ def driven(
         return engines
 
     loose = 0.0 if once else LOOSE
-    with patch.object(module, "select_engines", selected), patch.object(blocks, "LOOSE", loose):
+    with (
+        patch.object(run_settings, "select_engines", selected),
+        patch.object(blocks, "LOOSE", loose),
+    ):
         yield
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import concrete, or_nan
-from .._base.compiling import compiled_soon, with_special_numbers
+from .._base.compiling import compiled_soon, special_numbers
 from .._base.forward_mode import forward_differentiable
 from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
@@ -182,7 +182,7 @@ def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
     return jnp.where(rotation.is_sphere, Regime.EXACT, regime).astype(int)
 
 
-@with_special_numbers
+@special_numbers()
 def best_forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Forecast:
     """Return the forecast by the slow flow or by the unfolded system, whose error is smaller.
 

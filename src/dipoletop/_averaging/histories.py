@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
 from .._base.checks import concrete, or_nan
-from .._base.compiling import compiled_soon, with_special_numbers
+from .._base.compiling import compiled_soon, special_numbers
 from .._base.guards import safe_divisor
 from .._base.types import Real, Regime
 from .ends import turns_fast
@@ -26,7 +26,7 @@ Values = tuple[Float[Array, "T"], ...]
 """E, |L|, h and √⟨Ω²⟩ at given times."""
 
 
-@with_special_numbers
+@special_numbers()
 def best_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
 ) -> Values:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.compiling import FOR_MANY, compiled_soon, with_special_numbers
+from .._base.compiling import FOR_MANY, compiled_soon, special_numbers
 from .._base.parallel import pool
 from .._base.types import Outcome, Real
 from .capture import Capture, capture_from, computed_at, distribution, end_of_top, is_random
@@ -62,7 +62,7 @@ class _Begin(NamedTuple):
     """The least error that the end can have."""
 
 
-@with_special_numbers
+@special_numbers()
 def ends_of_many(
     inertia: Float[np.ndarray, "N 3 3"],
     dipole: Float[np.ndarray, "N 3"],

@@ -1,8 +1,9 @@
 """Compilation of programs that the host calls a few times, and which run for milliseconds."""
 
+import contextlib
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -34,18 +35,11 @@ Not level 0: XLA's code for a derivative of a verdict was then wrong, 0 (jaxlib 
 """
 
 
-def with_special_numbers(function: Function) -> Function:
-    """Return the function, which JAX does not interrupt where it debugs NaN and inf.
-
-    Here both are values: of what is not known, or has no end.
-    """
-
-    @functools.wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        with jax.debug_nans(False), jax.debug_infs(False):
-            return function(*args, **kwargs)
-
-    return call  # pyright: ignore[reportReturnType]
+@contextlib.contextmanager
+def special_numbers() -> Iterator[None]:
+    """Let NaN and inf be values, of what is not known or has no end, where JAX debugs them."""
+    with jax.debug_nans(False), jax.debug_infs(False):
+        yield
 
 
 def compiled_soon(function: Function, options: dict[str, Any] = COMPILED_SOON) -> Function:
@@ -59,7 +53,7 @@ def compiled_soon(function: Function, options: dict[str, Any] = COMPILED_SOON) -
     in_trace, on_host = jit(function), jit(function, compiler_options=options)
 
     @functools.wraps(function)
-    @with_special_numbers
+    @special_numbers()
     def call(*args: Any, **kwargs: Any) -> Any:
         if not _is_host_call(args, kwargs):
             return in_trace(*args, **kwargs)

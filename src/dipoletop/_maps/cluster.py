@@ -186,9 +186,9 @@ def job_of(plan: Plan, folder: Path) -> ClusterJob:
     import cloudpickle
 
     config = {name: getattr(jax.config, name) for name in CONFIG}
-    problem, over = plan.blocks.problem, plan.blocks.over
-    settings = plan.settings._replace(devices=None)
-    sweep = cloudpickle.dumps((problem, over, settings, config))
+    blocks, settings = plan.blocks, plan.settings._replace(devices=None)
+    more = {"derivatives": blocks.derivatives, "confirm": plan.confirm, "reduction": plan.reduction}
+    sweep = cloudpickle.dumps(((blocks.problem, blocks.over, settings), more, config))
     return ClusterJob(str(folder), sweep, digest(sweep).hex(), versions_here())
 
 
@@ -243,10 +243,10 @@ def _session(job: ClusterJob) -> _Session:
         session = _sessions.get(job.folder)
         if session is None or session.name != job.name:
             _check_python(job)
-            problem, over, settings, config = cloudpickle.loads(job.sweep)
+            arguments, more, config = cloudpickle.loads(job.sweep)
             for option, value in config.items():
                 jax.config.update(option, value)
-            plan = plan_of(problem, over, settings)
+            plan = plan_of(*arguments, **more)
             # A store has one sweep in a process; the oldest sweeps are dropped.
             for old in [job.folder, *list(_sessions)[: 1 - KEPT]]:
                 if old in _sessions:

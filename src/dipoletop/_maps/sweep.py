@@ -6,16 +6,18 @@ from dataclasses import replace
 from os import PathLike
 from typing import Any
 
+import numpy as np
 from jaxtyping import ArrayLike
 
 from .._base.checks import refuse
 from .._base.tolerances import MAX_STEPS, check_settings, tolerance
 from .._runs.classification import Value
+from .._runs.run_settings import RunSettings
 from .._runs.slow_runs import SlowFlow
 from .basin import Basin
 from .grids import Grid, Points, Sample
 from .problems import Problem
-from .sweep_plan import Settings, derivative_names, plan_of
+from .sweep_plan import derivative_names, plan_of
 from .sweep_stores import ColumnsInMemory, MemoryStore, Store, ZarrStore
 from .tally_counts import ROTATION, reduction_of, with_kept_first
 from .tally_results import Counts, Tally, tally_on_disk
@@ -107,10 +109,8 @@ def sweep(
         ((2, 3), "reduced, order 1 (the paper's)")
     """
     began = time.perf_counter()
-    settings = Settings(
-        rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices
-    )
-    plan = plan_of(problem, over, settings)
+    settings = RunSettings(rtol, atol, max_steps, value, engine, slow_flow, devices)
+    plan = plan_of(problem, over, settings, derivatives=derivatives, confirm=confirm)
     if store is None:
         columns = ColumnsInMemory(plan)
         place: Store = MemoryStore(plan, columns.add)
@@ -183,8 +183,9 @@ def tally(
         refuse("value", "be True or None if there are histograms of ω∞", "is False")
     if value is None:
         value = bool(names) or counts_rotation
-    given = Settings(value=value, derivatives=derivatives, reduction=reduction, **settings)
-    plan = plan_of(problem, with_kept_first(over, reduction.keep), given)
+    runs = RunSettings(value=value, **settings)
+    over = with_kept_first(over, reduction.keep)
+    plan = plan_of(problem, over, runs, derivatives=derivatives, reduction=reduction)
     if store is None:
         kept = Counts(reduction, plan.tiling)
         place = MemoryStore(plan, lambda x: kept.add(x.tile, x.columns["counts"][0]))
@@ -198,9 +199,12 @@ def tally(
 
 
 def prepared_sweep(
-    problem: Problem, over: Grid | Points, **settings: Any
+    problem: Problem,
+    over: Grid | Points,
+    settings: RunSettings,
+    derivatives: tuple[str, ...] = (),
 ) -> Callable[[Grid | Points, ArrayLike], Basin]:
-    """Prepare a sweep once for all values of the same names; `settings` are those of `Settings`.
+    """Prepare a sweep once for all values of the same names.
 
     Tracing the problem and choosing an engine take longer than running some ten thousand starts. So
     does a division into tiles, whose Python code runs in one thread at a time. An engine with its
@@ -214,7 +218,7 @@ def prepared_sweep(
     Raises:
         ValueError: bad arguments.
     """
-    plan = plan_of(problem, over, Settings(**settings))
+    plan = plan_of(problem, over, settings, derivatives=derivatives)
     if all(engine.has_own_threads for engine in plan.engines.values()):
         devices, threads = plan.devices[:1], len(plan.devices)
         plan = replace(plan, devices=devices, cut=lambda x: Tiling(x, x), threads=threads)
@@ -222,7 +226,8 @@ def prepared_sweep(
     def basin_over(over: Grid | Points, rtol: ArrayLike) -> Basin:
         began = time.perf_counter()
         blocks = replace(plan.blocks, over=over)
-        here = replace(plan, blocks=blocks, rtols=[tolerance("rtol", rtol)])
+        settings = plan.settings._replace(rtol=tolerance("rtol", rtol, xp=np))
+        here = replace(plan, blocks=blocks, settings=settings)
         columns = ColumnsInMemory(here)
         finish(here, MemoryStore(here, columns.add), False)
         return Basin(*columns.contents(), seconds=time.perf_counter() - began)
@@ -237,7 +242,7 @@ class PointSweeps:
 
     Args:
         problem: a problem as for `sweep`.
-        settings: fields of `Settings`.
+        settings: fields of `RunSettings`.
     """
 
     def __init__(self, problem: Problem, settings: Mapping[str, Any]) -> None:
@@ -248,11 +253,11 @@ class PointSweeps:
         """Return the basin over points, as from `sweep`."""
         key = tuple(points.header.values), derivatives
         if key not in self._prepared:
-            settings = self.settings | {"derivatives": derivatives}
-            self._prepared[key] = prepared_sweep(self.problem, points, **settings)
+            settings = RunSettings(**self.settings)
+            self._prepared[key] = prepared_sweep(self.problem, points, settings, derivatives)
         return self._prepared[key](points, self.rtol)
 
     @property
     def rtol(self) -> Any:
         """The relative tolerance of the runs."""
-        return self.settings.get("rtol", Settings().rtol)
+        return self.settings.get("rtol", RunSettings().rtol)

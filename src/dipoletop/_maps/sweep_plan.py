@@ -1,7 +1,7 @@
 """The plan of a sweep: its checked arguments, and from them the columns of each tile."""
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -9,20 +9,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from .._base.checks import check_verdict, names_of, refuse
+from .._base.checks import names_of, refuse
 from .._base.parallel import Device, worker_devices
-from .._base.tolerances import MAX_STEPS, absolute, budget, check_atol, tolerance
+from .._base.tolerances import tolerance
 from .._base.types import Equation
-from .._engines.interface import Engine, Limits, power_of_two
+from .._engines.interface import Engine, power_of_two
 from .._engines.processors import kind_of
-from .._engines.select import select_engines
-from .._runs.blocks import RunOptions, classify_block
-from .._runs.classification import Value, stopping_rule
-from .._runs.label_doubt import exact_when_slow, finish_of
+from .._runs.blocks import Place, classify_block
+from .._runs.classification import Value
 from .._runs.memory_limits import TILE, largest_tile
-from .._runs.slow_runs import SlowFlow, check_slow_flow
+from .._runs.run_settings import RunSettings
 from ..equations.levels import level_of
 from .columns import COLUMNS, DERIVATIVE_PREFIX, START, VERSION, check_arguments
 from .grids import Grid, Points, PointValues, Sample
@@ -56,22 +54,6 @@ def derivative_names(derivatives: str | Sequence[str], value: Value) -> tuple[st
     return names
 
 
-class Settings(NamedTuple):
-    """The arguments of a sweep that say how to compute it; see `sweep`."""
-
-    rtol: Any = 1e-8
-    atol: Any = None
-    max_steps: Any = MAX_STEPS
-    value: Value = True
-    derivatives: str | Sequence[str] = ()
-    confirm: Any = None
-    engine: str = "auto"
-    slow_flow: SlowFlow = "auto"
-    devices: Sequence[Any] | None = None
-    reduction: Reduction | None = None
-    """The counts to keep, if starts are not kept."""
-
-
 @dataclass(frozen=True)
 class Plan:
     """The plan of a sweep.
@@ -79,20 +61,22 @@ class Plan:
     Attributes:
         blocks: function from points to the equations and starts of a tile.
         equation: the equation, with the shapes and types of its arrays for one point.
-        rtols: the tolerance of the columns and, if outcomes are to be confirmed, a second one.
+        settings: how the runs are made.
+        confirm: a second tolerance, if outcomes are to be confirmed.
+        reduction: the counts to keep, if starts are not kept.
         devices: the devices, each repeated once for each of its threads.
         engines: the engine of each device.
-        settings: the checked arguments.
         cut: function from the shape of the starts to their tiling.
         threads: number of threads for one tile in an engine that has its own.
     """
 
     blocks: BlockBuilder
     equation: Equation
-    rtols: list[Float[Array, ""]]
+    settings: RunSettings
+    confirm: Float[np.ndarray, ""] | None
+    reduction: Reduction | None
     devices: list[Device]
-    engines: dict[Device, Engine]
-    settings: Settings
+    engines: Mapping[Device, Engine]
     cut: Callable[[tuple[int, ...]], Tiling] = Tiling.of_sweep
     threads: int = 1
 
@@ -105,7 +89,7 @@ class Plan:
     def column_names(self) -> list[str]:
         """Names of the columns, in order."""
         derivatives = [DERIVATIVE_PREFIX + name for name in self.blocks.derivatives]
-        confirmed = [] if self.settings.confirm is None else ["changed"]
+        confirmed = [] if self.confirm is None else ["changed"]
         return [*COLUMNS, *derivatives, *confirmed, *self.drawn]
 
     @functools.cached_property
@@ -122,26 +106,26 @@ class Plan:
     @property
     def attrs(self) -> dict[str, Any]:
         """The attributes of the basin: level, settings, versions."""
-        given, rtols, derivatives = self.settings, self.rtols, list(self.blocks.derivatives)
+        given, derivatives = self.settings, list(self.blocks.derivatives)
         exact = given.value or given.atol is not None
         return {
             "level": level_of(self.equation),
-            "rtol": float(rtols[0]),
+            "rtol": float(given.rtol),
             "atol": float(given.atol or 0) if exact else ATOL_OF_LABELS,
-            "max_steps": given.max_steps,
+            "max_steps": int(given.max_steps),
             "value": given.value,
             "engine": self.engines[self.devices[0]].name,
             "processor": kind_of(self.devices[0]),
             "slow_flow": given.slow_flow,
             **({"derivatives": derivatives} if derivatives else {}),
-            **({"confirm": float(rtols[1])} if len(rtols) > 1 else {}),
+            **({} if self.confirm is None else {"confirm": float(self.confirm)}),
             **self.blocks.over.header.settings,
             **_versions(),
         }
 
     def header(self) -> dict[str, Any]:
         """Return the data that identify this sweep, except the swept values."""
-        over, reduction = self.blocks.over, self.settings.reduction
+        over, reduction = self.blocks.over, self.reduction
         digests = self.blocks.program_digests()
         header = {
             "dims": list(over.dims),
@@ -192,18 +176,17 @@ class Plan:
             [np.arange(size) < n for size, n in zip(sizes, lengths, strict=True)]
         )
         queue = joined(used)
-        columns, *confirming = [
-            self._columns(queue, is_real, rtol, device, loosely=number == 0)
-            for number, rtol in enumerate(self.rtols)
-        ]
-        for other in confirming:
+        columns = self._columns(queue, is_real, self.settings, device)
+        if self.confirm is not None:
+            strict = self.settings._replace(rtol=self.confirm, in_two_passes=False)
+            other = self._columns(queue, is_real, strict, device)
             columns["changed"] = columns["outcome"] != other["outcome"]
         results = []
         for i, tile in enumerate(tiles):
             lanes = slice(firsts[i], firsts[i] + lengths[i])
             found = {name: x[lanes] for name, x in columns.items()}
             outcomes = counted_outcomes(found["outcome"])
-            if reduction := self.settings.reduction:
+            if reduction := self.reduction:
                 kept = {"counts": reduction.counts(found, self.tiling, tile)[None]}
             else:
                 kept = found | drawn_values(self.drawn, points[i], real[i])
@@ -211,50 +194,39 @@ class Plan:
         return results
 
     def _columns(
-        self,
-        block: StartBlock,
-        is_real: np.ndarray,
-        rtol: Float[Array, ""],
-        device: Device,
-        *,
-        loosely: bool,
+        self, block: StartBlock, is_real: np.ndarray, settings: RunSettings, device: Device
     ) -> Columns:
-        (equation, omegas), given = block, self.settings
-        end = np.where(is_real, np.inf, 0.0)  # padding takes no step
-        atol = absolute(given.atol, rtol, omegas, exact_when_slow(equation, given.value))
-        limits = Limits(rtol, atol, end, jnp.asarray(given.max_steps))
-        engine, slow_flow = self.engines[device], given.slow_flow
-        way = RunOptions(given.value, engine, device, slow_flow, self.threads, loosely)
-        ends = classify_block(equation, omegas, limits, way)
+        equation, omegas = block
+        limits = settings.limits(equation, omegas, is_real)  # padding takes no step
+        place = Place(self.engines[device], device, self.threads)
+        ends = classify_block(equation, omegas, limits, settings, place)
         columns = {name: np.asarray(getattr(ends, name), x.dtype) for name, x in COLUMNS.items()}
         for k, name in enumerate(self.blocks.derivatives):
             columns[DERIVATIVE_PREFIX + name] = np.asarray(ends.slopes)[k]
         return columns
 
 
-def plan_of(problem: Problem, over: Grid | Points | Sample, settings: Settings) -> Plan:
-    """Return the plan of a sweep after checking its arguments.
+def plan_of(
+    problem: Problem,
+    over: Grid | Points | Sample,
+    settings: RunSettings,
+    *,
+    derivatives: str | Sequence[str] = (),
+    confirm: Any = None,
+    reduction: Reduction | None = None,
+) -> Plan:
+    """Return the plan of a sweep after checking its arguments; see `Plan` and `sweep`.
 
     Raises:
         ValueError: bad arguments.
     """
-    rtol, atol, max_steps, value, derivatives, confirm, engine, slow_flow, devices, _ = settings
-    # convert
-    blocks = BlockBuilder(problem, over, derivative_names(derivatives, value))
-    if atol is not None:
-        check_atol(atol)
-    rtols = [tolerance("rtol", rtol)]
-    if confirm is not None:
-        rtols.append(tolerance("confirm", confirm))
-    settings = settings._replace(max_steps=budget("max_steps", max_steps))
-    devices = worker_devices(devices)
-    # check
+    blocks = BlockBuilder(problem, over, derivative_names(derivatives, settings.value))
+    devices = worker_devices(settings.devices)
     equation, _ = blocks.template()
-    check_verdict(equation)
-    check_slow_flow(slow_flow, equation)
-    until, finish = stopping_rule(equation, value), finish_of(value)
-    engines = select_engines(engine, equation, devices, until, finish)
-    return Plan(blocks, equation, rtols, devices, engines, settings)
+    settings = settings.checked(equation)
+    confirm = None if confirm is None else tolerance("confirm", confirm, xp=np)
+    engines = settings.engines(equation, devices)
+    return Plan(blocks, equation, settings, confirm, reduction, devices, engines)
 
 
 def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:

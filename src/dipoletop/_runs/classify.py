@@ -24,18 +24,18 @@ from .._base.compiling import compiled_soon
 from .._base.integration import integrated
 from .._base.parallel import worker_devices
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
-from .._base.tolerances import MAX_STEPS, Tolerances, absolute, budget, step_tolerances, tolerance
+from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import DecidingEquation, Equation, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
-from .._engines.select import select_engines
 from .._engines.step_sizes import Controller, ending_at_jumps
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
-from .blocks import RunOptions, classify_block
+from .blocks import Place, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
 from .classify_many import Runs
 from .conditioning import run_with_error_estimate, without_error_estimates
-from .label_doubt import exact_when_slow, finish_of
+from .label_doubt import exact_when_slow
+from .run_settings import RunSettings
 from .slow_runs import SlowFlow, check_slow_flow
 
 
@@ -104,40 +104,26 @@ def classify(
         >>> dt.Outcome(int(slow.outcome)).name, dt.Regime(int(slow.regime)).name
         ('RESIDUAL', 'SLOW_FLOW')
     """
-    settings = {"rtol": rtol, "atol": atol, "max_steps": max_steps, "value": value}
     whole_state = is_whole_state(omega0)
     known = concrete(equation, omega0, rtol, atol)
     why_not = "" if known else "the start is traced"
     check_slow_flow(slow_flow, equation, why_not or ("the start is a whole state" * whole_state))
     if known and not whole_state:
-        return _classify_by_engine(equation, omega0, slow_flow, **settings)
+        settings = RunSettings(rtol, atol, max_steps, value, "auto", slow_flow)
+        return _classify_by_engine(equation, omega0, settings)
     arrays, rest = eqx.partition((equation, omega0), eqx.is_inexact_array)
     constant = eqx.combine(_without_derivative(arrays), rest)
-    return classify_with_tangents(*constant, **settings)
+    return classify_with_tangents(*constant, rtol=rtol, atol=atol, max_steps=max_steps, value=value)
 
 
-def _classify_by_engine(
-    equation: Any,
-    omega0: Any,
-    slow_flow: SlowFlow,
-    *,
-    rtol: NumberLike,
-    atol: NumberLike | None,
-    max_steps: int | np.integer,
-    value: Value,
-) -> Classification:
+def _classify_by_engine(equation: Any, omega0: Any, settings: RunSettings) -> Classification:
     """Return the classification of one known start, as a block of one lane."""
-    check_verdict(equation)
+    settings = settings.checked(equation)
     check_single(equation)
-    start = known_start(omega0)[None]
-    relative = tolerance("rtol", rtol, xp=np)
-    absolutes = absolute(atol, relative, start.T, exact_when_slow(equation, value))
-    steps = np.asarray(budget("max_steps", max_steps))
-    runs = Runs(equation, True, start, np.asarray(absolutes), relative, steps)
-    one, device = runs.tile(0, 1), worker_devices()[0]
-    rule = stopping_rule(equation, value), finish_of(value)
-    engine = select_engines("auto", one[0], [device], *rule, warn=False)[device]
-    run = classify_block(*one, RunOptions(value, engine, device, slow_flow))
+    one = Runs(equation, True, known_start(omega0)[None], settings).tile(0, 1)
+    device = worker_devices()[0]
+    engine = settings.engines(one[0], [device], warn=False)[device]
+    run = classify_block(*one, settings, Place(engine, device))
     return jax.tree.map(lambda x: jnp.asarray(x[..., 0]), run)
 
 

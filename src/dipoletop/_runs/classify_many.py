@@ -7,17 +7,16 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real, refuse
+from .._base.checks import ArrayLike, NumberLike, concrete, is_single, real, refuse
 from .._base.parallel import Device, in_parallel, worker_devices
-from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
+from .._base.tolerances import MAX_STEPS
 from .._base.types import Equation
 from .._engines.interface import Limits, power_of_two
-from .._engines.select import select_engines
-from .blocks import RunOptions, classify_block
-from .classification import Classification, Value, stopping_rule
-from .label_doubt import exact_when_slow, finish_of
+from .blocks import Place, classify_block
+from .classification import Classification, Value
 from .memory_limits import largest_tile
-from .slow_runs import SlowFlow, check_slow_flow
+from .run_settings import RunSettings
+from .slow_runs import SlowFlow
 
 PIECE = 65536  # largest number of starts for an engine that need not compile for their number
 
@@ -71,32 +70,24 @@ def classify_many(
         >>> dt.classify_many(dt.TransverseReduced(jnp.array([-0.2, -0.3])), starts).outcome
         array([1, 2])
     """
-    check_verdict(equations, "equations")
     if not concrete(equations, omegas):
         refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
     starts = real("omegas", omegas, (-1, 3), batch=False, xp=np)
     size = starts.shape[0]
     if size == 0:
         refuse("omegas", "hold at least one start", "holds none")
-    relative = tolerance("rtol", rtol, xp=np)
-    atol = absolute(atol, relative, starts.T, exact_when_slow(equations, value))
-    steps = np.asarray(budget("max_steps", max_steps))
     single = is_single(equations)
     if not single:
         _check_batch(equations, size)
-    check_slow_flow(slow_flow, equations)
-    runs = Runs(equations, single, starts, np.asarray(atol), relative, steps)
-    until, devices = stopping_rule(equations, value), worker_devices()
+    settings = RunSettings(rtol, atol, max_steps, value, engine, slow_flow).checked(equations, size)
+    runs, devices = Runs(equations, single, starts, settings), worker_devices()
     every_run = runs.tile(0, size)
-    engines = select_engines(engine, every_run[0], devices, until, finish_of(value))
-    first = devices[0]
-    threads = len(devices)
+    engines = settings.engines(every_run[0], devices)
+    first, threads = devices[0], len(devices)
     # Few runs share one queue, so that no thread waits for the longest runs of another. So do
     # labels, for which hardly any work is left outside the engine.
     if engines[first].has_own_threads and (value is False or size <= PIECE * threads):
-        return classify_block(
-            *every_run, RunOptions(value, engines[first], first, slow_flow, threads)
-        )
+        return classify_block(*every_run, settings, Place(engines[first], first, threads))
     if engines[first].compiles_for_size:
         length = min(largest_tile(devices), power_of_two(-(-size // threads)))
     else:  # the same number of pieces for every thread
@@ -104,7 +95,7 @@ def classify_many(
 
     def work(job: int, device: Device) -> Classification:
         tile = runs.tile(job * length, length)
-        return classify_block(*tile, RunOptions(value, engines[device], device, slow_flow))
+        return classify_block(*tile, settings, Place(engines[device], device))
 
     parts = dict(in_parallel(work, range(-(-size // length)), devices))
     tiles = [parts[job] for job in sorted(parts)]
@@ -118,10 +109,7 @@ class Runs(NamedTuple):
     single: bool
     """Whether there is one equation for all runs, rather than a batch."""
     starts: Float[np.ndarray, "N 3"]
-    atol: Float[np.ndarray, "N"]
-    rtol: Any
-    """The relative tolerance, in NumPy."""
-    max_steps: Any
+    settings: RunSettings
 
     def tile(self, first: int, length: int) -> tuple[Any, Float[np.ndarray, "3 tile"], Limits]:
         """Return the equation with its lanes behind, the starts and the limits of some runs.
@@ -129,12 +117,11 @@ class Runs(NamedTuple):
         The last tile is padded with runs that take no step. The arrays are of NumPy, and views if
         the tile is full: JAX would take as long to copy as the machine code takes to run.
         """
-        size, end = len(self.starts), first + length
-        full = end <= size
-        t1 = np.broadcast_to(np.array(np.inf, self.starts.dtype), length)
-        if not full:
-            t1 = np.where(np.arange(length) < size - first, t1, np.zeros_like(t1))
-        runs: Any = slice(first, end) if full else np.minimum(np.arange(first, end), size - 1)
+        size = len(self.starts)
+        places = np.arange(first, first + length)
+        runs: Any = slice(first, first + length)
+        if first + length > size:
+            runs = np.minimum(places, size - 1)
 
         def lanewise(leaf: Array | np.ndarray) -> np.ndarray:
             numbers = np.asarray(leaf)
@@ -144,8 +131,10 @@ class Runs(NamedTuple):
 
         arrays, rest = eqx.partition(self.equations, eqx.is_array)
         equation = eqx.combine(jax.tree.map(lanewise, arrays), rest)
-        limits = Limits(self.rtol, self.atol[runs], t1, self.max_steps)
-        return equation, self.starts[runs].T, limits
+        settings, omegas = self.settings, self.starts[runs].T
+        if np.ndim(settings.atol):
+            settings = settings._replace(atol=np.asarray(settings.atol)[runs])
+        return equation, omegas, settings.limits(equation, omegas, places < size)
 
 
 def _check_batch(equations: Equation, size: int) -> None:

@@ -41,18 +41,18 @@ def _free_memory(device: Any) -> int:
     return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
 
 
-def in_fitting_parts(run: Callable[[Any], T], runs: Any, size: int, device: Device) -> T:
-    """Return `run(runs)`, computed in halves, quarters, … as long as memory is exhausted.
+def in_fitting_parts(run: Callable[..., T], runs: Any, size: int, device: Device) -> T:
+    """Return `run(*runs)`, computed in halves, quarters, … as long as memory is exhausted.
 
     Args:
         run: a function of runs in NumPy to a pytree of arrays with the same trailing axis.
-        runs: a pytree of arrays.
+        runs: its arguments, pytrees of arrays.
         size: the number of runs, the length of the trailing axes.
         device: the device of the runs.
     """
     if size <= _fitting.get(device, size):
         try:
-            return run(runs)
+            return run(*runs)
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             exhausted = isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
             if size <= SMALLEST or not exhausted:

@@ -14,7 +14,7 @@ bodies: for 90 % of the runs the number is right within a factor of three.
 """
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +30,6 @@ from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
 from .classification import Classification
-from .memory_limits import Lanes, part_of, put_back
 
 SlowFlow = bool | Literal["auto"]
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
@@ -215,87 +214,74 @@ def why_unpredictable(equation: Any) -> str:
     return ""
 
 
-@runtime_checkable
-class Block(Protocol):
-    """Runs that can be classified, all or some."""
-
-    @property
-    def threads(self) -> int:
-        """The number of threads."""
-        ...
-
-    def classified(self, limits: Limits) -> Classification:
-        """Return the classifications in NumPy; of a run with t1 ≤ 0 by its first state."""
-        ...
-
-    def some_classified(self, lanes: Lanes, limits: Limits) -> Classification:
-        """Return the classifications of some of the runs."""
-        ...
-
-
-def with_predictions(
-    block: Block, begin: tuple[Any, Any], limits: Limits, label_only: bool, every: bool
-) -> Classification:
-    """Return the classifications of N runs, predicted where they would exceed the budget.
+def awaits_slow_flow(
+    equation: Any, omegas: Any, limits: Limits, every: bool, label_only: bool
+) -> Bool[np.ndarray, "N"]:
+    """Return which runs the slow flow is to predict, if their first state does not decide.
 
     Args:
-        block: the runs.
-        begin: the predictable equation, with a trailing axis of N lanes, and the starts (3, N).
-        limits: their tolerance and budget; a run with t1 ≤ 0 is not wanted.
+        equation: a predictable equation, with a trailing axis of N lanes.
+        omegas: the starts, shape (3, N).
+        limits: the limits of the runs.
+        every: whether all runs are to be predicted, rather than those that exceed their budget.
         label_only: whether only the outcome is wanted.
-        every: whether all runs that the first state does not decide are predicted.
     """
-    rtol, most, t1 = float(limits.rtol), int(limits.max_steps), np.asarray(limits.t1)
-    budget = MARGIN * most
-    waiting = ~np.zeros(t1.shape, bool) if every else _long_runs(*begin, budget, rtol, label_only)
-    rest = limits._replace(t1=np.where(waiting, np.zeros_like(t1), t1)) if waiting.any() else limits
-    runs = block.classified(rest)
-    unknown = _is_open(runs, label_only) & (t1 > 0)
-    if not every:  # predict the runs that have exhausted the budget
-        unknown &= waiting | (runs.steps >= most)
-    lanes = np.flatnonzero(unknown)
-    if not lanes.size:
-        return runs
-    motions = slow_motions(*part_of(begin, lanes, unknown.size))
+    if every:
+        return np.ones(omegas.shape[1], bool)
+    return _long_runs(equation, omegas, _budget(limits), float(limits.rtol), label_only)
+
+
+def _budget(limits: Limits) -> float:
+    return MARGIN * int(limits.max_steps)
+
+
+class Predictions(NamedTuple):
+    """The predicted ends of N runs."""
+
+    motions: SlowMotions
+    ends: ManyEnds
+    known: Bool[np.ndarray, "N"]
+    """Whether a law holds, with an error that lets it decide."""
+
+    def exceed_budget(self, limits: Limits, label_only: bool) -> Bool[np.ndarray, "N"]:
+        """Return which runs are known to need more steps than the budget."""
+        steps = self.motions.steps(self.ends.ratio, float(limits.rtol), label_only)
+        return self.known & (steps > _budget(limits))
+
+    def filled_in(self, runs: Classification, label_only: bool) -> Classification:
+        """Fill in unknown outcomes and ω∞, if a law is known. That certifies nothing."""
+        ends, known = self.ends, self.known & is_open(runs, label_only)
+        label = known & (runs.outcome == Outcome.UNDECIDED)
+        agrees = (runs.outcome == Outcome.RESIDUAL) & (ends.outcome == Outcome.RESIDUAL)
+        value = label | (known & agrees & np.isfinite(ends.omega_inf))
+        error = ends.error * np.abs(ends.omega_inf)
+        probability = np.sum(ends.probability[:, :2], axis=1)
+        return replace(
+            runs,
+            outcome=np.where(label, ends.outcome, runs.outcome),
+            omega_inf=np.where(value, ends.omega_inf, runs.omega_inf),
+            omega_inf_error=np.where(value, error, runs.omega_inf_error),
+            time=np.where(label, np.nan, runs.time),
+            stop=np.where(label, _stops(ends, self.motions), runs.stop),
+            regime=np.where(value, ends.regime, Regime.RESOLVED),
+            probability=np.where(label, probability, implied_probability(runs.outcome)),
+        )
+
+
+def predictions(equation: Any, omegas: Any, threads: int) -> Predictions:
+    """Return the predicted ends of N runs, whose axis is the last one."""
+    motions = slow_motions(equation, omegas)
     law = motions.has_law
-    ends = motions.ends(law, block.threads)
+    ends = motions.ends(law, threads)
     known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
-    if not every:
-        long = known & (motions.steps(ends.ratio, rtol, label_only) > budget)
-        again = lanes[waiting[lanes] & ~long]
-        if again.size:
-            runs = put_back(runs, again, block.some_classified(again, limits))
-            known &= _is_open(runs, label_only)[lanes]
-    filled = _filled_in(part_of(runs, lanes, unknown.size), ends, known, motions)
-    return put_back(runs, lanes, filled)
+    return Predictions(motions, ends, known)
 
 
-def _is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
+def is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
     """Return whether the outcome of a run, or a wanted ω∞, is not known."""
     undecided = np.asarray(runs.outcome == Outcome.UNDECIDED)
     lacks_value = (runs.outcome == Outcome.RESIDUAL) & np.isnan(runs.omega_inf_error)
     return undecided if label_only else undecided | np.asarray(lacks_value)
-
-
-def _filled_in(
-    runs: Classification, ends: ManyEnds, known: Bool[np.ndarray, "N"], motions: SlowMotions
-) -> Classification:
-    """Fill in unknown outcomes and ω∞ by the slow flow, which certifies nothing."""
-    implied = implied_probability(runs.outcome)
-    label = known & (runs.outcome == Outcome.UNDECIDED)
-    agrees = (runs.outcome == Outcome.RESIDUAL) & (ends.outcome == Outcome.RESIDUAL)
-    value = label | (known & agrees & np.isfinite(ends.omega_inf))
-    probability = np.sum(ends.probability[:, :2], axis=1)
-    return replace(
-        runs,
-        outcome=np.where(label, ends.outcome, runs.outcome),
-        omega_inf=np.where(value, ends.omega_inf, runs.omega_inf),
-        omega_inf_error=np.where(value, ends.error * np.abs(ends.omega_inf), runs.omega_inf_error),
-        time=np.where(label, np.nan, runs.time),
-        stop=np.where(label, _stops(ends, motions), runs.stop),
-        regime=np.where(value, ends.regime, Regime.RESOLVED),
-        probability=np.where(label, probability, implied),
-    )
 
 
 def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:

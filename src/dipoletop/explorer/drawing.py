@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from .._base.tolerances import MAX_STEPS
 from .._maps.basin import Basin
 from .._maps.grids import Grid
 from .._maps.sweep import prepared_sweep
 from .._runs.classification import UNCHECKED, Value
+from .._runs.run_settings import RunSettings
 from ..equations.levels import Level
 from .pictures import Picture, picture_of
 from .scenes import Scene
@@ -55,9 +57,10 @@ class Drawing:
         key = level, grid.dims, value
         with self._preparing:
             if key not in self._prepared:
-                budget = {"max_steps": FEW_STEPS} if value == UNCHECKED else {}
+                budget = FEW_STEPS if value == UNCHECKED else MAX_STEPS
+                settings = RunSettings(value=value, max_steps=budget)
                 problem = self._scene.problem_at(level)
-                prepared = prepared_sweep(problem, grid, value=value, **budget)
+                prepared = prepared_sweep(problem, grid, settings)
                 first = Grid(**{name: values[:1] for name, values in grid.axes.items()})
                 prepared(first, rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared
