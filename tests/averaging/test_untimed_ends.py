@@ -14,7 +14,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.mark.slow
 def test_ends_are_those_of_single_motions():
-    """Another quadrature, and signs on a grid in place of zeros of F, lead to the same ends."""
+    """Panels that are not as short as times need them, and stages computed apart."""
     n = 60
     moments = np.sort(RNG.uniform(0.5, 1.0, (n, 3)))
     moments[:6, 1], moments[6:9, :2] = moments[:6, 0], moments[6:9, 2:]  # discs, spheres
@@ -30,9 +30,11 @@ def test_ends_are_those_of_single_motions():
     single = [forecast(jnp.asarray(row), jnp.asarray(np.float64(1)), False) for row in variables]
     for name, values in many._asdict().items():
         expected = [np.asarray(getattr(one, name)) for one in single]
-        # An estimate looks at other places of the path, and that of one motion covers its times.
+        known = ~np.isnan(values) | (name not in ("half_time", "lifetime"))
+        # An error is taken at the knots, and that of one motion covers its times.
         rtol, atol = (0.3, 3e-7) if name == "error" else (1e-9, 0.0)
-        np.testing.assert_allclose(values, expected, rtol, atol, err_msg=name)
+        found, expected = values[known], np.array(expected)[known]
+        np.testing.assert_allclose(found, expected, rtol, atol, err_msg=name)
 
 
 def test_a_dipole_along_an_axis_is_along_it_in_any_frame():

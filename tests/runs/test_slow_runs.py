@@ -8,8 +8,8 @@ from settling import Settling
 
 import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
-from dipoletop._averaging.untimed_ends import ManyEnds
-from dipoletop._runs.slow_runs import SlowMotions, _stops, slow_motions
+from dipoletop._averaging.forecast import Forecast
+from dipoletop._runs.slow_runs import SlowMotions, _stops, predictions
 
 RESIDUAL, STOP, UNDECIDED = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED
 MOMENTS = np.array([1.0, 1.3, 1.8])
@@ -74,9 +74,8 @@ def test_predictions_of_a_transverse_top_agree_with_integration():
 
 def test_the_estimate_of_steps_is_near_the_number(resolved):
     lanes = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), dt.Reduced(BODIES))
-    motions = slow_motions(lanes, starts(1e-3).T)
-    ratio = motions.ends(np.ones(16, bool)).ratio
-    factor = motions.steps(ratio, 1e-8, False) / resolved.steps
+    motions, ends, _ = predictions(lanes, starts(1e-3).T, 1)
+    factor = motions.steps(ends.ratio, 1e-8, False) / resolved.steps
     factor = factor[resolved.outcome == RESIDUAL]
     assert np.max(np.maximum(factor, 1 / factor)) < 4
     assert 0.5 < np.median(factor) < 2
@@ -179,8 +178,7 @@ def test_ways_to_stop():
     deltas, dipoles, numbers, ways = zip(*cases, strict=True)
     inertia = np.stack([np.diag([1.0, 1.0, 1 - delta]) for delta in deltas])
     motions = SlowMotions(inertia, np.array(dipoles), np.ones((len(cases), 3)), True, False)
-    blank = np.zeros(len(cases))
-    sure = ManyEnds(blank, np.eye(8)[list(numbers)], blank, blank, blank, blank)
+    sure = Forecast(*[np.zeros(len(cases))] * 10)._replace(probability=np.eye(8)[list(numbers)])
     assert _stops(sure, motions).tolist() == list(ways)
     mixed = sure._replace(probability=np.full((len(cases), 8), 1 / 8))
     assert set(_stops(mixed, motions)) == {Stop.NONE}

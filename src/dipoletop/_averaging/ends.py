@@ -15,10 +15,10 @@ from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import Real
 from .capture import LEVELS as QUANTILES
-from .capture import TopEnd, capture, end_of_top
+from .capture import Capture, end_of_top
 from .capture_times import clock_of_needle
-from .estimates import estimated_error, largest_loss, rate_error
-from .free_rotation import averages, gaps_of
+from .estimates import estimated_error, rate_error
+from .free_rotation import gaps_of
 from .motion import RTOL, Point, SlowMotion, Stage
 from .planar_orbits import ENTRY, Expansion
 from .principal_axes import FreeRotation
@@ -69,38 +69,42 @@ class SlowEnd(NamedTuple):
 
 
 def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
-    """Return how a slow motion of a body ends."""
+    """Return how a slow motion of a body ends; times are NaN if they were not computed."""
     stage = motion.final
     limit = stage.limit
     axis = jnp.where(motion.ends_high, 0, 2)
     spins = ~stage.rises & ~limit.is_zero
     residual = spins & (limit.r == 0)
-    end = stage.end
-    log = jnp.where(residual, end.log, -jnp.inf)
+    log = jnp.where(residual, stage.end.log, -jnp.inf)
     last_energy = stage.interval.side.shape(limit.x, limit.rest) * jnp.exp(log) / 2
     energy = motion.energy
-    decay, error = late_decay(stage)
-    rates, _ = averages(stage.interval.side.moments, limit.x, limit.rest)
-    error += motion.error + rate_error(rotation, motion.ends_high, rates)
-    # The excess is a difference of energies, unless it is so small that it decays exponentially.
-    excess = (energy - last_energy) / energy
-    short = residual & (excess < EXCESS)
-    error += jnp.where(residual & ~short, (RTOL + motion.error) / safe_divisor(excess), 0.0)
-    half_time = jnp.where(
-        short,
-        _half_time_of_neighbours(rotation, axis),
-        motion.time_at((energy + last_energy) / 2),
-    )
-    return SlowEnd(
-        slow_probability(rotation, motion.crosses, motion.ends_high, spins),
+    half_time = decay = jnp.full_like(log, jnp.nan)
+    error = motion.error + rate_error(rotation, motion.ends_high, limit.rates)
+    if stage.panels is not None:
+        decay, more = late_decay(stage)
+        # The excess is a difference of energies, unless it is so small that it decays
+        # exponentially.
+        excess = (energy - last_energy) / energy
+        short = residual & (excess < EXCESS)
+        off = (RTOL + motion.error) / safe_divisor(excess)
+        error += more + jnp.where(residual & ~short, off, 0.0)
+        half_time = jnp.where(
+            short,
+            _half_time_of_neighbours(rotation, axis),
+            motion.time_at((energy + last_energy) / 2),
+        )
+    end = SlowEnd(
+        _probability(rotation, motion, spins),
         *_certain(log / 2),
         energy,
         last_energy,
         half_time,
         rotation.moments[axis],
         decay,
-        error=error,
+        jnp.asarray(False),
+        error,
     )
+    return jax.tree.map(lambda x: x if x.dtype == bool else or_nan(x, ~motion.failed), end)
 
 
 def late_decay(stage: Stage) -> tuple[Real, Real]:
@@ -110,9 +114,7 @@ def late_decay(stage: Stage) -> tuple[Real, Real]:
     Near the end r − r* falls as exp(−|y|), and 1/L² grows as exp(ρ|y|), ρ = r*|ds/dy|. So the
     limit exists for ρ < 1 only: otherwise L falls before h has come to its last value.
     """
-    last, index = stage.limit.r, stage.settled
-    y, state = stage.knots[index], stage.knot(index)
-    pace, r = stage.interval.pace(y)
+    last, (y, state, pace, r) = stage.limit.r, stage.settled
     pace = jnp.abs(pace)
     exists = last * pace < 1
     rest = (r - last) * pace / jnp.where(exists, 1 - last * pace, 1.0)
@@ -124,24 +126,15 @@ def late_decay(stage: Stage) -> tuple[Real, Real]:
     return jnp.where(last == 0, 0.0, rate), jnp.where((last == 0) | ~exists, 0.0, error)
 
 
-def slow_probability(
-    rotation: FreeRotation, crosses: Bool[Array, ""], ends_high: Bool[Array, ""], spins: Array
-) -> Float[Array, "8"]:
-    """Return the probabilities of the `ENDS` of a slow motion.
-
-    Args:
-        rotation: where it begins.
-        crosses: whether it crosses the separatrix.
-        ends_high: whether it ends on the side of the axis of J₁.
-        spins: whether it ends on an axis.
-    """
-    axis = jnp.where(ends_high, 0, 2)
+def _probability(rotation: FreeRotation, motion: SlowMotion, spins: Array) -> Float[Array, "8"]:
+    """Return the probabilities of the `ENDS` of a slow motion, which ends on an axis or not."""
+    axis = jnp.where(motion.ends_high, 0, 2)
     # The sign of L about the last axis is the first one, or chance after the separatrix.
     sign = jnp.sign(rotation.momentum[axis] * rotation.dipole[axis])
     return jnp.where(
         spins & (rotation.spin_decay(axis) == 0),
-        _residual_ends(jnp.where(crosses, 0.0, sign)),
-        jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(ends_high, 6, 5)), 8),
+        _residual_ends(jnp.where(motion.crosses, 0.0, sign)),
+        jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(motion.ends_high, 6, 5)), 8),
     )
 
 
@@ -200,7 +193,14 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
     )
 
 
-def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> SlowEnd:
+def needle_end(
+    rotation: FreeRotation,
+    weakness: Real,
+    chance: Capture,
+    motion: SlowMotion | None = None,
+    *,
+    by_chance: bool = False,
+) -> SlowEnd:
     """Return how the rotation of a needle ends.
 
     A needle is an axisymmetric body with its dipole across its long axis. The slow flow leads to
@@ -208,32 +208,39 @@ def needle_end(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Sl
 
     Args:
         rotation: its two larger moments are equal.
-        motion: its slow motion.
         weakness: κL₀/J₃².
+        chance: the `capture` of its δ.
+        motion: its slow motion, if times are wanted.
+        by_chance: whether chance decides for certain, as in `end_of_top`.
     """
     delta, omega = needle_start(rotation, weakness)
-    end = end_of_top(delta, omega, capture(delta))
+    end = end_of_top(delta, omega, chance, by_chance=by_chance)
     shift = _log_speed(rotation)
-    energy = motion.energy
+    energy = rotation.momentum @ (rotation.momentum / rotation.moments) / 2
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
-    q = entry_q(delta, jnp.zeros_like(delta))
-    log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
-    square = jnp.exp(jnp.where(end.random, log_square, 0.0))
-    last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
-    clock = clock_of_needle(delta, last)
-    averaging = estimated_error(rotation, largest_loss(motion), weakness)
-    half_time, late = clock.time_at(motion, (energy + last_energy) / 2, averaging, square)
-    error = end.capture.error + jnp.where(end.random, late, 0.0)
-    probability, log_ratio = needle_chances(rotation, end)
+    half_time, error = jnp.full_like(energy, jnp.nan), end.capture.error
+    if motion is not None:
+        q = entry_q(delta, jnp.zeros_like(delta))
+        log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
+        square = jnp.exp(jnp.where(end.random, log_square, 0.0))
+        last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
+        clock = clock_of_needle(delta, last)
+        averaging = estimated_error(rotation, motion, weakness)
+        half_time, late = clock.time_at(motion, (energy + last_energy) / 2, averaging, square)
+        half_time = or_nan(half_time, end.random)
+        error += jnp.where(end.random, late, 0.0)
+    log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
+    zero = jnp.zeros_like(residual)
+    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
     return SlowEnd(
-        probability,
-        log_ratio,
+        jnp.stack(ends),
+        jnp.where(residual > 0, log_mean, -jnp.inf),
         end.capture.log_quantiles_of_all() + shift,
         energy,
         last_energy,
-        or_nan(half_time, end.random),
+        half_time,
         rotation.moments[2],
         jnp.where(residual == 1, 0.0, jnp.nan),
         ~end.random,
@@ -247,15 +254,6 @@ def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Ar
     frame = jnp.stack([rotation.dipole, jnp.cross(long, rotation.dipole), long])
     omega = frame @ (rotation.momentum / rotation.moments)
     return 1 - rotation.moments[0] / rotation.moments[2], weakness * omega
-
-
-def needle_chances(rotation: FreeRotation, end: TopEnd) -> tuple[Float[Array, "8"], Real]:
-    """Return the probabilities of the `ENDS` of a needle, and the logarithm of the mean L∞/L₀."""
-    residual = end.along + end.against
-    log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + _log_speed(rotation)
-    zero = jnp.zeros_like(residual)
-    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
-    return jnp.stack(ends), jnp.where(residual > 0, log_mean, -jnp.inf)
 
 
 def _log_speed(rotation: FreeRotation) -> Real:

@@ -8,23 +8,19 @@ from .._base.guards import safe_divisor, safe_sqrt
 from .._base.linalg import dot
 from .._base.types import Real
 from .free_rotation import averages, period
-from .motion import Point, SlowMotion, Stage
+from .motion import Point, SlowMotion
 from .principal_axes import FreeRotation
-from .slow_flow import Side, from_logit
+from .slow_flow import from_logit
 
 ERROR = 1.0
 """The estimated error over the part of L² that is radiated within one period; measured."""
 QUADRATURE = 1e-12
 """The relative error of the quadratures."""
-LONGEST = 5.0
-"""The largest K of an estimate: K is infinite on the separatrix, which is crossed only once."""
 NARROW = 6.0
 """ln L₀/L∞ beyond which a motion may linger where F almost vanishes; measured."""
-SOME_KNOTS = 64
-"""The number of knots of a stage at which the loss is evaluated."""
 
 
-def estimated_error(rotation: FreeRotation, on_path: Real, weakness: Real) -> Real:
+def estimated_error(rotation: FreeRotation, motion: SlowMotion, weakness: Real) -> Real:
     """Return the largest part of L² that is radiated within one period, which averaging neglects.
 
     Periods are long next to the separatrix, above all if two moments are nearly equal. A needle
@@ -32,10 +28,10 @@ def estimated_error(rotation: FreeRotation, on_path: Real, weakness: Real) -> Re
 
     Args:
         rotation: where the motion begins.
-        on_path: the largest `loss` on its path.
+        motion: the slow motion.
         weakness: κL₀/J₃².
     """
-    on_path = jnp.where(rotation.is_needle, 0.0, on_path)
+    on_path = jnp.where(rotation.is_needle, 0.0, motion.loss)
     return jnp.maximum(start_error(rotation, weakness), ERROR * weakness * on_path / jnp.pi)
 
 
@@ -54,33 +50,11 @@ def start_error(rotation: FreeRotation, weakness: Real) -> Real:
     return ERROR * weakness * rate * period(side.moments, x, rest) / jnp.pi + QUADRATURE
 
 
-def loss(side: Side, x: Real, rest: Real, log: Real) -> Real:
-    """Compute the part of L² that is radiated within one period, over 2κL₀, at ln L²/L₀² = log."""
-    return loss_at_rate(side.rates(x, rest)[0], side, (x, rest), log)
-
-
-def loss_at_rate(r: Real, side: Side, place: tuple[Real, Real], log: Real) -> Real:
-    """Compute the `loss` where the mean rate r is known, at x and 1 − x."""
-    return r * period(side.moments, *place, LONGEST) * jnp.exp(log / 2)
-
-
 def error_at(rotation: FreeRotation, point: Point, weakness: Real) -> Real:
     """Return the part of L² that is radiated within one period, at a point of a motion."""
-    lost = loss(rotation.side(point.high), point.x, point.rest, point.log)
+    side, place = rotation.side(point.high), (point.x, point.rest)
+    lost = side.loss(*place, side.rates(*place)[0], point.log)
     return ERROR * weakness * lost / jnp.pi
-
-
-def largest_loss(motion: SlowMotion) -> Real:
-    """Return the largest `loss` of a motion, at some of its knots."""
-
-    def largest(stage: Stage) -> Real:
-        some = jnp.arange(SOME_KNOTS) * stage.last // (SOME_KNOTS - 1)
-        x, rest = jax.vmap(stage.interval.position)(stage.knots[some])
-        of_knots = jax.vmap(lambda *at: loss(stage.interval.side, *at))
-        return jnp.max(of_knots(x, rest, stage.states.log[some]))
-
-    first, second = jax.vmap(largest)(motion.stages)
-    return jnp.maximum(first, jnp.where(motion.crosses, second, 0.0))
 
 
 def error_of_phase(rotation: FreeRotation, weakness: Real) -> Real:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +14,12 @@ from .._base.compiling import compiled_soon, special_numbers
 from .._base.forward_mode import forward_differentiable
 from .._base.guards import safe_divisor
 from .._base.types import Outcome, Real, Regime
-from .capture import LARGEST, SMALLEST
-from .ends import SlowEnd, needle_end, slow_end, sphere_end, spin_end
+from .capture import LARGEST, SMALLEST, capture
+from .ends import SlowEnd, needle_end, needle_start, slow_end, sphere_end, spin_end
 from .estimates import (
     error_at,
     error_of_phase,
     estimated_error,
-    largest_loss,
     rounding_error,
     start_error,
 )
@@ -40,18 +39,18 @@ CERTAIN = 1 - 1e-6
 
 
 class Forecast(NamedTuple):
-    """The numbers of a `Prediction`, in its order."""
+    """The numbers of a `Prediction`, in its order: of one motion in JAX, of many in NumPy."""
 
-    outcome: Int[Array, ""]
-    probability: Float[Array, "8"]
-    omega_inf: Real
-    ratio: Real
-    ratio_quantiles: Float[Array, "5"]
-    half_time: Real
-    radiated_energy: Real
-    lifetime: Real
-    regime: Int[Array, ""]
-    error: Real
+    outcome: Any
+    probability: Any
+    omega_inf: Any
+    ratio: Any
+    ratio_quantiles: Any
+    half_time: Any
+    radiated_energy: Any
+    lifetime: Any
+    regime: Any
+    error: Any
 
 
 @compiled_soon
@@ -65,10 +64,10 @@ def forecast(variables: Variables, strength: Real, is_needle: bool | None) -> Fo
     """
     of_start = functools.partial(_values, is_needle)
     values = forward_differentiable(of_start, one_by_one=True)(variables, strength)
-    return _fields(values)
+    return fields_of(values)
 
 
-def _fields(values: Float[Array, "20"]) -> Forecast:
+def fields_of(values: Float[Array, "20"]) -> Forecast:
     """Return a forecast from its numbers in one vector."""
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
@@ -128,23 +127,47 @@ def slow_motion(rotation: FreeRotation) -> SlowMotion:
 def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Float[Array, "20"]:
     """Return the floating-point fields of a `Prediction`, and its regime."""
     rotation, units = scaled_rotation(variables, strength)
-    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
-    apart = rotation.replaced_where(is_sphere | is_spin)
+    apart = ordinary(rotation)
     motion = slow_motion(apart)
-    needle = functools.partial(needle_end, apart, motion, units.weakness)
+
+    def needle() -> SlowEnd:
+        delta, _ = needle_start(apart, units.weakness)
+        return needle_end(apart, units.weakness, capture(delta), motion)
+
     other = functools.partial(slow_end, apart, motion)
     if is_needle is None:
         end = jax.lax.cond(apart.is_needle, needle, other)
     else:
         end = needle() if is_needle else other()
+    return numbers_of(rotation, units, end, estimated_error(apart, motion, units.weakness))
+
+
+def ordinary(rotation: FreeRotation) -> FreeRotation:
+    """Return a rotation, or another one in place of a pure spin and that of a sphere."""
+    return rotation.replaced_where(rotation.is_sphere | rotation.spin_axis[0])
+
+
+def numbers_of(
+    rotation: FreeRotation, units: Units, end: SlowEnd, averaging: Real
+) -> Float[Array, "20"]:
+    """Return the numbers of a prediction in one vector.
+
+    Args:
+        rotation: where the motion begins.
+        units: its units.
+        end: the end of `ordinary` of the rotation.
+        averaging: the error of the averages for that.
+    """
+    is_sphere, (is_spin, axis) = rotation.is_sphere, rotation.spin_axis
+    apart = ordinary(rotation)
     for case, known in ((is_spin, spin_end(rotation, axis)), (is_sphere, sphere_end(rotation))):
         end = jax.tree.map(lambda a, b, case=case: jnp.where(case, a, b), known, end)
-    averaging = estimated_error(apart, largest_loss(motion), units.weakness)
     error = jnp.where(end.known_phase, error_of_phase(apart, units.weakness), averaging)
     error += rounding_error(apart, end.log_ratio)
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.left_out + end.error
-    values = or_nan(_numbers(end, units, error), ~motion.failed | is_sphere | is_spin)
-    return values.at[-2].set(regime_of(rotation).astype(float))
+    values = _numbers(end, units, error)
+    known = jnp.isfinite(values[0])
+    return or_nan(values, known).at[-2].set(regime_of(rotation).astype(float))
 
 
 def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
@@ -267,4 +290,4 @@ def unfolded_forecast(variables: Variables, strength: Real, axial: int, turns: b
     else:
         end, error = known_end(rotation, top)
     error += rotation.left_out + rounding_error(rotation, end.log_ratio)
-    return _fields(_numbers(end, units, error).at[-2].set(float(Regime.UNFOLDED)))
+    return fields_of(_numbers(end, units, error).at[-2].set(float(Regime.UNFOLDED)))

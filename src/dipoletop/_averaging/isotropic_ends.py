@@ -18,8 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from .forecast import Forecast
 from .free_rotation import quarter_period
-from .untimed_ends import ManyEnds, ends_of_many
+from .untimed_ends import ends_of_many
 
 STARTS = 16
 """The number of values of h on each side of the separatrix."""
@@ -51,7 +52,7 @@ class _Sides(NamedTuple):
 
     def ends(
         self, rows: Int[np.ndarray, "M"], x: Float[np.ndarray, "M"], progress: bool = False
-    ) -> ManyEnds:
+    ) -> Forecast:
         """Return how the motions of some rows end, from given x."""
         moments, dipole = self.moments[rows], self.dipole[rows]
         omega = SMALL * momentum_at(moments, x) / moments
@@ -60,7 +61,7 @@ class _Sides(NamedTuple):
             ends_of_many(inertia[part], dipole[part], omega[part])
             for part in _parts(len(rows), progress)
         ]
-        return ManyEnds(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        return Forecast(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def isotropic_ends(

@@ -13,6 +13,7 @@ exactly: L² = L²ₑ/(1 + 2κr*L²ₑ(t − tₑ)), which is constant where r* 
 moments that comes to its equator continues to approach it as a power of L².
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -54,6 +55,17 @@ class State(NamedTuple):
         return jnp.log(self.u) - self.log
 
 
+class Panels(NamedTuple):
+    """A motion at the Chebyshev nodes from one knot to the next; a row for each panel."""
+
+    y: Float[Array, "*panels n"]
+    log: Float[Array, "*panels n"]
+    u: Float[Array, "*panels n"]
+    pace: Float[Array, "*panels n"]
+    """ds/dy."""
+    r: Float[Array, "*panels n"]
+
+
 class Piece(NamedTuple):
     """The motion between two knots, by Chebyshev coefficients."""
 
@@ -70,18 +82,24 @@ class Stage(eqx.Module):
     """The motion on one side of the separatrix."""
 
     interval: Interval
-    rises: Bool[Array, ""]
+    rises: Bool[Array, "*n"]
     """Whether y grows."""
-    knots: Float[Array, "K"]
-    """Values of y, filled up with ∞."""
-    states: State
-    """The states at the knots, which are on the trailing axis."""
-    last: Int[Array, ""]
-    """The index of the last knot."""
-    failed: Bool[Array, ""]
-    """Whether there are too many knots, or a rate is not a number."""
+    start: Real
+    """The first y."""
+    begin: State
+    last: Real
+    """The last y."""
+    end: State
+    loss: Real
+    """The largest `Side.loss` at a knot but the first, for ln L² = 0 at the start of the motion."""
+    failed: Bool[Array, "*n"]
+    """Whether there are too many panels, or a rate is not a number."""
     error: Real
     """The estimated error of ln L², relative to its change if that is large."""
+    count: Int[Array, "*n"]
+    """The number of panels; 0 only if this is no part of the motion."""
+    panels: Panels | None
+    """Filled up with ∞; None if times are not wanted."""
 
     @property
     def limit(self) -> Bound:
@@ -89,52 +107,74 @@ class Stage(eqx.Module):
         return self.interval.limit(self.rises)
 
     @property
-    def reaches_separatrix(self) -> Bool[Array, ""]:
+    def reaches_separatrix(self) -> Any:
         """Whether it leads to the separatrix."""
         return self.rises & ~self.interval.high.is_zero
 
     @property
-    def end(self) -> State:
-        """The state at the last knot."""
-        return self.knot(self.last)
+    def _panels(self) -> Panels:
+        if self.panels is None:
+            raise TypeError("this stage was computed without times")
+        return self.panels
+
+    @property
+    def knots(self) -> Float[Array, "K"]:
+        """The values of y between panels, and at both ends; filled up with ∞."""
+        return jnp.append(self.start, self._panels.y[:, -1])
+
+    @property
+    def states(self) -> State:
+        """The states at the knots."""
+        panels = self._panels
+        log, u = jnp.append(self.begin.log, panels.log[:, -1]), panels.u[:, -1]
+        return State(log, jnp.append(self.begin.u, u))
 
     @property
     def energies(self) -> Float[Array, "K"]:
         """The energies at the knots; 0 after the last one."""
-        known = jnp.arange(self.knots.size) <= self.last
-        return jnp.where(known, jax.vmap(self.energy)(self.knots, self.states), 0.0)
+        knots = self.knots
+        known = jnp.isfinite(knots)
+        return jnp.where(known, jax.vmap(self.energy)(knots, self.states), 0.0)
 
     def energy(self, y: Real, state: State) -> Real:
         """Return the energy in a state, in units of L₀²/J₃."""
         shape = self.interval.side.shape(*self.interval.position(y))
         return shape * jnp.exp(state.log) / 2
 
-    def knot(self, index: Int[Array, ""]) -> State:
-        """Return the state at a knot."""
-        return State(*(values[index] for values in self.states))
-
     @property
-    def settled(self) -> Int[Array, ""]:
-        """The index of the first knot with |y| ≥ `REACH`, or of the last one."""
-        reaches = jnp.where(self.rises, self.knots >= REACH, self.knots <= -REACH)
-        return jnp.where(jnp.any(reaches), jnp.argmax(reaches), self.last)
+    def settled(self) -> tuple[Real, State, Real, Real]:
+        """Return y, the state, ds/dy and r at the first knot with |y| ≥ `REACH`, or the last one.
+
+        It is not the start, if there is a later one.
+        """
+        panels, last = self._panels, jnp.maximum(self.count - 1, 0)
+        reaches = jnp.where(self.rises, panels.y[:, -1] >= REACH, panels.y[:, -1] <= -REACH)
+        reaches &= jnp.isfinite(panels.y[:, -1])
+        index = jnp.where(jnp.any(reaches), jnp.argmax(reaches), last)
+        y, log, u, pace, r = (values[index, -1] for values in panels)
+        return y, State(log, u), pace, r
 
     def piece(self, index: Int[Array, ""]) -> Piece:
         """Return the motion after the knot of this index."""
-        index = jnp.clip(index.astype(self.last.dtype), 0, jnp.maximum(self.last - 1, 0))
-        first, start = self.knots[index], self.knot(index)
-        length = jnp.where(self.last > 0, self.knots[index + 1] - first, 0.0)
-        y, states, _ = panel(self.interval, first, length, start)
-        y, *state = (jnp.asarray(collocation_rule(NODES).coefficients) @ x for x in (y, *states))
-        return Piece(y, State(*state))
+        return _piece(self._panels, self.count, (index,))
+
+
+def _piece(panels: Panels, count: Int[Array, ""], place: tuple[Int[Array, ""], ...]) -> Piece:
+    """Return the panel of an index, the last of `place`, out of so many."""
+    *outer, index = place
+    index = jnp.clip(index.astype(count.dtype), 0, jnp.maximum(count - 1, 0))
+    coefficients = jnp.asarray(collocation_rule(NODES).coefficients)
+    y, *state = (coefficients @ x[(*outer, index)] for x in panels[:3])
+    return Piece(y, State(*state))
 
 
 class _Progress(NamedTuple):
     """The stage so far, and the next panel to try."""
 
-    knots: Float[Array, "K"]
-    states: State
-    last: Int[Array, ""]
+    y: Real
+    state: State
+    loss: Real
+    count: Int[Array, ""]
     length: Real
     """The length of the next panel."""
     before: Real
@@ -143,35 +183,49 @@ class _Progress(NamedTuple):
     """The error of the panel before it, if that came from rounding, else 0."""
     error: Real
     """The sum of the errors of all panels."""
+    panels: Panels | None
 
 
-def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> Stage:
-    """Compute the motion from z = logit x to the end of its interval; its start if it rests."""
-    interval = interval_of(side, z)
+def stage_from(
+    side: Side,
+    z: Real,
+    initial: State,
+    moves: Bool[Array, ""],
+    crossed: Bool[Array, ""],
+    timed: bool = True,
+) -> Stage:
+    """Compute the motion from z = logit x to the end of its interval.
+
+    Args:
+        side: the side on which the whole motion begins.
+        z: where it begins.
+        initial: the integrals at the start of this stage.
+        moves: whether this is a part of the motion; else nothing is computed.
+        crossed: whether this is the stage on the other side of the separatrix, from there.
+        timed: whether times are wanted, else u = 0.
+    """
+    side = jax.tree.map(lambda a, b: jnp.where(crossed, a, b), side.other, side)
+    z = jnp.where(crossed, FARTHEST, z)
+    interval, rises = interval_of(side, z, crossed)
     start = interval.parameter(z)
-    pace, _ = interval.pace(start)
-    rises = pace > 0
     sign = jnp.where(rises, 1.0, -1.0)
     # A knot lies at `REACH`.
     reach, end = (sign * jnp.maximum(sign * start, at) for at in (REACH, FARTHEST))
-    reach, end = (jnp.where(moves, at, start) for at in (reach, end))
     # On the way to a stop there is no need to go on when t exceeds any number.
     stops_there = interval.limit(rises).is_zero | ~rises | (side.moments[0] == side.moments[1])
 
     def ended(now: _Progress) -> Bool[Array, ""]:
-        return (now.knots[now.last] == end) | (stops_there & (now.states.log[now.last] < LOWEST))
+        return (now.count > 0) & ((now.y == end) | (stops_there & (now.state.log < LOWEST)))
 
     def unfinished(now: _Progress) -> Bool[Array, ""]:
         known = now.length > 0  # not NaN
-        return ~ended(now) & (now.last < MOST_PANELS) & known
+        return moves & ~ended(now) & (now.count < MOST_PANELS) & known
 
     def advance(now: _Progress) -> _Progress:
-        first = now.knots[now.last]
-        goal = jnp.where(sign * first < sign * reach, reach, end)
-        ends_here = jnp.abs(goal - first) <= now.length
-        length = jnp.where(ends_here, goal - first, sign * now.length)
-        here = State(*(values[now.last] for values in now.states))
-        _, states, error = panel(interval, first, length, here)
+        goal = jnp.where(sign * now.y < sign * reach, reach, end)
+        ends_here = jnp.abs(goal - now.y) <= now.length
+        length = jnp.where(ends_here, goal - now.y, sign * now.length)
+        row, error = panel(interval, now.y, length, now.state, timed)
         # Rounding leaves an error that does not fall with the length.
         only_rounding = (error > now.before / 4) | (error < 4 * now.rounding)
         only_rounding &= (error > RTOL) & (error < ROUNDED)
@@ -179,37 +233,40 @@ def stage_from(side: Side, z: Real, initial: State, moves: Bool[Array, ""]) -> S
         factor = 0.9 * (RTOL / jnp.maximum(error, 1e-30)) ** (1 / NODES)
         factor = jnp.clip(factor, jnp.where(accepted, 1.1, 0.3), jnp.where(accepted, 2.0, 0.7))
         factor = jnp.where(only_rounding, 2.0, factor)
-        place = jnp.where(accepted, now.last + 1, MOST_PANELS + 1)  # outside: nothing is set
-        knot = jnp.where(ends_here, goal, first + length)
-        following = jnp.abs(jax.lax.stop_gradient(length * factor))
+        knot = jnp.where(ends_here, goal, now.y + length)
+        following = jnp.abs(jax.lax.stop_gradient(now.length * factor))
+        lost = side.loss(*interval.position(knot), row.r[-1], row.log[-1])
+        panels = now.panels
+        if panels is not None:
+            place = jnp.where(accepted, now.count, MOST_PANELS)  # outside: nothing is set
+            rows = zip(panels, row, strict=True)
+            panels = Panels(*(a.at[place].set(b, mode="drop") for a, b in rows))
         return _Progress(
-            now.knots.at[place].set(knot, mode="drop"),
-            State(
-                *(
-                    a.at[place].set(b[-1], mode="drop")
-                    for a, b in zip(now.states, states, strict=True)
-                )
-            ),
-            now.last + accepted.astype(now.last.dtype),
+            jnp.where(accepted, knot, now.y),
+            jax.tree.map(lambda a, b: jnp.where(accepted, a[-1], b), State(*row[1:3]), now.state),
+            jnp.where(accepted, jnp.maximum(now.loss, lost), now.loss),
+            now.count + accepted.astype(now.count.dtype),
             jnp.where(accepted, jnp.maximum(following, now.length), following),
             jnp.where(accepted, jnp.inf, error),
             jnp.where(only_rounding, error, jnp.where(accepted, 0.0, now.rounding)),
             now.error + jnp.where(accepted, error, 0.0),
+            panels,
         )
 
     zero, infinite = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
-    knots = jnp.full(MOST_PANELS + 1, jnp.inf, start.dtype).at[0].set(start)
-    states = State(*(jnp.full_like(knots, jnp.inf).at[0].set(value) for value in initial))
+    panels = Panels(*[jnp.full((MOST_PANELS, NODES), jnp.inf, start.dtype)] * 5) if timed else None
     count = jnp.zeros((), int)
-    begun = _Progress(knots, states, count, zero + FIRST_LENGTH, infinite, zero, zero)
-    done = jax.lax.while_loop(unfinished, advance, begun)
-    return Stage(interval, rises, done.knots, done.states, done.last, ~ended(done), done.error)
+    first = start, initial, zero, count, zero + FIRST_LENGTH, infinite, zero, zero
+    done = jax.lax.while_loop(unfinished, advance, _Progress(*first, panels))
+    failed = moves & ~ended(done)
+    found = done.y, done.state, done.loss, failed, done.error, done.count, done.panels
+    return Stage(interval, rises, start, initial, *found)
 
 
 def panel(
-    interval: Interval, first: Real, length: Real, start: State
-) -> tuple[Float[Array, "n"], State, Real]:
-    """Return y and the states at Chebyshev nodes behind a knot, and their relative error.
+    interval: Interval, first: Real, length: Real, start: State, timed: bool
+) -> tuple[Panels, Real]:
+    """Return the motion at Chebyshev nodes behind a knot, and its relative error.
 
     The error is that of polynomials, by their last two coefficients.
     """
@@ -217,21 +274,23 @@ def panel(
     y = first + length * rule.nodes
     pace, r = jax.vmap(interval.pace)(y)
     integrals, coefficients = jnp.asarray(rule.integrals), jnp.asarray(rule.coefficients)
-    pace = length * pace
-    fall = r * pace
+    change = length * pace
+    fall = r * change
     log = start.log - integrals @ fall
-    # u = u₀ + ∫(1 − ru)ds, for (1 + |r ds|)u: ds may be large.
-    scale = 1 / (1 + jnp.abs(fall))
-    matrix = jnp.diag(scale) + integrals * (fall * scale)[None]
-    sides = start.u + integrals @ pace
-    u = scale * solve_dense(matrix, sides[:, None])[:, 0]
 
     def tail(values: Float[Array, "n"]) -> Real:
         return jnp.sum(jnp.abs(coefficients[-2:] @ values))
 
-    size = jnp.maximum(1.0, jnp.max(jnp.abs(log - start.log)))
-    error = jnp.maximum(tail(fall) / size, tail(u) / jnp.max(jnp.abs(u)))
-    return y, State(log, u), jax.lax.stop_gradient(error)
+    error = tail(fall) / jnp.maximum(1.0, jnp.max(jnp.abs(log - start.log)))
+    u = jnp.broadcast_to(start.u, y.shape)
+    if timed:
+        # u = u₀ + ∫(1 − ru)ds, for (1 + |r ds|)u: ds may be large.
+        scale = 1 / (1 + jnp.abs(fall))
+        matrix = jnp.diag(scale) + integrals * (fall * scale)[None]
+        sides = start.u + integrals @ change
+        u = scale * solve_dense(matrix, sides[:, None])[:, 0]
+        error = jnp.maximum(error, tail(u) / safe_divisor(jnp.max(jnp.abs(u))))
+    return Panels(y, log, u, pace, r), jax.lax.stop_gradient(error)
 
 
 class Point(NamedTuple):
@@ -273,24 +332,37 @@ class SlowMotion(eqx.Module):
     @property
     def error(self) -> Real:
         """The estimated error of ln L²."""
-        first, second = self.stages.error
-        return first + jnp.where(self.crosses, second, 0.0)
+        return jnp.sum(self.stages.error)
+
+    @property
+    def loss(self) -> Real:
+        """The largest `Side.loss` at a knot."""
+        return jnp.max(self.stages.loss)
 
     @property
     def energy(self) -> Real:
         """The first energy, in units of L₀²/J₃."""
-        return self.stage(0).energies[0]
+        first = self.stage(0)
+        return first.energy(first.start, first.begin)
 
     def stage(self, index: Any) -> Stage:
         """Return the first or the second stage."""
         return jax.tree.map(lambda leaf: leaf[index], self.stages)
 
+    def _piece(self, stage: Int[Array, ""], index: Int[Array, ""]) -> Piece:
+        """Return a piece of a stage, without a copy of all of them for each of many times."""
+        panels = self.stages._panels
+        return _piece(panels, self.stages.count[stage], (stage, index))
+
     def at(self, log_time: Real) -> Point:
         """Compute the motion at t = exp(log_time)."""
         second = self.crosses & (log_time > self.stage(0).end.log_time)
-        stage = self.stage(second.astype(int))
-        reached = jnp.where(jnp.isfinite(stage.knots), stage.states.log_time, jnp.inf)
-        piece = stage.piece(jnp.searchsorted(reached, log_time) - 1)
+        which = second.astype(int)
+        knots = jax.vmap(lambda each: (jnp.isfinite(each.knots), each.states.log_time))
+        reached = jnp.where(*knots(self.stages), jnp.inf)[which]
+        piece = self._piece(which, jnp.searchsorted(reached, log_time) - 1)
+        small = dataclasses.replace(self.stages, panels=None)
+        stage = jax.tree.map(lambda leaf: leaf[which], small)
         zero = jnp.zeros_like(log_time)
 
         def late(part: Real) -> Real:  # by u = L²t, which is near 0 at first, and has rounding
@@ -315,7 +387,7 @@ class SlowMotion(eqx.Module):
     def time_at(self, energy: Real) -> Real:
         """Return the time at which the energy has fallen to a value."""
         first = self.stage(0)
-        second = self.crosses & (first.energies[first.last] > energy)
+        second = self.crosses & (first.energy(first.last, first.end) > energy)
         stage = self.stage(second.astype(int))
         above = jnp.sum(stage.energies > energy)
         piece = stage.piece(above - 1)
@@ -328,7 +400,7 @@ class SlowMotion(eqx.Module):
         # After the last knot E falls as L² does, by 1 + r(t − tₑ)L²ₑ.
         r = stage.limit.r
         excess = jnp.maximum(stage.energy(y, state) / energy - 1, 0.0)
-        late = above > stage.last
+        late = above > stage.count
         later = jnp.where(late, excess / jnp.where(r > 0, r, 1.0), 0.0)
         return jnp.exp(-state.log) * (state.u + later)
 
@@ -339,15 +411,20 @@ def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion
     A body with two equal moments has no other side: its separatrix is the equator, where L is
     across the symmetry axis, and a motion that leads there ends there.
     """
-    has_other_side = side.moments[1] != side.moments[0]
 
-    def next_stage(carry: Any, _: Any) -> Any:
-        side, z, state, moves = carry
-        stage = stage_from(side, z, state, moves)
-        arrives = moves & stage.reaches_separatrix & has_other_side
-        return (side.other, jnp.full_like(z, FARTHEST), stage.end, arrives), (stage, arrives)
+    def next_stage(carry: Any, crossed: Bool[Array, ""]) -> Any:
+        state, moves = carry
+        stage = stage_from(side, z, state, moves, crossed)
+        arrives = moves & crosses_over(stage)
+        return (stage.end, arrives), (stage, arrives)
 
     zero = jnp.zeros_like(z)
-    carry = side, z, State(zero, zero), jnp.asarray(True)
-    _, (stages, arrives) = jax.lax.scan(next_stage, carry, jnp.arange(2))
+    carry = State(zero, zero), jnp.asarray(True)
+    _, (stages, arrives) = jax.lax.scan(next_stage, carry, jnp.array([False, True]))
     return SlowMotion(starts_high, stages, arrives[0])
+
+
+def crosses_over(stage: Stage) -> Any:
+    """Return whether a motion goes on from a stage to the other side of the separatrix."""
+    moments = stage.interval.side.moments
+    return stage.reaches_separatrix & (moments[..., 1] != moments[..., 0])

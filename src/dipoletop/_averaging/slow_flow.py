@@ -26,15 +26,15 @@ from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
 from .._base.types import Real
-from .free_rotation import averages
+from .free_rotation import averages, period
 
 FARTHEST = 45.0  # |logit x| and |y| beyond which the rates are constant in double precision
 SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
 GRID = np.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
-MOST_ZEROS = 4  # on one side
 MOST_FOLDS = 2  # extrema of F next to 0
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
+LONGEST = 5.0  # largest K of a `loss`: K is infinite on the separatrix, which is crossed only once
 SMALLEST = 1e-300  # 1 − x on the separatrix, where a symmetric body has 0/0
 RADIUS = 0.05  # half width of the polynomial's interval over the distance of x* from 0 and 1
 
@@ -66,15 +66,29 @@ class Side(eqx.Module):
         """The side beyond the separatrix."""
         return Side(self.moments[::-1], self.weights[::-1])
 
-    def sample(self) -> tuple[Float[Array, "g"], Bool[Array, "g"]]:
-        """Return values of logit x between which F changes sign at most once, and whether F > 0.
+    def loss(self, x: Real, rest: Real, r: Real, log: Real) -> Real:
+        """Compute the part of L² that is radiated within one period, over 2κL₀.
 
-        An ascending regular grid is followed by the extrema of F between its points that may hide
-        two zeros, filled up with the last value of the grid.
+        Args:
+            x: the position.
+            rest: 1 − x.
+            r: the mean rate there.
+            log: ln L²/L₀² there.
         """
-        growth = jax.lax.map(self.growth, jnp.asarray(GRID))
+        return r * period(self.moments, x, rest, LONGEST) * jnp.exp(log / 2)
+
+    def sample(self, z: Real) -> tuple[Float[Array, "g"], Bool[Array, "g"], Bool[Array, ""]]:
+        """Return points between which F changes sign at most once, and whether F > 0 there.
+
+        An ascending regular grid of logit x is followed by the extrema of F between its points that
+        may hide two zeros, filled up with the last value of the grid. The last result is whether
+        F > 0 at z.
+        """
+        growths = jax.lax.map(self.growth, jnp.append(jnp.asarray(GRID), z))
+        growth, here = growths[:-1], growths[-1]
         folds, extrema = self._folds(growth)
-        return jnp.append(jnp.asarray(GRID), folds), jnp.append(growth, extrema) > 0
+        points = jnp.append(jnp.asarray(GRID), folds)
+        return points, jnp.append(growth, extrema) > 0, here > 0
 
     def _folds(self, growth: Float[Array, "G"]) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
         """Return logit x and F of extrema of F next to 0, by parabolas through three points."""
@@ -101,17 +115,6 @@ class Side(eqx.Module):
         place, extremum, _, _ = jax.lax.fori_loop(0, 5, nearer, first)
         return jnp.where(index < 0, FARTHEST, place), extremum
 
-    def zeros(self) -> Float[Array, "m"]:
-        """Return the zeros of F by their logit x, ascending; filled up with +∞."""
-        points, positive = self.sample()
-        order = jnp.argsort(points)
-        points, positive = points[order], positive[order]
-        (index,) = jnp.nonzero(positive[1:] != positive[:-1], size=MOST_ZEROS, fill_value=-2)
-        sign = jnp.where(positive[index + 1], 1.0, -1.0)
-        signed = jax.vmap(lambda z, sign: sign * self.growth(z))
-        zero = root(lambda z: signed(z, sign), points[index], points[index + 1], HALVINGS)
-        return jnp.where(index >= 0, zero, jnp.inf)
-
 
 class Bound(NamedTuple):
     """An end of the interval of x in which a motion stays."""
@@ -121,6 +124,8 @@ class Bound(NamedTuple):
     """1 − x, to its own relative accuracy."""
     r: Real
     """−d ln L²/ds there."""
+    rates: Float[Array, "3 *any"]
+    """The r of a dipole along each axis, in the order of the side."""
     is_zero: Bool[Array, "*any"]
     """Whether it is a zero of F, rather than the axis or the separatrix."""
     radius: Real
@@ -180,14 +185,32 @@ class Interval(eqx.Module):
         return jnp.where(near_low, by_low, jnp.where(near_high, by_high, direct)), r
 
 
-def interval_of(side: Side, z: Real) -> Interval:
-    """Compute the interval that contains z = logit x."""
-    zeros = side.zeros()
-    low = jnp.max(jnp.where(zeros < z, zeros, -jnp.inf))
-    high = jnp.min(jnp.where(zeros > z, zeros, jnp.inf))
-    both = jax.vmap(lambda z: bound(side, z))(jnp.stack([low, high]))
-    first, second = (Bound(*leaves) for leaves in zip(*both, strict=True))
-    return Interval(side, first, second)
+def interval_of(side: Side, z: Real, crossed: Bool[Array, ""]) -> tuple[Interval, Bool[Array, ""]]:
+    """Compute the interval between neighbouring zeros of F that contains z = logit x.
+
+    Also returns whether x grows there; it falls if the motion has just crossed the separatrix.
+    """
+    points, positive, rises = jax.lax.stop_gradient(side).sample(jax.lax.stop_gradient(z))
+    rises &= ~crossed
+    sign = jnp.where(rises, 1.0, -1.0)
+    # In the direction of motion: the nearest points behind and ahead where F has the other sign.
+    ahead = jnp.where(positive != rises, sign * (points - z), jnp.nan)
+    nearest = jnp.min(jnp.where(ahead > 0, ahead, jnp.inf))
+    behind = jnp.max(jnp.where(ahead < 0, ahead, -jnp.inf))
+    reversals = jnp.stack([behind, nearest])
+    found = jnp.isfinite(reversals)
+    to = jax.lax.stop_gradient(jnp.where(found, reversals, 0.0))
+    low = jnp.stack([to[0], jnp.maximum(to[1] - SPACING, 0.0)])
+    high = jnp.stack([jnp.minimum(to[0] + SPACING, 0.0), to[1]])
+    turned = jnp.stack([sign, -sign])
+
+    def excess(at: Float[Array, "2"]) -> Float[Array, "2"]:
+        return turned * jax.vmap(side.growth)(z + sign * at)
+
+    zeros = z + sign * root(excess, low, high, HALVINGS)
+    ends = jnp.sort(jnp.where(found, zeros, -turned * jnp.inf))
+    both = jax.vmap(lambda z: bound(side, z))(ends)
+    return Interval(side, *(Bound(*(leaf[k] for leaf in both)) for k in range(2))), rises
 
 
 def bound(side: Side, z: Real) -> Bound:
@@ -199,9 +222,10 @@ def bound(side: Side, z: Real) -> Bound:
     rule = collocation_rule(NODES)
     shifts = radius * (2 * rule.nodes - 1)
     near = jnp.where(is_zero, x + shifts, 0.5), jnp.where(is_zero, rest - shifts, 0.5)
-    r, growth = jax.vmap(side.rates)(jnp.append(near[0], x), jnp.append(near[1], rest))
-    coefficients = jnp.asarray(rule.coefficients) @ (growth[:-1] / shifts)
-    return Bound(x, rest, r[-1], is_zero, radius, coefficients)
+    each = jax.vmap(lambda *at: averages(side.moments, *at))
+    rates, growths = each(jnp.append(near[0], x), jnp.append(near[1], rest))
+    coefficients = jnp.asarray(rule.coefficients) @ (growths[:-1] @ side.weights / shifts)
+    return Bound(x, rest, side.weights @ rates[-1], rates[-1], is_zero, radius, coefficients)
 
 
 def from_logit(z: Real) -> tuple[Real, Real]:

@@ -267,9 +267,9 @@ def entry_of(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[Real
         size = top.eta * jnp.exp(-2 * log_w1)
         return log_w1, log_w3, log_q - jnp.log(entry_q(top.delta, size))
 
-    _, _, excess = jax.vmap(place)(stage.knots, stage.states.log)
-    inside = jnp.arange(stage.knots.size) <= stage.last
-    piece = stage.piece(jnp.sum(inside & (excess > 0)) - 1)
+    knots = stage.knots
+    _, _, excess = jax.vmap(place)(knots, stage.states.log)
+    piece = stage.piece(jnp.sum(jnp.isfinite(knots) & (excess > 0)) - 1)
 
     def lacks(part: Real) -> Real:
         y, state = piece.at(part)

@@ -20,9 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._averaging.forecast import CERTAIN, LARGEST_ERROR
+from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
-from .._averaging.untimed_ends import ManyEnds, ends_of_many
+from .._averaging.untimed_ends import ends_of_many
 from .._base.checks import refuse
 from .._base.types import Outcome, Regime, Stop, implied_probability
 from .._engines.interface import Limits
@@ -57,19 +57,6 @@ class SlowMotions(NamedTuple):
     """Whether the level keeps every term of leading order (`Level.consistent`)."""
     is_full: bool
     """Whether the budget counts windows."""
-
-    def ends(self, which: Bool[np.ndarray, "N"], threads: int = 1) -> ManyEnds:
-        """Return how the marked motions end; the others are FAILED."""
-        size = which.size
-        outcome, regime = np.full(size, int(Outcome.FAILED)), np.zeros(size, int)
-        omega_inf, ratio, error = np.zeros((3, size))
-        whole = ManyEnds(outcome, np.zeros((size, 8)), omega_inf, ratio, regime, error)
-        if which.any():
-            starts = self.inertia[which], self.dipole[which], self.omega[which]
-            some = ends_of_many(*starts, threads=threads)
-            for target, values in zip(whole, some, strict=True):
-                target[which] = values
-        return whole
 
     @property
     def ascending(self) -> tuple[Float[np.ndarray, "3 N"], Float[np.ndarray, "3 N"]]:
@@ -239,7 +226,7 @@ class Predictions(NamedTuple):
     """The predicted ends of N runs."""
 
     motions: SlowMotions
-    ends: ManyEnds
+    ends: Forecast
     known: Bool[np.ndarray, "N"]
     """Whether a law holds, with an error that lets it decide."""
 
@@ -271,9 +258,9 @@ class Predictions(NamedTuple):
 def predictions(equation: Any, omegas: Any, threads: int) -> Predictions:
     """Return the predicted ends of N runs, whose axis is the last one."""
     motions = slow_motions(equation, omegas)
-    law = motions.has_law
-    ends = motions.ends(law, threads)
-    known = law & (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
+    body = motions.inertia, motions.dipole
+    ends = ends_of_many(*body, motions.omega, wanted=motions.has_law, threads=threads)
+    known = (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
     return Predictions(motions, ends, known)
 
 
@@ -284,7 +271,7 @@ def is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
     return undecided if label_only else undecided | np.asarray(lacks_value)
 
 
-def _stops(ends: ManyEnds, motions: SlowMotions) -> Any:
+def _stops(ends: Forecast, motions: SlowMotions) -> Any:
     """Return the way in which tops stop, unless chance decides it.
 
     A top with its dipole across its symmetry axis precesses about that axis while it decays.
