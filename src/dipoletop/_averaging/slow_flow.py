@@ -30,7 +30,8 @@ from .free_rotation import averages, period
 
 FARTHEST = 45.0  # |logit x| and |y| beyond which the rates are constant in double precision
 SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
-GRID = np.arange(-FARTHEST, FARTHEST + SPACING, SPACING)
+LINEAR = -20.0  # logit x up to which F is linear in x, so that it has one zero there at most
+GRID = np.append([-FARTHEST, -36.0, -28.0], np.arange(LINEAR, FARTHEST + SPACING, SPACING))
 MOST_FOLDS = 2  # extrema of F next to 0
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
@@ -80,7 +81,7 @@ class Side(eqx.Module):
     def sample(self, z: Real) -> tuple[Float[Array, "g"], Bool[Array, "g"], Bool[Array, ""]]:
         """Return points between which F changes sign at most once, and whether F > 0 there.
 
-        An ascending regular grid of logit x is followed by the extrema of F between its points that
+        An ascending grid of logit x is followed by the extrema of F between its points that
         may hide two zeros, filled up with the last value of the grid. The last result is whether
         F > 0 at z.
         """
@@ -194,14 +195,16 @@ def interval_of(side: Side, z: Real, crossed: Bool[Array, ""]) -> tuple[Interval
     rises &= ~crossed
     sign = jnp.where(rises, 1.0, -1.0)
     # In the direction of motion: the nearest points behind and ahead where F has the other sign.
-    ahead = jnp.where(positive != rises, sign * (points - z), jnp.nan)
-    nearest = jnp.min(jnp.where(ahead > 0, ahead, jnp.inf))
-    behind = jnp.max(jnp.where(ahead < 0, ahead, -jnp.inf))
+    ahead, other = sign * (points - z), positive != rises
+    nearest = jnp.min(jnp.where(other & (ahead > 0), ahead, jnp.inf))
+    behind = jnp.max(jnp.where(other & (ahead < 0), ahead, -jnp.inf))
     reversals = jnp.stack([behind, nearest])
     found = jnp.isfinite(reversals)
-    to = jax.lax.stop_gradient(jnp.where(found, reversals, 0.0))
-    low = jnp.stack([to[0], jnp.maximum(to[1] - SPACING, 0.0)])
-    high = jnp.stack([jnp.minimum(to[0] + SPACING, 0.0), to[1]])
+    # The last points before them, or z.
+    after = jnp.min(jnp.where(~other & (ahead > behind), ahead, 0.0))
+    before = jnp.max(jnp.where(~other & (ahead < nearest), ahead, 0.0))
+    low = jnp.where(found, jnp.stack([behind, before]), 0.0)
+    high = jnp.where(found, jnp.stack([after, nearest]), 0.0)
     turned = jnp.stack([sign, -sign])
 
     def excess(at: Float[Array, "2"]) -> Float[Array, "2"]:
