@@ -39,9 +39,10 @@ PER_PHASE, PER_NEEDLE = (1.0, 1.2), (1.95, 1.7)
 """Steps per radian, for the outcome and with ω∞, at rtol = 1e-8: of a body, of a needle."""
 WINDOWS = 0.2  # windows of a run along a physical branch, in units of these steps
 NEAR_AXIS = 1e-4  # approximate sin² of the angle between L and the dipole at which runs end
-LEAST_RATIO = 1e-3
+LEAST_RATIO = 0.03
 """The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
-found when they have exhausted their budget."""
+found when they have exhausted their budget. If it were smaller, more runs would be predicted in
+vain: that costs as much as a few of them, and seconds of compilation the first time."""
 ROUNDING = ROUNDINGS * float(np.finfo(float).eps)
 MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
 EQUAL = 0.05  # relative difference of moments up to which the formula of needles is also used
