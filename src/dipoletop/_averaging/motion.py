@@ -234,7 +234,7 @@ def stage_from(
         factor = jnp.clip(factor, jnp.where(accepted, 1.1, 0.3), jnp.where(accepted, 2.0, 0.7))
         factor = jnp.where(only_rounding, 2.0, factor)
         knot = jnp.where(ends_here, goal, now.y + length)
-        following = jnp.abs(jax.lax.stop_gradient(now.length * factor))
+        following = jnp.abs(jax.lax.stop_gradient(length * factor))
         lost = side.loss(*interval.position(knot), row.r[-1], row.log[-1])
         panels = now.panels
         if panels is not None:
