@@ -112,7 +112,7 @@ class Plan:
             "level": level_of(self.equation),
             "rtol": float(given.rtol),
             "atol": float(given.atol or 0) if exact else ATOL_OF_LABELS,
-            "max_steps": int(given.max_steps),
+            "max_steps": given.max_steps,
             "value": given.value,
             "engine": self.engines[self.devices[0]].name,
             "processor": kind_of(self.devices[0]),

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import ArrayLike, NumberLike, concrete, is_single, real, refuse
+from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real, refuse
 from .._base.parallel import Device, in_parallel, worker_devices
 from .._base.tolerances import MAX_STEPS
 from .._base.types import Equation
@@ -70,6 +70,7 @@ def classify_many(
         >>> dt.classify_many(dt.TransverseReduced(jnp.array([-0.2, -0.3])), starts).outcome
         array([1, 2])
     """
+    check_verdict(equations, "equations")
     if not concrete(equations, omegas):
         refuse("omegas", "be known (`jax.vmap` of `classify` takes what is traced)", "is traced")
     starts = real("omegas", omegas, (-1, 3), batch=False, xp=np)

@@ -31,18 +31,18 @@ class RunSettings(NamedTuple):
     """Whether runs whose outcome alone is wanted are made in two passes, if that pays."""
 
     def checked(self, equation: Any, size: int | None = None) -> "RunSettings":
-        """Return the settings, as numbers of NumPy, after checking them for runs of an equation.
+        """Return the settings after checking them for runs of an equation; again, if need be.
 
         Args:
             equation: the equation.
             size: the number of runs, if `atol` may be one number for each.
         """
-        check_verdict(equation, "equations" if size else "equation")
+        check_verdict(equation)
         check_slow_flow(self.slow_flow, equation)
         if self.atol is not None:
             check_atol(self.atol, () if size is None else (size,))
         rtol, most = tolerance("rtol", self.rtol, xp=np), budget("max_steps", self.max_steps)
-        return self._replace(rtol=rtol, max_steps=np.asarray(most))
+        return self._replace(rtol=rtol, max_steps=most)
 
     def engines(
         self, equation: Any, devices: Sequence[Device], *, warn: bool = True
@@ -60,4 +60,5 @@ class RunSettings(NamedTuple):
         """Return the limits of N runs; those that are not wanted take no step."""
         atol = absolute(self.atol, self.rtol, omegas, exact_when_slow(equation, self.value))
         t1 = np.where(wanted, np.inf, 0.0).astype(omegas.dtype)
-        return Limits(self.rtol, np.asarray(atol), t1, self.max_steps)
+        most: Any = np.asarray(self.max_steps)
+        return Limits(self.rtol, np.asarray(atol), t1, most)
