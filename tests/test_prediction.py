@@ -415,10 +415,16 @@ def test_what_is_no_number_fails_at_once(omega):
 
 @pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
-    monkeypatch.setattr("dipoletop._averaging.motion.MOST_PANELS", 5)
+    monkeypatch.setattr("dipoletop._averaging.stages.MOST_PANELS", 5)
     variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])
     anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, False))
     predicted = anew(variables, ONE)
     assert predicted.outcome == dt.Outcome.FAILED
     assert np.isnan(predicted.ratio)
     assert np.isnan(predicted.omega_inf)
+    # The capture of a needle does not depend on the way to it; its time does.
+    needle = jnp.diag(jnp.array([0.6, 1.0, 1.0])).ravel(), jnp.array([0.0, 1.0, 0.0])
+    variables = jnp.concatenate([*needle, jnp.array([3e-20, 1e-20, 2e-20])])
+    captured = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, True))(variables, ONE)
+    assert captured.ratio > 0
+    assert np.isnan(captured.half_time)

@@ -19,9 +19,10 @@ from .capture import Capture, end_of_top
 from .capture_times import clock_of_needle
 from .estimates import estimated_error, rate_error
 from .free_rotation import gaps_of
-from .motion import RTOL, Point, SlowMotion, Stage
+from .motion import Point, SlowMotion
 from .planar_orbits import ENTRY, Expansion
 from .principal_axes import FreeRotation
+from .stages import RTOL, Stage
 from .unfolding import entry_q
 
 ENDS = (
@@ -229,7 +230,7 @@ def needle_end(
         clock = clock_of_needle(delta, last)
         averaging = estimated_error(rotation, motion, weakness)
         half_time, late = clock.time_at(motion, (energy + last_energy) / 2, averaging, square)
-        half_time = or_nan(half_time, end.random)
+        half_time = or_nan(half_time, end.random & ~motion.failed)
         error += jnp.where(end.random, late, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
     zero = jnp.zeros_like(residual)

@@ -167,13 +167,13 @@ def numbers_of(
     error = jnp.where(is_sphere | is_spin, units.weakness**2, error) + rotation.left_out + end.error
     values = _numbers(end, units, error)
     known = jnp.isfinite(values[0])
-    return or_nan(values, known).at[-2].set(regime_of(rotation).astype(float))
+    return or_nan(values, known).at[-2].set(_regime_of(rotation).astype(float))
 
 
 def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
     """Return the floating-point fields of a `Prediction`, with 0 in place of its regime."""
     ratio = jnp.exp(end.log_ratio)
-    omega_inf = speed_about_dipole(end.probability, ratio, end.last_moment, units)
+    omega_inf = _speed_about_dipole(end.probability, ratio, end.last_moment, units)
     energy_unit = units.momentum**2 / units.moment
     rest = (
         omega_inf,
@@ -188,7 +188,7 @@ def _numbers(end: SlowEnd, units: Units, error: Real) -> Float[Array, "20"]:
     return jnp.concatenate([end.probability, jnp.exp(end.log_quantiles), jnp.stack(rest)])
 
 
-def speed_about_dipole(
+def _speed_about_dipole(
     probability: Float[Array, "8"], ratio: Real, last_moment: Real, units: Units
 ) -> Real:
     """Return ω∞: signed, 0 for a stop, NaN where chance decides its sign."""
@@ -197,7 +197,7 @@ def speed_about_dipole(
     return jnp.where(residual == 0, 0.0, or_nan(sign * speed, jnp.abs(sign) == 1))
 
 
-def regime_of(rotation: FreeRotation) -> Int[Array, ""]:
+def _regime_of(rotation: FreeRotation) -> Int[Array, ""]:
     """Return the regime of a body; a spin about a principal axis has that of its neighbours."""
     j1, j2, j3 = rotation.moments
     regime = jnp.where((j1 == j2) | (j2 == j3), Regime.AVERAGED, Regime.SLOW_FLOW)

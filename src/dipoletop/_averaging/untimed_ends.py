@@ -29,9 +29,10 @@ from .forecast import (
     ordinary,
     scaled_rotation,
 )
-from .motion import SlowMotion, Stage, State, crosses_over, stage_from
+from .motion import SlowMotion
 from .principal_axes import FreeRotation
 from .slow_flow import Side
+from .stages import Stage, State, crosses_over, stage_from
 
 CHUNK = 128  # starts computed at once; only one size, since each needs a compilation
 

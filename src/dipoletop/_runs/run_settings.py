@@ -31,7 +31,9 @@ class RunSettings(NamedTuple):
     """Whether runs whose outcome alone is wanted are made in two passes, if that pays."""
 
     def checked(self, equation: Any, size: int | None = None) -> "RunSettings":
-        """Return the settings after checking them for runs of an equation; again, if need be.
+        """Return the settings after checking them for runs of an equation.
+
+        Settings that have been checked pass again, as in the workers of a cluster.
 
         Args:
             equation: the equation.
@@ -59,6 +61,6 @@ class RunSettings(NamedTuple):
     ) -> Limits:
         """Return the limits of N runs; those that are not wanted take no step."""
         atol = absolute(self.atol, self.rtol, omegas, exact_when_slow(equation, self.value))
-        t1 = np.where(wanted, np.inf, 0.0).astype(omegas.dtype)
+        t1 = np.where(wanted, np.inf, 0.0).astype(omegas.dtype, copy=False)
         most: Any = np.asarray(self.max_steps)
         return Limits(self.rtol, np.asarray(atol), t1, most)
