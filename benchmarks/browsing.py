@@ -25,7 +25,7 @@ OPTIONS = [
     "--disable-dev-shm-usage",
 ]
 MODEL = "const named = (name) => Bokeh.documents.at(-1).get_model_by_name(name);"
-PATIENCE = 60.0  # seconds; the first picture of a process compiles
+PATIENCE = 180.0  # seconds; the first picture of a process compiles, on a busy machine
 
 
 @contextlib.contextmanager
@@ -65,6 +65,14 @@ def browser():
             yield chromium
         finally:
             chromium.close()
+
+
+def screenshot(path: str) -> None:
+    """Write the picture of a page with its first start."""
+    with served() as (url, _), browser() as chromium:
+        visit = Visit.of(chromium, url, 1280)
+        visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "a start")
+        visit.page.screenshot(path=path, full_page=True)
 
 
 @dataclass
@@ -117,7 +125,10 @@ class Visit:
         end = time.monotonic() + patience
         while not (found := wanted()):
             if time.monotonic() > end:
-                raise AssertionError(f"{what} did not come: {self.about()}, {self.complaints}")
+                seen = self.text()[-600:]
+                raise AssertionError(
+                    f"{what} did not come: {self.about()}, {self.complaints}: {seen}"
+                )
             self.page.wait_for_timeout(20)
         return found
 

@@ -30,6 +30,8 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["DIPOLETOP_CACHE"] = tempfile.mkdtemp(prefix="dipoletop-")
     atexit.register(shutil.rmtree, os.environ["DIPOLETOP_CACHE"], ignore_errors=True)
 
+# A command in the tests' own process would let all tests behind it read what others compiled.
+jax.config.update("jax_enable_compilation_cache", "JAX_COMPILATION_CACHE_DIR" in os.environ)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

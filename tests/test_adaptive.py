@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
-from dipoletop import Outcome, Stop, adaptive
+from dipoletop import Fate, Outcome, adaptive
 from dipoletop._maps.sweep import PointSweeps
 from dipoletop.adaptive import refine
 from dipoletop.boundary import fate
@@ -28,7 +28,9 @@ def painted(value):
 def fates(value):
     """The same by definition."""
     stops = [value >= 1, value <= -1]
-    return np.select(stops, [3 + Stop.ROTATING, 3 + Stop.AXIS], np.where(value > 0, 1, 2))
+    return np.select(
+        stops, [Fate.ROTATING, Fate.AXIS], np.where(value > 0, Fate.POSITIVE, Fate.NEGATIVE)
+    )
 
 
 def bilinear(x, y):
@@ -68,7 +70,7 @@ def refined():
 def test_the_picture_is_right(refined):
     found, value = refined[0], scene(*PLANE, np)
     assert np.array_equal(fate(found), fates(value))
-    assert set(np.unique(fate(found))) == {1, 2, 3 + Stop.ROTATING, 3 + Stop.AXIS}
+    assert set(np.unique(fate(found))) == {Fate.POSITIVE, Fate.NEGATIVE, Fate.ROTATING, Fate.AXIS}
     # ω∞ is bilinear in this picture, so that nothing is lost by what is filled in.
     omega = np.where(np.abs(value) < 1, value, 0)
     assert np.max(np.abs(found.omega_inf - omega)) < 1e-15
@@ -157,7 +159,7 @@ def test_basins_of_the_top():
     for part in np.split(np.arange(63 * 64), 4):  # as many as are refined at once: see PARTS
         points = dt.Points(delta=np.full(1008, -0.2), w3=every[0][part], phi=every[1][part])
         labels.append(fate(dt.sweep(problem, points, rtol=1e-7)))
-    assert set(np.unique(labels)) == {1, 2, 3 + Stop.ROTATING}
+    assert set(np.unique(labels)) == {Fate.POSITIVE, Fate.NEGATIVE, Fate.ROTATING}
     assert np.array_equal(fate(found)[0], np.concatenate(labels).reshape(63, 64))
     assert np.mean(found.column("computed")) < 0.6
     assert found.level == "reduced, order 1 (the paper's)"

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import dipoletop as dt
 from dipoletop.bodies import Body, axisymmetric, box, from_charges, rod, spheroid
 
 RNG = np.random.default_rng(3)
@@ -309,3 +310,13 @@ def test_lists_may_mix_traced_and_plain_numbers():
     make = jax.jit(lambda x: Body([[1, 0, 0], [0, 1, 0], [0, 0, x]], [x, 0, 0.0]))
     np.testing.assert_array_equal(make(1.5).inertia, np.diag([1, 1, 1.5]))
     np.testing.assert_array_equal(make(1.5).dipole, [1.5, 0, 0])
+
+
+def test_what_is_shown_are_the_numbers():
+    assert repr(dt.TransverseReduced(-0.2, order=2)) == "TransverseReduced(delta=-0.2, order=2)"
+    assert "dipole=[0.0, 0.0, 1.0]" in repr(dt.Body(np.eye(3), [0.0, 0.0, 1.0]))
+    many = jax.vmap(dt.TransverseSemi)(jnp.linspace(-0.5, 0.5, 10))
+    assert repr(many) == "TransverseSemi(delta=f64[10])"
+    shown = []
+    jax.jit(lambda d: shown.append(repr(dt.TransverseSemi(d))))(0.1)
+    assert shown == ["TransverseSemi(delta=f64[])"]

@@ -10,6 +10,7 @@ from scipy.constants import c, epsilon_0
 from scipy.integrate import solve_ivp
 
 import dipoletop as dt
+from dipoletop._base.directions import spread_directions
 from dipoletop.emission import lines, stokes
 
 RNG = np.random.default_rng(24)
@@ -171,6 +172,7 @@ def test_particle_radiates_as_its_scaled_body():
     close(lines(rotator, [0.0, 5e9, 0.0]).power.sum(), power)
 
 
+@pytest.mark.slow
 def test_derivatives_by_omega():
     body, _ = of("low")
 
@@ -207,3 +209,59 @@ def test_of_a_traced_bad_rotation_nothing_is_known():
     body, omega = of("low")
     traced = COMPILED(body, omega * jnp.nan, n=32)
     assert np.all(np.isnan(traced.power))
+
+
+# Damping of thermal rotation
+
+BOLTZMANN = 1.380649e-23
+FLATTENINGS = {-0.5: 0.341666666667, -0.3904: 0.386296053213, -0.1: 0.574466666667}
+FLATTENINGS |= {0.3: 1.044066666667, 1.0: 2.666666666667, 2.0: 7.466666666667}
+
+
+@pytest.mark.parametrize("beta", FLATTENINGS)
+def test_damping_of_wobbling_tops(beta):
+    """⟨Σ mP/ω⟩ at L = I₁ and k = 1, of dipoles across and along the symmetry axis."""
+    moments = np.array([1 + beta, 1 + beta, 1.0])
+    largest = moments.max()
+    for dipole, expected in (([1.0, 0, 0], FLATTENINGS[beta]), ([0, 0, 1.0], 2 / 3)):
+        grain = dt.Particle(1.0, np.diag(moments), dipole)
+        loss = expected / (1 + beta) ** 3  # at L = 1
+        rate = 3 * BOLTZMANN * 100.0 * largest * dt.particles.RADIATION * loss
+        found = dt.emission.damping_time(grain, 100.0)
+        np.testing.assert_allclose(1 / found, rate, rtol=3e-12)
+
+
+def test_damping_of_spinning_dust():
+    """Times by SpyDust 1.3.1 for grains of a cold cloud, warm gas and a nebula."""
+    debye, cgs = dt.particles.DEBYE, 1e-7
+
+    def grain(moment, beta, dipole):
+        inertia = moment * cgs * np.diag([1 + beta, 1 + beta, 1.0])
+        directions = np.array([np.sqrt(2 / 3), 0.0, np.sqrt(1 / 3)])
+        return dt.Particle(1e-24, inertia, dipole * debye * directions)
+
+    cases = [
+        (grain(3.7534e-37, -0.3904, 2.176), 100.0, 1.3713e7),
+        (grain(3.8357e-35, 0.0, 9.304), 100.0, 2.4878e10),
+        (grain(3.8357e-35, 0.0, 9.318), 6000.0, 4.1337e8),
+        (grain(3.8357e-35, 0.0, 9.372), 100.0, 2.4518e10),
+    ]
+    for particle, temperature, expected in cases:
+        found = dt.emission.damping_time(particle, temperature)
+        np.testing.assert_allclose(found, expected, rtol=4e-4)
+
+
+def test_damping_of_a_triaxial_grain_is_the_loss_of_its_lines():
+    """Over directions of L spread evenly, each with the angular momentum that its lines carry."""
+    moments, dipole = np.array([1.0, 1.3, 1.9]), np.array([0.5, 0.6, -0.4])
+    along = spread_directions(400)
+    lines = jax.vmap(lambda omega: dt.lines(dt.Body(np.diag(moments), dipole), omega, n=16))(
+        jnp.asarray(along / moments)
+    )
+    amplitude, frequency = np.asarray(lines.amplitude), np.asarray(lines.frequency)
+    sense = np.sign(np.imag(np.conj(amplitude[..., 0]) * amplitude[..., 1]))
+    carried = sense * np.asarray(lines.power) / np.where(frequency > 0, frequency, 1.0)
+    mean = np.mean(np.sum(carried, axis=1))
+    grain = dt.Particle(1.0, np.diag(moments), dipole)
+    rate = 3 * BOLTZMANN * 100.0 * moments[2] * dt.particles.RADIATION * mean
+    np.testing.assert_allclose(1 / dt.emission.damping_time(grain, 100.0), rate, rtol=3e-3)

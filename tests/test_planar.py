@@ -111,7 +111,7 @@ def test_saddle_is_where_the_field_vanishes(corrected):
     assert np.all((np.asarray(fixed.unstable) > 0) & (np.asarray(fixed.stable) < 0))
 
 
-@both_limits
+@pytest.mark.parametrize("corrected", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_known_saddle_and_boundary(corrected):
     system, (phi, z, top) = Planar(-0.2, corrected), KNOWN[corrected]
     fixed = saddle(system)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dipoletop as dt
+from dipoletop import Fate
 from dipoletop._averaging.forecast import best_forecast, forecast
 from dipoletop._averaging.histories import history_at
 from dipoletop.particles import DEBYE, RADIATION
@@ -70,6 +71,7 @@ def test_the_end_does_not_depend_on_the_amplitude():
     assert float(ends[1].radiated_energy) == _approx(ends[0].radiated_energy * 1e-38, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_history_begins_and_ends_where_the_prediction_says():
     predicted = dt.predict(ON_3, 1e-20 * STARTS[0])
     history = predicted.history(jnp.array([1e-3, float(predicted.half_time), 1e60]))
@@ -84,6 +86,7 @@ def test_history_begins_and_ends_where_the_prediction_says():
     np.testing.assert_allclose(history.energy, energy, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
     """Tilted by ε, the plateau decays as L² = L²ₚ/(1 + t/T), T = J³/(2κε²L²ₚ)."""
     tilt = 1e-4
@@ -96,6 +99,7 @@ def test_a_dipole_off_its_axis_ends_the_residual_rotation_late():
     assert float(half / plateau) ** 2 == _approx(0.5, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_dipole_is_on_its_axis_where_its_length_is_1_to_rounding_only():
     """In SI units n₃ may be 1 − 1e-16; then 1 − n₃² is not 0, but n₁ and n₂ are."""
     moments = jnp.array([0.99, 0.995, 1.0])
@@ -141,6 +145,14 @@ def test_pure_spin_obeys_its_own_law(axis):
     moment = MOMENTS[axis, axis]
     assert predicted.probability[2 + axis] == 1
     assert float(predicted.half_time) == _approx(moment / (2 * 1e-6), rel=1e-12)
+
+
+@pytest.mark.parametrize(("j2", "fate"), [(0.8, Fate.AXIS_3), (0.9, Fate.TUMBLING_LOW)])
+def test_a_dipole_on_the_middle_axis_stops_in_spin_or_tumbling(j2, fate):
+    """J₁ = .3, J₃ = 1: J₂J₁² = (J₃ − J₂)(J₃ − J₁)² at J₂ = .8448 (`atlases.spin_border`)."""
+    body = dt.Body(np.diag([0.3, j2, 1.0]), [0.0, 1.0, 0.0])
+    predicted = dt.predict(body, [1e-13, 2e-13, 3e-12])
+    assert predicted.probability[fate] == 1
 
 
 def test_a_sphere_has_the_exact_solution():
@@ -189,17 +201,18 @@ def test_predictions_as_text():
     predictions = dt.Prediction(*map(jnp.asarray, fields), strength=RADIATION)
     assert repr(predictions).splitlines() == [
         "Prediction(3 starts: quantiles 0.1, 0.5, 0.9; 0.667 RESIDUAL, 0.333 STOP; "
-        "ends: 0.5 residual +, 0.167 residual -, 0.333 stop about axis 3; "
+        "0.5 POSITIVE, 0.167 NEGATIVE, 0.333 AXIS_3; "
         "0.667 SLOW_FLOW, 0.333 EXACT; error up to 0.001",
         "           ratio=0.2 on average (0, 0.1, 0.625); omega_inf=0, 0, 7 (1 not known) rad/s",
         "           half_time=7200 s (2 hours), 7200 s (2 hours), 9.467e+08 s (30 years) "
         "(1 not known)",
         "           lifetime=1e+06 s (11.6 days), inf s, inf s",
-        "           radiated_energy=1, 1.5, 2 J; 0.5, 0.75, 1 of E₀)",
+        "           radiated_energy=1, 1.5, 2 J; 0.5, 0.75, 1 of E₀",
+        "           in vacuum at temperature 0)",
     ]
     one = jax.tree.map(lambda leaf: leaf[1], predictions)
     assert repr(one).splitlines()[:3] == [
-        "Prediction(RESIDUAL; ends: 0.5 residual +, 0.5 residual -; SLOW_FLOW",
+        "Prediction(RESIDUAL; 0.5 POSITIVE, 0.5 NEGATIVE; SLOW_FLOW",
         "           ratio=0.1 ± 0.0001 (0.05, 0.1, 0.15); omega_inf=nan rad/s",
         "           half_time=nan s",
     ]

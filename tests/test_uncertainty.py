@@ -43,6 +43,7 @@ def near(estimate, truth):
     return abs(estimate.value - truth) < 4 * estimate.error
 
 
+@pytest.mark.slow
 def test_a_linear_fate_has_the_variance_of_the_law():
     mean = {"a": 0.5, "b": 0.5}  # ω∞ = 1, nearly seven standard deviations from 0
     found = propagate(plane, mean, COVARIANCE, n=4000, seed=3)

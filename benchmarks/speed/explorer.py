@@ -8,6 +8,7 @@ It needs Chromium and playwright (`pip install -e '.[test]'`).
 """
 
 import itertools
+import math
 import statistics
 from typing import Any
 
@@ -52,6 +53,7 @@ def measured(small: bool) -> Record:
         for name, query, size in CASES[::5] if small else CASES:
             visit = browsing.Visit.of(chromium, f"{url}?size={size}{query}")
             visit.final()
+            visit.until(lambda visit=visit: "∂ω∞/∂δ" in visit.text(), "the start of the page")
             visit.page.evaluate(WATCH, {"slider": f"dt-slider-{SLIDER}", "picture": "picture-0"})
             row = {"name": name, "size": size, "load": measure.load()}
             rows.append(row | single(visit, size, steps) | moving(visit, seconds))
@@ -69,7 +71,7 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
         visit.page.mouse.move(x + 20 * (1 if k % 2 else -1) + k % 7, y)
         visit.until(lambda: visit.page.evaluate("() => drawn.some((p) => p.final)"), "a picture")
         (value, began), drawn = visit.page.evaluate("() => [asked.at(-1), drawn]")
-        mine = [shown for shown in drawn if shown["value"] == value]
+        mine = [shown for shown in drawn if same(shown["value"], value)]
         wanted = {
             "first": mine,
             "full": [shown for shown in mine if shown["size"] == size],
@@ -98,7 +100,7 @@ def moving(visit: browsing.Visit, seconds: float) -> Record:
     ages, matched = [], -1  # pictures come in the order of requests
     for shown in first:
         later = range(matched + 1, len(asked))
-        found = next((i for i in later if asked[i][0] == shown["value"]), None)
+        found = next((i for i in later if same(asked[i][0], shown["value"])), None)
         if found is not None:
             matched = found
             ages.append(shown["at"] - asked[found][1])
@@ -107,6 +109,11 @@ def moving(visit: browsing.Visit, seconds: float) -> Record:
         "pictures": 1000 * len(ages) / (asked[-1][1] - asked[0][1]),
         "pixels": statistics.median(shown["size"] for shown in first),
     }
+
+
+def same(one: float, other: float) -> bool:
+    """Return whether a value of the slider is that of a picture, which has no rounding errors."""
+    return math.isclose(one, other, abs_tol=1e-9)
 
 
 def grasped(visit: browsing.Visit) -> tuple[float, float]:

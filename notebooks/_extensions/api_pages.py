@@ -22,7 +22,10 @@ SUBJECTS = {
     "motions": ("Motions and their ends", ["_base", "_branch", "_runs"]),
     "maps": ("Maps, samples and stores", ["_maps", "explorer"]),
     "bodies": ("Bodies", ["bodies"]),
-    "real_particles": ("Real particles", ["particles", "prediction", "atlases", "emission"]),
+    "real_particles": (
+        "Real particles",
+        ["particles", "prediction", "surroundings", "noise", "atlases", "emission"],
+    ),
     "equilibria": ("Equilibria", ["stability"]),
 }
 """Pages of the top level: title, and the modules whose exports are there."""

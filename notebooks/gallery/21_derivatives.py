@@ -22,6 +22,7 @@ def problem(delta, w3, phi):
 grid = dt.Grid(delta=-0.2, w3=np.linspace(0, 0.6, 160), phi=np.linspace(0, np.pi, 160))
 basin = dt.sweep(problem, grid, derivatives=["delta"])
 slope = np.where(basin.outcome == dt.Outcome.RESIDUAL, basin.derivative("delta"), np.nan)[0]
+plt.gca().set_facecolor("0.3")  # where the body stops there is no derivative
 picture = plt.pcolormesh(grid.coords["phi"], grid.coords["w3"], slope, cmap="RdBu", vmin=-2, vmax=2)
 plt.colorbar(picture, label=r"$\partial\omega_\infty/\partial\delta$", extend="both")
-plt.gca().set(xlabel=r"$\varphi$", ylabel=r"$\omega_3$")
+plt.gca().set(xlabel=r"$\varphi$", ylabel=r"$\omega_3$", title="Grey: the body stops")

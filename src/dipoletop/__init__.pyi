@@ -1,17 +1,27 @@
 # The public names, and where they are; read by type checkers, and by `__init__.py` as well.
 from . import adaptive as adaptive
+from . import atlases as atlases
+from . import bodies as bodies
 from . import boundary as boundary
 from . import complexity as complexity
 from . import continuation as continuation
 from . import emission as emission
+from . import equations as equations
 from . import exact as exact
 from . import fitting as fitting
+from . import noise as noise
+from . import paper as paper
 from . import particles as particles
 from . import planar as planar
 from . import plots as plots
+from . import prediction as prediction
 from . import radiation as radiation
+from . import stability as stability
+from . import surroundings as surroundings
 from . import torques as torques
 from . import uncertainty as uncertainty
+from . import validation as validation
+from ._base.types import Fate as Fate
 from ._base.types import Outcome as Outcome
 from ._base.types import Regime as Regime
 from ._base.types import Stop as Stop
@@ -78,5 +88,7 @@ from .stability import Spectrum as Spectrum
 from .stability import equilibria as equilibria
 from .stability import spectrum as spectrum
 from .stability import threshold as threshold
+from .surroundings import Balance as Balance
+from .surroundings import balance as balance
 
 __version__: str

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._base.checks import instance, positive, refuse
+from ._base.checks import instance, positive
+from ._base.refusals import refuse
 from ._base.tolerances import budget, check_settings
 from ._base.types import Outcome
 from ._maps.basin import Basin

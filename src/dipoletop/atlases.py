@@ -17,9 +17,12 @@ from jaxtyping import Array, Float, Int
 from ._averaging.isotropic_ends import isotropic_ends
 from ._averaging.slow_flow import Side
 from ._base.bisection import bisect
-from ._base.checks import instance, refuse
+from ._base.checks import instance
+from ._base.pictured import Pictured
+from ._base.refusals import refuse
 from ._base.summaries import span
 from ._base.tolerances import whole
+from ._base.types import RESIDUAL_FATES, Fate
 from .bodies import Body
 from .particles import Particle
 
@@ -46,12 +49,17 @@ class Ending(enum.IntEnum):
     """One of two kinds of stop, depending on the start."""
 
 
-STOPS_AT = {2: Ending.SPIN_1, 4: Ending.SPIN_3, 5: Ending.TUMBLING_LOW, 6: Ending.TUMBLING_HIGH}
-"""The kinds of stop by their index in `prediction.ENDS`."""
+STOPS_AT = {
+    Fate.AXIS_1: Ending.SPIN_1,
+    Fate.AXIS_3: Ending.SPIN_3,
+    Fate.TUMBLING_LOW: Ending.TUMBLING_LOW,
+    Fate.TUMBLING_HIGH: Ending.TUMBLING_HIGH,
+}
+"""The endings with one kind of stop, by its fate."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Atlas:
+class Atlas(Pictured):
     """Ends over the n² cells of a triangle.
 
     Attributes:
@@ -61,7 +69,8 @@ class Atlas:
             the needle, the disc and the sphere; or n₁², n₂², n₃².
         moments: J₁/J₃, J₂/J₃ and 1, shape (N, 3).
         dipole: direction cosines of the dipole with the axes of J₁, J₂, J₃, shape (N, 3).
-        probability: mean probability of each of `prediction.ENDS` over isotropic L, shape (N, 8).
+        probability: mean probability over isotropic L of each `Fate` from POSITIVE to WOBBLING,
+            shape (N, 8).
         ratio: mean L∞/L₀ over isotropic L, shape (N,).
         error: the largest estimated relative error of a start, shape (N,).
     """
@@ -78,7 +87,7 @@ class Atlas:
     @property
     def residual(self) -> Float[np.ndarray, "N"]:
         """The share of directions of L that lead to residual rotation."""
-        return np.sum(self.probability[:, :2], axis=1)
+        return np.sum(self.probability[:, RESIDUAL_FATES], axis=1)
 
     @property
     def ending(self) -> Int[np.ndarray, "N"]:

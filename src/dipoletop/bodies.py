@@ -9,29 +9,21 @@ of an axisymmetric top and τ₀ = k d²/I₁ the dipole has length 1.
 import functools
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._base.checks import (
-    concrete,
-    finite,
-    namespace,
-    on_device,
-    on_host,
-    positive,
-    refuse,
-    where_valid,
-)
+from ._base.checks import concrete, finite, namespace, on_device, on_host, positive, where_valid
 from ._base.linalg import diagonal
+from ._base.refusals import refuse
+from ._base.shown import Shown
 
 Inertia = Float[Array, "*batch 3 3"] | Float[np.ndarray, "*batch 3 3"]
 AXES = {"transverse": (1.0, 0.0, 0.0), "longitudinal": (0.0, 0.0, 1.0)}
 """Named directions of the dipole; the symmetry axis is the third."""
 
 
-class Body(eqx.Module):
+class Body(Shown):
     """A rigid body that obeys IΩ̇ + Ω×IΩ = d × d⃛, with k = 1.
 
     Either argument may have one batch axis in front; the other is then repeated along it.

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
-from ._base.checks import finite, instance, refuse
+from ._base.checks import finite, instance
+from ._base.refusals import refuse
 from ._base.statistics import mean_and_error
 from ._base.summaries import summary
 from ._base.tolerances import budget, check_settings, whole

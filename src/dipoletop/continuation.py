@@ -18,7 +18,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float
 
 from . import planar
-from ._base.checks import finite, instance, names_of, positive, refuse, where_valid
+from ._base.checks import finite, instance, names_of, positive, where_valid
+from ._base.refusals import refuse
 from ._base.statistics import wilson
 from ._base.types import Equation, Outcome, Stop
 from ._maps.basin import Basin

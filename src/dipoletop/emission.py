@@ -17,13 +17,25 @@ from jaxtyping import Array, Complex, Float
 from ._averaging.dipole_series import Series, series
 from ._averaging.landen import Descent
 from ._averaging.orbit import MomentumOrbit, Spin, motion_of
-from ._base.checks import concrete, finite, instance, refuse, where_valid
+from ._averaging.principal_axes import principal_axes
+from ._base.checks import (
+    ArrayLike,
+    NumberLike,
+    concrete,
+    finite,
+    instance,
+    positive,
+    shape_of,
+    where_valid,
+)
 from ._base.compiling import compiled_soon
-from ._base.linalg import cross, dot
+from ._base.linalg import cross, dot, trace
+from ._base.refusals import refuse
 from ._base.tolerances import budget
 from ._base.types import Real
 from .bodies import Body
 from .particles import RADIATION, Particle
+from .particles.units import BOLTZMANN
 
 STRONGEST = 3  # number of lines in the text
 UNSEEN = 1e-13  # share of the power that counts as rounding
@@ -212,6 +224,58 @@ def _amplitudes(
     vectors = jnp.stack([first, second, jnp.zeros_like(first)], axis=-1)
     none = jnp.zeros_like(along)
     return jnp.concatenate([jnp.stack([none, none, 2 * along], axis=-1), vectors])
+
+
+def damping_time(particle: Particle, temperature: ArrayLike | NumberLike) -> Float[Array, "..."]:
+    """Compute τ_ed, the time in which dipole radiation damps thermal rotation of a grain.
+
+    With Ω = L/J₃, at isotropic directions of L in the body,
+
+        1/τ_ed = (3kT/J₃²Ω³)⟨Σ mP/ω⟩ = 3kTκJ₃ Σᵢ nᵢ²⟨rᵢ⟩,    κ = k d²,
+
+    with the sum over the lines of power P and sense m about L, which carry off the angular
+    momentum mP/ω, and n the direction of the dipole in principal axes. The mean over the
+    directions of L is a polynomial in the reciprocal moments pᵢ,
+
+        ⟨rᵢ⟩ = Σⱼ {pⱼ³/5 + pⱼ[pᵢpⱼ − pₖ(pᵢ − pⱼ)]/15} + pⱼpₖ(pⱼ + pₖ)/15,
+
+    with i, j, k different. For a sphere τ_ed = J²/(2kTκ).
+
+    Args:
+        particle: a single grain of any shape; `jax.vmap` takes a batch.
+        temperature: T, K, of any shape.
+
+    Returns:
+        τ_ed, s, of the shape of T; infinite without a dipole.
+
+    Raises:
+        ValueError: another `particle`, or a batch; a `temperature` that is not positive.
+
+    Source: B. T. Draine and A. Lazarian, Astrophys. J. 508 (1998) 157; K. Silsbee,
+    Y. Ali-Haïmoud and C. M. Hirata, Mon. Not. R. Astron. Soc. 411 (2011) 2750, for wobbling discs.
+
+    Example:
+        >>> import dipoletop as dt
+        >>> grain = dt.Particle.sphere(1e-9, [3.1e-29, 0, 0], density=2000)
+        >>> f"{damping_time(grain, 100.0) / 3.15576e7:.0f} years"
+        '603 years'
+    """
+    instance("particle", particle, Particle)
+    _checked(particle, jnp.zeros(3))
+    heat = BOLTZMANN * positive(
+        "temperature", temperature, shape_of(temperature), batch=False, unit="K"
+    )
+    moments, axes = principal_axes(particle.inertia / trace(particle.inertia))
+    p = 1 / moments
+    j, k = jnp.roll(p, -1), jnp.roll(p, -2)
+
+    def of_axis(j: Array, k: Array) -> Array:
+        return j**3 / 5 + j * (p * j - k * (p - j)) / 15
+
+    means = of_axis(j, k) + of_axis(k, j) + j * k * (j + k) / 15
+    strength = RADIATION * dot((axes.T @ particle.dipole) ** 2, means) * moments[2]
+    # Moments were divided by the trace: J₃p³ has the dimension of 1/J².
+    return trace(particle.inertia) ** 2 / (3 * heat * strength)
 
 
 def stokes(body: Rotor, omega: Any, direction: Any, *, n: int = HARMONICS) -> Stokes:

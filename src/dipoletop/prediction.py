@@ -18,10 +18,13 @@ as far as its error allows.
 
 Where the error of these laws exceeds 1 %, the semi-reduced equation is integrated turn by turn, if
 that takes at most 50 000 steps; again only for a concrete body and start.
+
+Only radiation acts, in vacuum at temperature 0. `surroundings.balance` compares it with the torques
+of a gas and of thermal radiation, which rule the rotation of most particles on Earth.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -29,7 +32,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._averaging.ends import ENDS as ENDS
 from ._averaging.ends import QUANTILES as QUANTILES
 from ._averaging.forecast import LARGEST_ERROR, best_forecast
 from ._averaging.histories import best_history
@@ -42,22 +44,23 @@ from ._base.checks import (
     namespace,
     on_device,
     on_host,
-    refuse,
     where_valid,
 )
 from ._base.compiling import compiled_soon
+from ._base.pictured import Pictured
 from ._base.quantities import ANGULAR
+from ._base.refusals import refuse
 from ._base.summaries import duration, with_error
-from ._base.types import Outcome, Regime
+from ._base.types import PREDICTED_FATES, Outcome, Regime
 from ._runs.resolved_forecast import HANDOVER, resolved_forecast, resolved_history
 from .bodies import Body
 from .particles import RADIATION, Particle
+from .particles.starts import refuse_relativistic
+from .surroundings import Balance, balance
 
 WEIGHTS = 0.15, 0.225, 0.25, 0.225, 0.15
 """The share of chance that each of the `QUANTILES` .05, .25, .5, .75, .95 stands for: it reaches
 halfway to the next ones."""
-FASTEST_RIM = 0.1
-"""The largest speed of a point of a particle over the speed of light."""
 
 
 class History(NamedTuple):
@@ -74,7 +77,7 @@ class History(NamedTuple):
     """√⟨Ω²⟩."""
 
 
-class Prediction(eqx.Module):
+class Prediction(Pictured, eqx.Module):
     """How a rotation ends, and how long that takes.
 
     Quantities are dimensionless for a `Body`, and in SI units for a `Particle`.
@@ -83,7 +86,7 @@ class Prediction(eqx.Module):
         outcome: a member of `Outcome`: RESIDUAL or STOP if the ends of that kind together have a
             probability above 1 − 1e-6, else UNDECIDED, also if `error` exceeds 0.5; FAILED if the
             argument is not a number.
-        probability: the probability of each of the `ENDS`, shape (8,).
+        probability: the probability of each `Fate` from POSITIVE to WOBBLING, shape (8,).
         omega_inf: ω∞ along the dipole, signed; 0 for a stop, NaN if chance decides its sign or the
             outcome is undecided.
         ratio: L∞/L₀, the mean over chance.
@@ -97,6 +100,8 @@ class Prediction(eqx.Module):
         regime: a member of `Regime`, the law that decided.
         error: estimated relative error of `ratio` and of the times; 0.5 if starts within the error
             have other ends, which then share the probability.
+        balance: the `Balance` of all torques at the start, if surroundings were given. The other
+            fields describe the body in vacuum at temperature 0, where only radiation acts.
     """
 
     outcome: Int[Array, "*batch"]
@@ -113,6 +118,8 @@ class Prediction(eqx.Module):
     """Inertia, dipole and ω₀, in one vector."""
     strength: float = eqx.field(static=True)
     """The k of κ = k d²: 1 for a `Body`."""
+    balance: Balance | None = eqx.field(default=None, repr=False)
+    """The other torques at the start; None if no surroundings were given."""
 
     def history(self, times: ArrayLike) -> History:
         """Return energy, angular momentum and speed at given times.
@@ -158,10 +165,11 @@ class Prediction(eqx.Module):
         if len(set(np.ravel(p.ratio_quantiles))) > 1:
             ratio += f" ({_quantiles(p.ratio_quantiles, WEIGHTS)})"
         rate, time, energy = (" rad/s", duration, " J") if self.strength != 1 else ("", _plain, "")
+        names = [fate.name for fate in PREDICTED_FATES]
         first = [
             f"{n} starts: quantiles 0.1, 0.5, 0.9" if many else "",
             _shares((word.name, np.mean(p.outcome == word)) for word in Outcome),
-            f"ends: {_shares(zip(ENDS, np.mean(p.probability, axis=0), strict=True))}",
+            _shares(zip(names, np.mean(p.probability, axis=0), strict=True)),
             _shares((law.name, np.mean(p.regime == law)) for law in Regime),
             f"error up to {error:.1g}" if many else "",
         ]
@@ -171,6 +179,7 @@ class Prediction(eqx.Module):
             f"half_time={_quantiles(p.half_time, form=time)}",
             f"lifetime={_quantiles(p.lifetime, form=time)}",
             f"radiated_energy={_quantiles(p.radiated_energy)}{energy}; {_quantiles(lost)} of E₀",
+            "in vacuum at temperature 0" if self.balance is None else self.balance.sentence,
         ]
         return "Prediction({})".format("\n           ".join(lines))
 
@@ -200,7 +209,14 @@ def _quantiles(
     return ", ".join(texts if len(set(texts)) > 1 else texts[:1]) + unknown
 
 
-def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
+def predict(
+    body: Body | Particle,
+    omega0: ArrayLike,
+    *,
+    pressure: Any = None,
+    temperature: Any = None,
+    loss: Any = None,
+) -> Prediction:
     """Predict how a rotation that radiates ends, by the slow flow of E and L where it holds.
 
         dE/dt = −κ⟨|n₂|²⟩,   d(L²)/dt = −2κ⟨L·(n₁×n₂)⟩,   averaged over free rotation,
@@ -212,9 +228,14 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
         body: a `Body` (dimensionless), or a `Particle` (SI).
         omega0: initial angular velocity in body axes, shape (3,), not zero; dimensionless, or in
             rad/s for a `Particle`.
+        pressure: the pressure around a particle, Pa, or a `Gas`, as for `balance`; with any of the
+            surroundings the result says which torque brakes most at the start. The prediction
+            itself counts radiation only.
+        temperature: temperature of the surroundings, K.
+        loss: χ, as for `balance`.
 
     Returns:
-        A `Prediction`.
+        A `Prediction`, for a body in vacuum at temperature 0.
 
     Raises:
         ValueError: bad arguments; float64 is off; a rotation that no law here describes, or whose
@@ -242,7 +263,8 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
     parts = [on_host(array).ravel() for array in (body.inertia, body.dipole, omega)]
     variables = on_device(namespace(*parts).concatenate(parts))
     if concrete(variables):
-        _check_rim(body, omega)
+        refuse_relativistic("omega0", body, omega)
+    compared = _compared(body, omega, pressure, temperature, loss)
     is_needle = _is_needle(body.inertia, body.dipole)
     numbers = best_forecast(variables, coupling, is_needle)
     if concrete(variables) and float(numbers.error) > HANDOVER:
@@ -251,17 +273,21 @@ def predict(body: Body | Particle, omega0: ArrayLike) -> Prediction:
             must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
             was = f"makes it {float(numbers.error):.2g} (`classify` follows every turn)"
             refuse("omega0", must, was)
-    return Prediction(*numbers, variables=variables, strength=strength)
+    return Prediction(*numbers, variables=variables, strength=strength, balance=compared)
 
 
-def _check_rim(body: Body | Particle, omega: Array) -> None:
-    """Refuse a rotation that is relativistic."""
-    if not isinstance(body, Particle) or body.radius is None:
-        return
-    rim = float(body.rim_speed(omega))
-    if rim > FASTEST_RIM:
-        must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
-        refuse("omega0", must, f"makes it {rim:.2g} c")
+def _compared(
+    body: Body | Particle, omega: Array, pressure: Any, temperature: Any, loss: Any
+) -> Balance | None:
+    """Return the balance of all torques, if any surroundings are given."""
+    given = {"pressure": pressure, "temperature": temperature, "loss": loss}
+    given = {name: value for name, value in given.items() if value is not None}
+    if not given:
+        return None
+    if not isinstance(body, Particle):
+        name = next(iter(given))
+        refuse(name, "be None for a Body, which has no unit of torque", "is given")
+    return balance(body, omega, **given)
 
 
 def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:

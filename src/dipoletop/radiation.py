@@ -12,8 +12,9 @@ acts, E − d₁·d₂ therefore decreases at the rate |d₂|², and L − d×d�
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._base.checks import instance, refuse
+from ._base.checks import instance
 from ._base.linalg import cross, dot, matvec, scale
+from ._base.refusals import refuse
 from ._base.types import Vector
 from .bodies import Body
 

@@ -19,18 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from ._base.checks import (
-    check_body,
-    check_single,
-    concrete,
-    described,
-    finite,
-    or_nan,
-    refuse,
-    where_valid,
-)
+from ._base.checks import check_body, check_single, concrete, finite, or_nan, where_valid
 from ._base.guards import rounding, safe_divisor, safe_sqrt
 from ._base.linalg import dot, scale
+from ._base.refusals import described, refuse
 from ._base.types import Equation
 from .bodies import Body
 from .equations._common import is_full, rate_of_omega

@@ -4,12 +4,11 @@
 so that a torque M adds I⁻¹M to ω′.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
-import scipy.constants
 from jaxtyping import Array, Float
 
 from ._base.attitudes import Quaternion, rotate, unit_quaternion
@@ -19,17 +18,19 @@ from ._base.checks import (
     check_body,
     finite,
     instance,
-    positive,
-    refuse,
+    on_host,
     shape_of,
+    where_valid,
 )
-from ._base.linalg import cross, matvec
+from ._base.linalg import cross, length, matvec
+from ._base.refusals import refuse
+from ._base.shown import Shown
 from ._base.types import Equation, State, Vector
+from .bodies import Body
 from .equations.torque_driven import Driven, DrivenFull, Torque, driven
 from .particles import Particle
-
-AIR = 28.97 * scipy.constants.atomic_mass
-"""The mean mass of the molecules of air, kg."""
+from .particles.shapes import Sphere
+from .surroundings import AIR, Gas
 
 
 def with_torque(
@@ -87,12 +88,14 @@ def with_torque(
         >>> bool(abs(run.omega[-1, 1] - expected) < 1e-9)
         True
     """
+    if isinstance(torque, RotatingField):
+        torque = torque.of_body(check_body(equation))
     start = None if attitude is None else unit_quaternion("attitude", attitude)
     times = None if jumps is None else finite("jumps", jumps, (-1,), batch=False)
     return driven(equation, torque, verdict, start, times)
 
 
-class Drag(eqx.Module):
+class Drag(Shown):
     """The torque M = −Γω, with Γ a number or a matrix in body axes."""
 
     gamma: Float[Array, "*shape"]
@@ -118,7 +121,7 @@ def drag(gamma: NumberLike | ArrayLike) -> Drag:
     return Drag(array)
 
 
-class FieldOnDipole(eqx.Module):
+class FieldOnDipole(Shown):
     """The torque M = d × q*∘E∘q, with E constant in the laboratory."""
 
     dipole: Float[Array, "3"]
@@ -155,29 +158,99 @@ def field_on_dipole(equation: Equation, field: ArrayLike) -> FieldOnDipole:
     return FieldOnDipole(check_body(equation).dipole, finite("field", field, (3,)))
 
 
+class RotatingField(Shown):
+    """The torque M = d × q*∘E(t)∘q of a field that rotates in the laboratory."""
+
+    amplitude: Float[Array, ""]
+    frequency: Float[Array, ""]
+    axes: Float[Array, "2 3"]
+    """The directions of E at the phases 0 and π/2."""
+    dipole: Float[Array, "3"] | None = None
+    """The dipole d of the body; None until `with_torque` gives it."""
+
+    def of_body(self, body: Body) -> "RotatingField":
+        """Return the torque on the dipole of a body."""
+        return dataclasses.replace(self, dipole=body.dipole)
+
+    def __call__(self, t: Any, omega: Vector, attitude: Quaternion) -> Vector:
+        """Return the torque, shape (3,)."""
+        if self.dipole is None:
+            refuse("torque", "be given to `with_torque`, which knows the dipole", "is called")
+        phase = self.frequency * t
+        field = self.amplitude * (jnp.cos(phase) * self.axes[0] + jnp.sin(phase) * self.axes[1])
+        back = jnp.concatenate([attitude[:1], -attitude[1:]])
+        return cross(self.dipole, rotate(back, field))
+
+
+def rotating_field(
+    amplitude: NumberLike, frequency: NumberLike, *, axis: ArrayLike = (0.0, 0.0, 1.0)
+) -> RotatingField:
+    """Return the torque M = d × E of a field that rotates in the laboratory.
+
+    E(τ) = E(e₁ cos ντ + e₂ sin ντ), with e₁, e₂ and the axis right-handed; e₁ = x for the axis z.
+    A dipole across the axis can follow the field if |d|E exceeds the drag Γν and the radiation
+    torque κν³. It lags behind by the angle φ with sin φ = (Γν + κν³)/(|d|E), and oscillates about
+    that with the frequency √(|d|E cos φ/I). It needs an equation that follows the attitude, with a
+    body, whose dipole `with_torque` takes.
+
+    Args:
+        amplitude: E, in units of I₁/(τ₀²|d|) for a body of unit dipole.
+        frequency: ν, in units of 1/τ₀; negative for the other sense.
+        axis: the axis of the rotation of E in the laboratory, shape (3,).
+
+    Raises:
+        ValueError: a number that is not finite, or an axis of zero.
+
+    Example:
+        The dipole lags behind the field by the angle with the sine (Γν + ν³)/E = 0.327.
+
+        >>> import jax.numpy as jnp, dipoletop as dt
+        >>> pulled = dt.torques.rotating_field(1e-3, 0.03)
+        >>> top, start = dt.TransverseReduced(0.0), [1.0, 0.0, 0.0, 0.0]
+        >>> driven = dt.torques.with_torque(top, pulled, attitude=start)
+        >>> driven = dt.torques.with_torque(driven, dt.torques.drag(0.01))
+        >>> run = dt.simulate(driven, [0.0, 0.0, 0.03], jnp.array([0.0, 3000.0]))
+        >>> lag = 0.03 * 3000 - 2 * jnp.arctan2(run.attitude[-1, 3], run.attitude[-1, 0])
+        >>> print(f"{jnp.sin(lag):.3f}")
+        0.327
+    """
+    z = finite("axis", axis, (3,), batch=False)
+    z = where_valid("axis", z, (on_host(z) != 0).any(), "not be zero")
+    z = z / length(z)
+    # The axis x turned the shortest way from z to the axis; about y if they are opposite.
+    near = 1 + z[2] > 1e-12
+    ratio = 1 / jnp.where(near, 1 + z[2], 1.0)
+    x = jnp.stack([1 - z[0] ** 2 * ratio, -z[0] * z[1] * ratio, -z[0]])
+    x = jnp.where(near, x, jnp.array([-1.0, 0.0, 0.0]))
+    return RotatingField(
+        finite("amplitude", amplitude), finite("frequency", frequency), jnp.stack([x, cross(z, x)])
+    )
+
+
 def gas_drag(
     particle: Particle,
     pressure: NumberLike | ArrayLike,
     temperature: NumberLike | ArrayLike = 300.0,
     molecular_mass: NumberLike | ArrayLike = AIR,
+    **options: Any,
 ) -> Float[Array, "..."]:
-    """Compute Γ = (2π/3)R⁴p√(8m/(πk_BT)), the drag of a rarefied gas on a rotating sphere, N m s.
+    """Compute Γ, the drag by a rarefied gas on a rotating body, N m s; the torque is −ΓΩ.
 
-    The torque is −ΓΩ. The gas is so thin that the mean free path exceeds the radius, and molecules
-    leave the surface diffusely: each carries away the momentum that the surface has given it. For
-    other bodies with the largest radius R this is the order of magnitude.
+    For a sphere that molecules leave diffusely it is Γ = (2π/3)R⁴p√(8m/(πk_BT)).
 
     Args:
-        particle: a particle with a known radius R.
+        particle: a particle with a shape.
         pressure: p in Pa.
         temperature: T in K.
         molecular_mass: m in kg; by default of air.
+        options: accommodation and surface temperature, as for `surroundings.Gas`.
+
+    Returns:
+        For a sphere a number, in the shape of the arguments; for other bodies a diagonal matrix in
+        body axes, shape (..., 3, 3).
 
     Raises:
-        ValueError: a particle without a radius, or a number that is not positive.
-
-    Source: the mass flux on a surface is p√(m/(2πk_BT)); see P. S. Epstein, Phys. Rev. 23 (1924)
-    710, for the sphere.
+        ValueError: a particle without a shape, or bad numbers, as for `surroundings.Gas`.
 
     Example:
         >>> import dipoletop as dt
@@ -187,10 +260,8 @@ def gas_drag(
         '6.80e-05'
     """
     instance("particle", particle, Particle)
-    if particle.radius is None:
-        refuse("particle", "have a known radius", "has none")
-    p = positive("pressure", pressure, unit="Pa")
-    temperature = positive("temperature", temperature, unit="K")
-    mass = positive("molecular_mass", molecular_mass, unit="kg")
-    speed = jnp.sqrt(8 * mass / (jnp.pi * scipy.constants.k * temperature))  # ρ v̄/p
-    return 2 * jnp.pi / 3 * particle.radius**4 * p * speed
+    gas = Gas(pressure, temperature, molecular_mass=molecular_mass, **options)
+    friction = gas.friction(particle)
+    if isinstance(particle.shape, Sphere):
+        return friction[0]
+    return jnp.moveaxis(friction, 0, -1)[..., None] * jnp.eye(3)

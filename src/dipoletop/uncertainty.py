@@ -13,16 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._base.checks import corners_of_box, finite, numbers_by_name, refuse
+from ._base.checks import corners_of_box, finite, numbers_by_name
+from ._base.refusals import refuse
 from ._base.statistics import Share, mean_and_error, share_of
 from ._base.summaries import summary, with_error
 from ._base.tolerances import check_settings, whole
-from ._base.types import Outcome, implied_probability
+from ._base.types import Fate, Outcome, implied_probability
 from ._maps.grids import Points, Sample
 from ._maps.problems import Problem
 from ._maps.sweep import sweep
 from ._runs.classification import UNCHECKED
-from .boundary import Fate, fate
+from .boundary import fate
 
 ALSO = ("value", "progress")  # settings of `sweep` that are allowed besides the settings of runs
 STORED = (*ALSO, "store", "repair")  # and if a call makes a single sweep

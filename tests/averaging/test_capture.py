@@ -123,6 +123,7 @@ def test_scale_is_the_constant_of_the_averaged_top(delta):
     assert np.all(np.isfinite(ends.capture.log_table))
 
 
+@pytest.mark.slow
 def test_scale_is_free_of_the_oscillations_of_a_turn():
     delta, start = 0.3, 1e-3 * np.array([0.6, 0.0, 0.8])
 
@@ -140,6 +141,7 @@ def test_scale_is_free_of_the_oscillations_of_a_turn():
     assert np.ptp(log_w) < 3e-5  # of the order ω², where the oscillations are of the order ω
 
 
+@pytest.mark.slow
 def test_starts_on_an_axis_stop_and_others_without_spin_decide_at_once():
     starts = jnp.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, -1.0], [1.0, 0, 0], [-0.6, 0.8, 0]])
     padded = jnp.pad(1e-25 * starts, ((0, N - 5), (0, 0)), constant_values=1.0)

@@ -12,6 +12,7 @@ from dipoletop._averaging.capture_times import clock_of_needle
 STARTS = 256
 
 
+@pytest.mark.slow
 def test_thin_rods_lose_energy_as_their_slow_angle_moves():
     """φ follows z = −sin 2φ/(3 cos²φ) to an axis, (1/u)′ = 2 sin²φ; its first density is cos²φ."""
     first = (np.arange(400) + 0.5) * np.pi / 800

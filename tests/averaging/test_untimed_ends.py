@@ -37,6 +37,7 @@ def test_ends_are_those_of_single_motions():
         np.testing.assert_allclose(found, expected, rtol, atol, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_dipole_along_an_axis_is_along_it_in_any_frame():
     """Rounding of a turned body is no component across the axis, which would end in a stop."""
     turns = Rotation.random(60, random_state=1).as_matrix()

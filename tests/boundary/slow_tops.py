@@ -8,7 +8,7 @@ from dipoletop import boundary
 DELTA = -0.2
 Z_S = 4.2553355749  # physics: z_s(0) of order 1
 SLOPE = 32.685861  # dz_s/dδ there, the derivative of the manifold of the planar system
-RESIDUAL, ROTATING = boundary.Fate.POSITIVE, boundary.Fate.STOP_ROTATING
+RESIDUAL, ROTATING = dt.Fate.POSITIVE, dt.Fate.ROTATING
 
 
 def slow(delta, z, phi, w):

@@ -9,6 +9,7 @@ from dipoletop import boundary
 from dipoletop.planar import Planar, saddle
 
 
+@pytest.mark.slow
 def test_a_fold_is_passed():
     box = {"phi": (-2.0, 2.0), "z": (0.0, 8.0)}
     curve = boundary.trace(across((2.5, 3.5), phi=-1.5), box, step=0.06, n=14, by="delta")

@@ -30,6 +30,7 @@ def test_no_smaller_kick_changes_the_fate():
     np.testing.assert_array_equal(boundary.fate(basin), [ROTATING] * 501 + [RESIDUAL])
 
 
+@pytest.mark.slow
 def test_a_kick_along_one_component_is_a_bisection():
     equation, start = dt.TransverseReduced(DELTA), np.array([0.15, 0.1, 0.12])
     kick = boundary.minimal_kick(equation, start, components=[3], radii=12)

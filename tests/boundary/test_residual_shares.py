@@ -32,6 +32,7 @@ def test_the_residual_share_moves_as_its_differences_say():
     assert found.undecided == 0
 
 
+@pytest.mark.slow
 def test_a_share_is_not_known_of_segments_where_nothing_is():
     point = {"delta": DELTA, "phi": 0.0, "w": 1e-3}
     ends = {"z": [4.0, 4.0], **point, "delta": [DELTA, 2.0]}, {"z": 4.5, **point}

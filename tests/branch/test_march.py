@@ -149,6 +149,7 @@ def test_a_single_start_is_followed_until_it_is_decided():
     assert too_fast.outcome == dt.Outcome.FAILED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [3.0, 1e3])
 def test_fast_rotations_come_from_where_they_began(speed):
     """Backwards, an ordinary integration passes the start when the run began."""
@@ -231,6 +232,7 @@ def test_sweep_and_bad_lanes():
     assert basin.outcome[1, -1] == dt.Outcome.FAILED  # no branch there
 
 
+@pytest.mark.slow
 def test_off_the_branch_a_top_runs_away():
     """The plane rotator (A.1) blows up as ω = √2/(τ₁ − τ) (A.5); the time is reported."""
     state = jnp.array([0.0, 0.2, 0.0, 0.1, 0.0])

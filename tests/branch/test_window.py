@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import pytest
 
 import dipoletop as dt
 from dipoletop._branch.window import solve_window
@@ -14,6 +15,7 @@ def solve(start, span, rtol):
     return solve_window(dt.TransverseFull(-0.2), 0.0, start, span, rtol)
 
 
+@pytest.mark.slow
 def test_errors_that_are_left_are_far_below_the_tolerance():
     saved = 0
     for start in map(jnp.array, STARTS):

@@ -180,8 +180,8 @@ def test_starts_of_samples_are_columns_of_tables(sample, tmp_path):
     [
         (("export", "STORE", "a.txt"), "a.txt must end with .nc, .parquet, .csv"),
         (("export", "STORE", "a.csv", "--column", "x"), "--column x: the columns are outcome,"),
-        (("export", "STORE", "a.csv", "--at", "psi", "1"), "`psi` must be an axis of this basin"),
-        (("plot", "STORE"), "`basin` must have exactly two axes of numbers"),
+        (("export", "STORE", "a.csv", "--at", "psi", "1"), "psi must be an axis of this basin"),
+        (("plot", "STORE"), "basin must have exactly two axes of numbers"),
         (("plot", "STORE", "--average"), "--average needs --x and --y"),
         (("plot", "STORE", "--panels", "psi"), "--panels must be an axis of this basin"),
         (("info", "nowhere.zarr"), "PATH must be a folder with a basin"),

@@ -11,8 +11,8 @@ from command_line import invoke, refusal, said
 
 import dipoletop as dt
 from dipoletop import validation
-from dipoletop.cli import map_command
-from dipoletop.cli.map_command import measure_compile_time
+from dipoletop.cli import map_run
+from dipoletop.cli.map_run import measure_compile_time
 
 SIZE = 24  # on both axes, everywhere, so that the engine compiles once for each level
 
@@ -162,7 +162,7 @@ def test_an_interrupt_ends_with_one_line(monkeypatch, tmp_path, store, kept):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(map_command, "sweep", interrupted)
+    monkeypatch.setattr(map_run, "sweep", interrupted)
     result = invoke("map", store, "--output", tmp_path / "m")
     assert result.exit_code == 130
     assert result.stderr.startswith(f"Stopped: {kept}")

@@ -7,7 +7,8 @@ import pytest
 from command_line import refusal
 
 import dipoletop as dt
-from dipoletop._maps.top_parameters import describe, initial_condition
+from dipoletop._maps.top_parameters import describe
+from dipoletop._maps.top_problems import initial_condition
 from dipoletop.cli.options import DURATION, LEVEL, NUMBER, grid_over, start_values
 
 

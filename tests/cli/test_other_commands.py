@@ -24,6 +24,25 @@ def test_the_command_switches_float64_on():
     assert "double precision" in done.stdout
 
 
+def test_help_and_misspelt_words_need_no_jax():
+    code = """
+import sys
+import click
+from dipoletop.cli import main
+calls = [["mapp"], ["map", "--sise", "3"], ["map", "--size", "1"], ["--help"]]
+calls += [[name, "--help"] for name in main.commands]
+for arguments in calls:
+    try:
+        main(arguments, standalone_mode=False)
+    except click.UsageError as error:
+        print(error.format_message())
+assert not {"jax", "numpy", "matplotlib"} & {*sys.modules}
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "Did you mean 'map'?" in done.stdout
+
+
 def _checks(*errors):
     def check():
         return [validation.Check(f"number {k}", 2.0, 2.0 + e, 2.0, 1e-3) for k, e in errors]

@@ -8,7 +8,7 @@ from command_line import refusal
 
 import dipoletop as dt
 from dask_processes import DIPOLETOP, SCHEDULER, Processes
-from dipoletop.cli import map_command
+from dipoletop.cli import map_run
 
 MAP = ["map", "--level", "order-1", "--size", "8", "--quiet"]
 # Run by a scheduler or a worker before it starts: what is wrong with it is in a file.
@@ -89,7 +89,7 @@ def test_what_is_no_address_is_refused(tmp_path, address):
 
 def test_a_scheduler_that_does_not_answer_is_waited_for_no_longer_than_told(tmp_path, monkeypatch):
     """One port that is closed, one of a server that is silent, and a host that is unknown."""
-    monkeypatch.setattr(map_command, "CONNECT", 0.5)
+    monkeypatch.setattr(map_run, "CONNECT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
         for address in (f"tcp://127.0.0.1:{port}", "tcp://no-such-host.invalid:8786"):
@@ -105,7 +105,7 @@ def test_a_map_without_a_store_is_refused_before_anything_is_asked(tmp_path):
 
 @pytest.mark.system
 def test_a_scheduler_without_workers_is_waited_for_no_longer_than_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(map_command, "JOIN", 0.5)
+    monkeypatch.setattr(map_run, "JOIN", 0.5)
     with Processes(tmp_path) as processes:
         _, address = processes.scheduler()
         assert said(tmp_path, address) == f"--scheduler {address}: no worker has answered in 0.5 s."

@@ -39,7 +39,7 @@ def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
 @pytest.mark.parametrize(
     ("engine", "solver"),
     [
-        (SHORT, SHORT.solver),
+        pytest.param(SHORT, SHORT.solver, marks=pytest.mark.slow),
         (NativeEngine(), diffrax.Dopri8()),
         (NativeEngine(), diffrax.Bosh3()),
         pytest.param(JaxEngine(), diffrax.Dopri8(), marks=pytest.mark.slow),
@@ -75,7 +75,7 @@ def test_exact_solution_and_error_in_proportion_to_the_tolerance(engine):
         assert np.max(np.abs(np.asarray(ends.y)[1] - exact) / speeds) < 20 * rtol
 
 
-@both
+@pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda e: e.name)
 def test_a_lane_does_not_see_its_neighbours(engine):
     """Position in the queue, its length and company change no bit of a result."""
     run = functools.partial(engine.end_states, until="outcome")
@@ -95,7 +95,7 @@ def same(found, ends, order):
         assert np.array_equal(one, other[..., order])
 
 
-@both
+@pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda e: e.name)
 def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
     starts = np.array(STARTS)
     bad = {3: np.nan, 50: np.inf, 120: 1e200, 121: -1e40}

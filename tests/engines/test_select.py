@@ -40,6 +40,7 @@ def swept(equation):
     return dt.sweep(lambda w3: (equation(1 + w3), w3 * jnp.ones(3)), grid)
 
 
+@pytest.mark.slow
 def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
     with pytest.warns(UserWarning, match=r"The JAX engine runs, .*Growing .*operation erf"):
         found = swept(Growing)
@@ -49,6 +50,7 @@ def test_an_equation_without_straight_line_code_runs_in_jax_with_a_warning():
         dt.classify_many(Growing(jnp.ones(3)), jnp.ones((3, 3)), engine="native")
 
 
+@pytest.mark.slow
 def test_without_llvmlite_jax_runs(monkeypatch):
     assert swept(Fading).attrs["engine"] == "native"
     missing = None, "llvmlite cannot be imported (gone)"

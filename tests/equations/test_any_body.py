@@ -241,6 +241,7 @@ def test_the_odd_terms_of_the_first_order_keep_their_bound():
     assert 0.9 * any_body.ODD_TERMS < largest < any_body.ODD_TERMS
 
 
+@pytest.mark.slow
 def test_the_slope_by_a_tilt_of_equal_axes_is_that_of_the_turned_body():
     """Half a turn about axis 1 changes the signs of Ω₂, Ω₃ and J₁₂: ω∞ changes its sign."""
 

@@ -61,6 +61,7 @@ def test_both_ends_of_the_critical_manifold(curves):
     assert abs(float(dt.critical_manifold(1e3)) + 1e6 / 2**0.5 - 1e3 / 3 + 2**0.5 / 9) < 1e-3
 
 
+@pytest.mark.slow
 def test_derivatives():
     assert float(jax.grad(dt.critical_manifold)(0.0)) == 0
     assert float(jax.grad(dt.separatrix)(0.0)) == 1

@@ -273,7 +273,12 @@ def test_higher_orders_are_decided_at_small_amplitude_and_never_certified(order)
 
 
 @pytest.mark.parametrize(
-    ("order", "limit"), [(2, 0.32441064053), (3, 0.30185319410), (4, 0.30738733339)]
+    ("order", "limit"),
+    [
+        (2, 0.32441064053),
+        pytest.param(3, 0.30185319410, marks=pytest.mark.slow),
+        pytest.param(4, 0.30738733339, marks=pytest.mark.slow),
+    ],
 )
 def test_a_fast_residual_rotation_is_decided_at_higher_orders(order, limit):
     """The limits are those of integrations by diffrax up to τ = 400."""

@@ -8,6 +8,7 @@ import time
 import urllib.parse
 import urllib.request
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,12 +29,18 @@ def expected_image(view):
     return pictures.picture_of(view, basins, cells.folded, view.size, True).images[0]
 
 
+def data(visit, name, column):
+    """A column of a source in the browser."""
+    code = f"() => {{ {browsing.MODEL} return Array.from(named('{name}').data.{column}) }}"
+    return visit.page.evaluate(code)
+
+
 def test_a_slider_redraws_what_a_sweep_gives(visit):
     before = visit.pixels()
     np.testing.assert_array_equal(before, expected_image(SMALL))
     visit.drag("w_perp", 40)
     value = visit.value("w_perp")
-    assert value > 0.25
+    assert value == round(value, 3) >= 0.24  # a multiple of the step, without rounding errors
     visit.final(w_perp=value)
     after = visit.pixels()
     assert np.mean(np.any(before != after, axis=2)) > 0.05
@@ -75,13 +82,16 @@ def test_exact_values_are_taken_and_bad_ones_refused(visit):
 
 def test_a_click_shows_the_start(visit):
     x, y = visit.place(0.05, 0.9)  # far from the dipole's plane of rotation, fast: it stops
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "that of the first start", 120)
     visit.page.mouse.click(x, y)
-    visit.until(lambda: "outcome" in visit.text() and "certified for" in visit.text(), "a verdict")
-    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives", 120)
-    chosen = visit.page.evaluate(
-        f"() => {{ {browsing.MODEL} const d = named('chosen').data; return [d.x[0], d.y[0]] }}"
-    )
-    assert chosen == pytest.approx([0.1 * np.pi, 0.48], abs=0.02)
+
+    def place():
+        return data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
+
+    there = pytest.approx((0.1 * np.pi, 0.48), abs=0.02)
+    chosen = visit.until(lambda: place() if place() == there else None, "the mark")
+    visit.until(lambda: data(visit, "omega", "w3")[0] == pytest.approx(chosen[1]), "the motion")
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives")
     omega0 = dt.cylindrical(0.2, chosen[1], chosen[0])
     verdict = dt.classify(dt.TransverseSemi(-0.2), omega0)
     assert dt.Outcome(int(verdict.outcome)).name.lower() in visit.text()
@@ -98,13 +108,69 @@ def test_a_click_shows_the_start(visit):
     assert curves[4] > 100
 
 
-def test_the_body_moves(visit):
-    visit.page.mouse.click(*visit.place(0.3, 0.3))
-    drawn = f"() => {{ {browsing.MODEL} return Array.from(named('arrows').data.x1) }}"
-    visit.until(lambda: visit.page.evaluate(drawn), "the body", 120)
-    first = visit.page.evaluate(drawn)
-    visit.page.locator(".play").first.click()
-    visit.until(lambda: visit.page.evaluate(drawn) != first, "a motion", 10)
+def test_a_page_opens_with_a_start_whose_body_turns(visit):
+    """That of figure 2a; its path on the map ends where ω lies along the dipole."""
+    visit.until(lambda: data(visit, "path", "x"), "the path", 120)
+    chosen = data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
+    assert chosen == pytest.approx((np.pi / 30, 0.2))
+    assert data(visit, "path", "y")[0] == pytest.approx(0.2)
+    assert data(visit, "path", "y")[-1] == pytest.approx(0.0, abs=1e-3)
+    first = visit.until(lambda: data(visit, "arrows", "x1"), "the body")
+    visit.until(lambda: data(visit, "arrows", "x1") != first, "a motion", 10)
+
+
+def test_the_chosen_start_and_the_address_follow_the_view(visit):
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives", 120)
+    before = visit.page.url
+    box = visit.page.locator(".dt-value-delta input")
+    box.fill("-0.1")
+    box.press("Enter")
+    visit.final(delta=-0.1)
+    visit.until(lambda: "δ = −0.1, ω⊥ = 0.2, ω₃ = 0.2" in visit.text(), "the start")
+    verdict = dt.classify(dt.TransverseSemi(-0.1), dt.cylindrical(0.2, 0.2, np.pi / 30))
+    visit.until(lambda: f"{float(verdict.omega_inf):.9f}"[:8] in visit.text(), "its end", 30)
+    visit.until(lambda: "delta=-0.1" in visit.page.url, "the address")
+    with visit.page.expect_event("load"):  # the page opens anew at the earlier address
+        visit.page.go_back()
+    visit.final(delta=-0.2)
+    assert "delta=-0.2" in before
+
+
+def test_pictures_and_data_are_given_away(visit):
+    for suffix, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("csv", b"delta,w_perp,w3,phi")):
+        with visit.page.expect_download() as waiting:
+            visit.page.get_by_text(suffix.upper(), exact=True).click()
+        content = Path(waiting.value.path()).read_bytes()
+        assert content.startswith(start)
+        assert waiting.value.suggested_filename == f"dipoletop-map.{suffix}"
+    assert len(content.splitlines()) == 1 + SMALL.size**2 // 4  # half a turn, ω₃ > 0
+
+
+def test_an_example_is_shown(visit):
+    box = visit.page.locator("select").first
+    box.select_option("Figure 2b of the paper: it stops")
+    visit.until(lambda: _with(visit, "Order 1 lacks a leading term"), "the picture")
+    visit.until(lambda: "outcome stop" in " ".join(visit.text().split()), "the start")
+
+
+def test_a_phone_sees_a_page_of_its_width(chromium, server):
+    size = {"viewport": {"width": 390, "height": 844}, "is_mobile": True}
+    page = chromium.new_context(**size).new_page()
+    page.goto(f"{server[0]}?size=64")
+    page.locator(".dt-slider-delta").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert page.locator(".dt-slider-delta").bounding_box()["y"] < 300
+    page.context.close()
+
+
+def test_a_page_says_that_its_server_has_stopped(chromium):
+    with browsing.served("--size", "64") as (url, process):
+        visit = browsing.Visit.of(chromium, url)
+        visit.until(visit.about, "a picture")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == 0
+        visit.until(lambda: "The server has stopped" in visit.page.content(), "the note", 20)
+        visit.close()
 
 
 def test_a_zoom_computes_again_at_the_new_range(visit):

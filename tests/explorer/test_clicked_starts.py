@@ -39,6 +39,7 @@ def test_a_stop_has_its_kind_and_no_slope():
     assert found.omega_inf == 0
 
 
+@pytest.mark.slow
 def test_the_motion_loses_energy_and_keeps_a_unit_quaternion():
     found = starts.verdict_of(drawing.Drawing(TOP), dt.Level.SEMI, FIGURE_2A, 1e-8)
     motion = starts.motion_of(TOP.problem_at(dt.Level.SEMI), FIGURE_2A, found, 1e-8)

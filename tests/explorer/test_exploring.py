@@ -15,6 +15,11 @@ from dipoletop.cli import main
 from dipoletop.explorer import page, server
 
 
+def test_a_port_that_browsers_block_is_refused():
+    with pytest.raises(ValueError, match="`port` must be one that browsers open, but is 6000"):
+        dt.explore().serve(port=6000, show=False)
+
+
 def test_panel_has_the_delay_that_sliders_switch_off():
     """It is private; without it, each move of a slider would wait for 50 ms again."""
     assert isinstance(panel.widgets.FloatSlider._debounce, int)
@@ -74,7 +79,7 @@ def test_without_panel_a_sentence_names_the_extra(monkeypatch):
     ("options", "sentence"),
     [
         (["--delta", "3"], "--delta must lie in [-1, 1), but is 3."),
-        (["--w3", "0.1", "--theta", "0.2"], "Argument `start` must be given by"),
+        (["--w3", "0.1", "--theta", "0.2"], "start must be given by"),
         (["--range", "delta", "0.5", "0.1"], "--delta must have a range that increases"),
         (["--allow-origin", "*"], "--allow-origin must be hosts such as example.org"),
         (["--address", "::1"], "--address must be a host name or an IPv4 address"),

@@ -36,7 +36,7 @@ CASES = {
 
 @pytest.mark.parametrize(
     "name",
-    [x if x == "two levels" else pytest.param(x, marks=pytest.mark.slow) for x in CASES],
+    [x if x == "zoomed" else pytest.param(x, marks=pytest.mark.slow) for x in CASES],
 )
 def test_code_gives_the_same_map(name, tmp_path, monkeypatch):
     scene, view = CASES[name]

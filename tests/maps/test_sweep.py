@@ -54,7 +54,11 @@ def _semi_reduced(_, w, d):
 
 
 @pytest.mark.parametrize(
-    ("level", "rate"), [(dt.TransverseReduced, _first_order), (dt.TransverseSemi, _semi_reduced)]
+    ("level", "rate"),
+    [
+        pytest.param(dt.TransverseReduced, _first_order, marks=pytest.mark.slow),
+        (dt.TransverseSemi, _semi_reduced),
+    ],
 )
 def test_labels_equal_an_independent_integrator_on_500_points(level, rate):
     """scipy's DOP853 at 1e-12, run until rotation or the residual line has plainly won."""

@@ -77,6 +77,7 @@ def test_each_cell_has_its_own_histogram(basin):
         np.testing.assert_array_equal(counts, np.histogram(of_cell, EDGES)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_tiles")
 def test_a_sample_is_counted_with_intervals():
     basin, found = dt.sweep(of_sample, SAMPLE), dt.tally(of_sample, SAMPLE)

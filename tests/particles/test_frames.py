@@ -75,6 +75,7 @@ def test_a_residual_rotation_in_turned_axes():
     assert dt.classify_many(dt.SemiReduced(body), [start]).outcome[0] == dt.Outcome.RESIDUAL
 
 
+@pytest.mark.slow
 def test_a_grain_in_turned_axes():
     grain = dt.Particle.cuboid([100e-9, 99.9e-9, 60e-9], [8e-27, 0, 0], density=2000)
     momentum = np.array([1.0, 0.1, 0.05])
@@ -85,6 +86,7 @@ def test_a_grain_in_turned_axes():
         assert float(found.ratio) == pytest.approx(0.71148233658, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_labels_of_many_in_turned_axes():
     given = np.diag([1.0, 1.01, 1.3]), np.array([1.0, 0, 0]), 1e-12 * np.array([0.6, 0.64, 0.48])
     bodies = [turned(q, *given) for q in (np.eye(3), *frames(6))]
@@ -95,7 +97,7 @@ def test_labels_of_many_in_turned_axes():
     np.testing.assert_allclose(sizes, sizes[0], rtol=1e-9)
 
 
-@pytest.mark.parametrize("delta", [0.5, -0.5])
+@pytest.mark.parametrize("delta", [pytest.param(0.5, marks=pytest.mark.slow), -0.5])
 @pytest.mark.parametrize("start", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0)])
 def test_rotation_end_over_end(delta, start):
     """E falls by half in 1/(2ω²) if the dipole lies along the axis, (2.4); else it is tipped."""

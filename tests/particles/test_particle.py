@@ -9,9 +9,17 @@ import pytest
 from scipy.constants import c, e, epsilon_0
 from scipy.integrate import solve_ivp
 
-from dipoletop.bodies import axisymmetric
+from dipoletop.bodies import Body, axisymmetric
 from dipoletop.equations.rigid import Reduced
-from dipoletop.particles import DEBYE, Particle, Rotator, paper_particles, particle_table
+from dipoletop.particles import (
+    DEBYE,
+    Particle,
+    Rotator,
+    magnetic_dipole,
+    paper_particles,
+    particle_table,
+    shapes,
+)
 
 MOST_PROGRAMS = 200  # every method, of one particle and of a batch, operation by operation
 
@@ -337,8 +345,8 @@ def test_the_shapes_agree():
             ),
         ),
     ):
-        for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-            close(one, other, 1e-14)
+        for name in ("mass", "inertia", "dipole", "radius"):
+            close(getattr(a, name), getattr(b, name), 1e-14)
 
 
 @pytest.mark.parametrize(
@@ -453,3 +461,48 @@ def test_float32_is_refused():
         ):
             with pytest.raises(ValueError, match=r"must be float64, but is float32.*switches"):
                 make()
+
+
+# Magnets
+
+
+def test_a_magnet_radiates_as_the_dipole_m_over_c():
+    moment = [0.0, 3e-16, 4e-16]
+    magnet = Particle.magnetic(4e-18, 1e-33 * np.eye(3), moment, radius=5e-8)
+    light = 299792458.0
+    permeability = 4e-7 * np.pi  # to 1e-9
+    close(magnet.tau0(), permeability * 25e-32 / (6 * np.pi * light**3) / 1e-33, 1e-9)
+    shape = shapes.Sphere(np.array(5e-8))
+    solid = Particle.magnetic(4e-18, shape.inertia(4e-18), moment, shape=shape)
+    ball = Particle.sphere(5e-8, magnetic_dipole(moment), mass=4e-18)
+    for name in ("mass", "inertia", "dipole", "radius"):
+        close(getattr(solid, name), getattr(ball, name), 1e-14)
+
+
+def test_the_neutron_star_in_the_crab_nebula():
+    period, slowing = 0.0334, 4.2e-13
+    star = Particle.magnetic(2.8e30, 1e38 * np.eye(3), [3.79e27, 0.0, 0.0])
+    spin = 2 * np.pi / period
+    # Ω̇ = −τ₀Ω³, so that Ṗ/P = τ₀Ω².
+    close(star.tau0() * spin**2, slowing / period, 2e-3)
+    close(star.tau0(), 3.553e-16, 2e-3)
+    close(star.omega(spin), 6.68e-14, 2e-3)
+    close(star.braking_time(spin), 2520 * 3.15576e7, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "index"), [(20, 18.097264340826), (45, 5.0), (60, 11 / 3), (80, 3.0621824)]
+)
+def test_braking_index_of_an_inclined_sphere(degrees, index):
+    """Davis and Goldstein: ΩΩ̈/Ω̇² = 3 + 2cot²α, while Ω cos α stays."""
+    equation = Reduced(Body(np.eye(3), [0.0, 0.0, 1.0]), order=1)
+    alpha = np.deg2rad(degrees)
+    omega = 1e-3 * jnp.array([np.sin(alpha), 0.0, np.cos(alpha)])
+
+    def slowing(omega):
+        return omega @ equation(0.0, omega) / jnp.linalg.norm(omega)
+
+    rate = equation(0.0, omega)
+    first, second = jax.jvp(slowing, (omega,), (rate,))
+    close(1e-3 * second / first**2, index, 1e-7)
+    close(rate[2], 0.0, 1e-18)

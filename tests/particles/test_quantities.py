@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pint
 import pytest
+import unxt
 
 import dipoletop as dt
 from dipoletop import torques
@@ -42,6 +43,7 @@ def test_particles(u):
         same(getattr(gaussian, name), getattr(whole, name))
 
 
+@pytest.mark.slow
 def test_angular_speeds_and_frequencies(u):
     turn = 2 * np.pi
     same(angular_speed(1 * u.GHz), turn * 1e9)
@@ -63,6 +65,23 @@ def test_angles_and_gases(u):
     particle = dt.Particle.sphere(50e-9, [8e-27, 0, 0], density=2000)
     drag = torques.gas_drag(particle, 1e-7 * u.mbar, molecular_mass=4.8e-23 * u.g)
     same(drag, torques.gas_drag(particle, 1e-5, molecular_mass=4.8e-26))
+
+
+def test_surroundings(u):
+    particle = dt.Particle.sphere(50e-9, [8e-27, 0, 0], density=2000)
+    found = dt.balance(
+        particle, 1 * u.GHz, pressure=1e-9 * u.mbar, temperature=0.3 * u.kK, strength=1 * u.GPa
+    )
+    plain = dt.balance(particle, "1 GHz", pressure=1e-7, temperature=300.0, strength=1e9)
+    same(found.rates["gas"], plain.rates["gas"])
+    same(found.strength, 1e9)
+    same(dt.emission.damping_time(particle, 100 * u.K), dt.emission.damping_time(particle, 100.0))
+    magnet = dt.Particle.magnetic(
+        1e-18 * u.kg, 1e-33 * np.eye(3), np.full(3, 3e-19) * (u.A * u.mm**2)
+    )
+    same(magnet.dipole, np.full(3, 3e-25 / 299792458.0))
+    with pytest.raises(ValueError, match="`pressure` must be in Pa or a unit of its dimension"):
+        dt.balance(particle, 1 * u.GHz, pressure=1 * u.K)
 
 
 def test_a_dimensionless_quantity_is_a_number(u):
@@ -115,3 +134,13 @@ def test_masked_values_are_refused():
     with pytest.raises(ValueError, match="`omegas` must have no masked values, but has 1"):
         dt.classify_many(dt.TransverseSemi(-0.2), starts)
     same(dt.cylindrical(np.ma.masked_array([0.2, 0.3]), jnp.zeros(2), 0.0)[:, 0], [0.2, 0.3])
+
+
+def test_quantities_of_unxt():
+    particle = dt.Particle.sphere(50e-9, [8e-27, 0, 0], density=2000)
+    plain = dt.balance(particle, 1e9, pressure=1e-7, temperature=200.0)
+    pressure, temperature = unxt.Quantity(1e-9, "mbar"), unxt.Quantity(200.0, "K")
+    found = dt.balance(particle, 1e9, pressure=pressure, temperature=temperature)
+    same(found.rates["gas"], plain.rates["gas"])
+    with pytest.raises(ValueError, match="`pressure` must be in Pa or a unit of its dimension"):
+        dt.balance(particle, 1e9, pressure=temperature)

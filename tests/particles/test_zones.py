@@ -36,7 +36,12 @@ ZONES = {
 }
 
 
-SLOW = "rod", "nearly a sphere"  # their capture compiles for long
+SLOW = (
+    "rod",
+    "nearly a sphere",
+    "cylinder, length = radius",
+    "next to it",
+)  # their capture compiles for long
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 
-from dipoletop import plots
+from dipoletop import Fate, plots
 from dipoletop.atlases import BODY_CORNERS, Atlas, cells
 from dipoletop.plots.atlases import MOST, RATIOS, STOPS
 
 
 def made(dipole_axis, ends, ratio=0.3):
-    """An atlas of four cells, each with its probabilities of some ends, by place in `ENDS`."""
+    """An atlas of four cells, each with its probabilities of some fates."""
     corners = cells(2)
     moments = np.column_stack([np.mean(corners, axis=1) @ BODY_CORNERS, np.ones(4)])
     dipole = np.sqrt(np.mean(corners, axis=1))
@@ -26,7 +26,9 @@ def made(dipole_axis, ends, ratio=0.3):
     return Atlas(dipole_axis, 2, corners, moments, dipole, probability, ratios, np.zeros(4))
 
 
-RESIDUAL, BOTH, SPIN, TUMBLING = {0: 0.5, 1: 0.5}, {0: 0.3, 5: 0.7}, {4: 1.0}, {5: 1.0}
+RESIDUAL = {Fate.POSITIVE: 0.5, Fate.NEGATIVE: 0.5}
+BOTH = {Fate.POSITIVE: 0.3, Fate.TUMBLING_LOW: 0.7}
+SPIN, TUMBLING = {Fate.AXIS_3: 1.0}, {Fate.TUMBLING_LOW: 1.0}
 
 
 def collections(ax):

@@ -13,6 +13,20 @@ from dipoletop.plots.column_shading import SIGNED, UNKNOWN
 from dipoletop.plots.map_layout import CHANCE, CLASSES
 
 
+def test_both_senses_of_rotation_are_lettered():
+    """In a grey copy, too; nothing is written where there is one sense only, or no wide region."""
+    outcome, values = np.full((20, 30), R), np.full((20, 30), 0.1)
+    values[:, 18:] = -0.1
+    outcome[:, 14:18] = S
+    ax = plots.basin(made(outcome, values))
+    found = {text.get_text(): text.get_position() for text in ax.texts}
+    xs = np.linspace(-0.4, 0.2, 30)
+    assert set(found) == {"+", "−"}
+    assert found["+"][0] < xs[14]
+    assert found["−"][0] > xs[17]
+    assert not plots.basin(made(outcome, np.abs(values))).texts
+
+
 def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():
     cell = dt.symmetry_cell(6, 4, 0.3)
     rng = np.random.default_rng(3)

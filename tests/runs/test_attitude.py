@@ -57,6 +57,7 @@ def distance(found, expected):
     return np.abs(matrix(found) - expected).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, diffrax.Tsit5()])
 def test_plane_rotator_turns_by_the_integral_of_its_speed(solver):
     """(2.4): ∫ω dτ = (√(1 + 2Ω₀²τ) − 1)/Ω₀ about axis 3; the error follows the tolerance."""
@@ -76,6 +77,7 @@ def test_plane_rotator_turns_by_the_integral_of_its_speed(solver):
     assert errors[1] < 1e-3 * errors[0]
 
 
+@pytest.mark.slow
 def test_free_symmetric_top_precesses_about_its_angular_momentum():
     """q = (rotation by Lτ/I₁ about L) ∘ q₀ ∘ (rotation by (1 − I₃/I₁)Ω₃τ about axis 3)."""
     first, third = 1.0, 1.6

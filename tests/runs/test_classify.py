@@ -65,6 +65,7 @@ def test_a_derivative_is_refused_with_a_way_to_have_it():
         jax.grad(lambda d: dt.classify(dt.TransverseReduced(d), start).omega_inf)(-0.2)
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_float32_cannot_meet():
     with jax.enable_x64(False):
         with pytest.raises(ValueError, match=r"`rtol` must lie between 2.4e-06 and 1 in float32"):

@@ -175,7 +175,7 @@ def test_the_largest_budget_is_one(most):
     assert found.steps[0] > 1
 
 
-@pytest.mark.parametrize("engine", ["jax", "native"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "native"])
 def test_subnormal_components_are_not_taken_for_zero(engine):
     """On a processor JAX compares them as 0, which would put these starts on invariant sets."""
     omegas = np.array([[0.3, 0.3, 1e-312], [1e-310, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.1]])

@@ -104,8 +104,10 @@ def test_values_of_one_are_as_exact_as_they_say():
         top = dt.TransverseSemi(delta)
         return dt.classify(top, start), dt.residual_rotation(top, start, rtol=1e-11)
 
-    for delta, start, value in zip(deltas, starts, exact, strict=True):
+    many = dt.classify_many(dt.TransverseSemi(deltas), starts).omega_inf_error
+    for delta, start, value, other in zip(deltas, starts, exact, many, strict=True):
         one, rotation = found(delta, start)
+        assert other / 10 < float(one.omega_inf_error) < 100 * other
         assert abs(float(one.omega_inf) - value) <= TRUSTED * float(one.omega_inf_error)
         assert float(one.omega_inf_error) <= 1e-3 * abs(value)
         assert float(rotation) == pytest.approx(value, rel=1e-7)

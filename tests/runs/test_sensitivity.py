@@ -511,6 +511,7 @@ def test_decay_times_and_their_slopes():
     assert np.all(np.isnan(slopes[1:]))
 
 
+@pytest.mark.slow
 def test_the_residual_rotation_keeps_its_energy():
     """At order 1 with ω₃ = 0, u = ω₂² obeys u′ = −2(ω₁² + u)u, and ω₁ is constant."""
     w1, w2, share = 0.3, 0.4, 0.5

@@ -57,6 +57,7 @@ def test_error_follows_the_tolerance(solver):
         assert abs(float(run.omega[-1, 1]) * np.sqrt(1 + 2 * 0.64 * 50) / 0.8 - 1) < 20 * rtol
 
 
+@pytest.mark.slow
 def test_cylindrical_form_runs_the_same_motion():
     start, ts = dt.cylindrical(0.3, 0.2, 1.0), jnp.array([0.0, 40.0])
     flat = dt.simulate(dt.TransverseReduced(0.3), start, ts, rtol=1e-12)

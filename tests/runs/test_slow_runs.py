@@ -9,7 +9,15 @@ from settling import Settling
 import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
 from dipoletop._averaging.forecast import Forecast
-from dipoletop._runs.slow_runs import SlowMotions, _stops, predictions
+from dipoletop._averaging.untimed_ends import ends_of_many
+from dipoletop._runs import blocks
+from dipoletop._runs.slow_runs import (
+    SlowMotions,
+    _stops,
+    least_errors_of_needles,
+    predictions,
+    slow_motions,
+)
 
 RESIDUAL, STOP, UNDECIDED = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED
 MOMENTS = np.array([1.0, 1.3, 1.8])
@@ -72,6 +80,7 @@ def test_predictions_of_a_transverse_top_agree_with_integration():
     assert np.max(difference) < 1e-3 * 1e-3
 
 
+@pytest.mark.slow
 def test_the_estimate_of_steps_is_near_the_number(resolved):
     lanes = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), dt.Reduced(BODIES))
     motions, ends, _ = predictions(lanes, starts(1e-3).T, 1)
@@ -81,7 +90,7 @@ def test_the_estimate_of_steps_is_near_the_number(resolved):
     assert 0.5 < np.median(factor) < 2
 
 
-@pytest.mark.parametrize("amplitude", [1e-8, 1e-25])
+@pytest.mark.parametrize("amplitude", [pytest.param(1e-8, marks=pytest.mark.slow), 1e-25])
 def test_the_cost_does_not_depend_on_the_amplitude(amplitude, predicted):
     found = dt.classify_many(dt.Reduced(BODIES), starts(amplitude), value="unchecked")
     assert np.all(found.steps == 0)
@@ -135,7 +144,11 @@ def test_a_certified_label_keeps_its_certificate_beside_a_predicted_value():
     np.testing.assert_allclose(whole.omega_inf, exact.omega_inf, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("delta", "probability", "error"), [(0.8, 0.826, 0.01), (0.5, 1.0, 1e-6)])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("delta", "probability", "error"),
+    [(0.8, 0.826, 0.01), (0.5, 1.0, 1e-6)],
+)
 def test_chance_is_a_probability(delta, probability, error):
     """The capture of 20 000 needles at uniform phases."""
     found = dt.classify_many(dt.TransverseSemi(delta), [[1e-12, 3e-12, 5e-12]])
@@ -152,6 +165,7 @@ def test_order_one_has_no_law_of_capture():
     assert np.isnan(found.omega_inf[0])
 
 
+@pytest.mark.slow
 def test_one_start_is_predicted_as_many_are():
     start = jnp.array([3e-20, 1e-20, 2e-20])
     one = dt.classify(NEEDLE, start)
@@ -161,6 +175,26 @@ def test_one_start_is_predicted_as_many_are():
     assert one.probability.shape == ()
     traced = jax.jit(lambda w: dt.classify(NEEDLE, w, max_steps=50))(start)
     assert (int(traced.outcome), int(traced.regime)) == (UNDECIDED, Regime.RESOLVED)
+
+
+def test_what_no_law_describes_is_not_predicted(monkeypatch):
+    """The closed form of its error is that of the averages or of a known phase."""
+    rng = np.random.default_rng(3)
+    delta = rng.uniform(0.01, 0.9, 40)
+    omegas = rng.normal(size=(3, 40)) * 10 ** rng.uniform(-3, 0, 40)
+    errors = least_errors_of_needles(delta, omegas)
+    hopeless = errors > 0.5
+    assert 5 < np.count_nonzero(hopeless) < 35
+    tops = dt.TransverseSemi(jnp.asarray(delta[hopeless]))
+    motions = slow_motions(tops, omegas[:, hopeless])
+    found = ends_of_many(motions.inertia, motions.dipole, motions.omega)
+    np.testing.assert_allclose(errors[hopeless], found.error, rtol=1e-9)
+
+    monkeypatch.setattr(blocks, "predictions", None)
+    runs = dt.classify_many(tops, omegas[:, hopeless].T, value=False, max_steps=3)
+    assert UNDECIDED in runs.outcome
+    runs = dt.classify_many(tops, omegas[:, hopeless].T, slow_flow=True)  # integrates nothing
+    assert np.all(runs.steps == 0)
 
 
 def test_ways_to_stop():

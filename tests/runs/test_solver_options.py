@@ -41,7 +41,13 @@ EVENT = diffrax.Event(slow, optimistix.Newton(1e-12, 1e-12))
 REACHED = 1.5  # 1/√(1 + 2τ) = ½
 
 
-@pytest.mark.parametrize("extra", [{}, {"balance": True, "attitude": [1.0, 0.0, 0.0, 0.0]}])
+@pytest.mark.parametrize(
+    "extra",
+    [
+        {},
+        pytest.param({"balance": True, "attitude": [1.0, 0, 0, 0]}, marks=pytest.mark.slow),
+    ],
+)
 def test_an_event_ends_the_run_where_it_happens(extra):
     """Its conditions see the state of the equation, whatever is integrated besides."""
     ts = jnp.linspace(0.0, 4.0, 9)
@@ -54,6 +60,7 @@ def test_an_event_ends_the_run_where_it_happens(extra):
         np.testing.assert_array_equal(run.emitted[-3:], run.emitted[-1])
 
 
+@pytest.mark.slow
 def test_an_event_that_does_not_happen_changes_nothing():
     ts = jnp.linspace(0.0, 1.0, 5)
     plain, other = dt.simulate(ROTATOR, SPIN, ts), dt.simulate(ROTATOR, SPIN, ts, event=EVENT)
@@ -84,6 +91,7 @@ def test_events_in_a_trace_and_their_derivative():
     np.testing.assert_allclose(slopes, speeds**-3.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_every_step_is_saved_and_no_place_is_left_empty():
     saveat = diffrax.SaveAt(t0=True, steps=True)
     run = dt.simulate(ROTATOR, SPIN, [0.0, 4.0], saveat=saveat, balance=True)

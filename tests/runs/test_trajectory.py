@@ -28,6 +28,7 @@ def test_full_equation_keeps_the_energy_balance(phi):
     assert float(jnp.max(jnp.abs(balance_defect(run)))) < 1e-12
 
 
+@pytest.mark.slow
 def test_defect_of_a_reduced_level_falls_with_the_amplitude():
     """Order 1 leaves a defect of order ω², order 2 a smaller one that falls faster."""
 
@@ -59,6 +60,24 @@ def test_dense_output_and_statistics():
     steps = int(run.stats["num_steps"])
     shown = f"Trajectory(reduced, order 1 (the paper's): 2 times, 0 ≤ τ ≤ 100, {steps} steps)"
     assert repr(run) == shown
+
+
+def test_tables_of_all_quantities_have_units():
+    given = {"attitude": [1.0, 0.0, 0.0, 0.0], "balance": True}
+    run = dt.simulate(dt.TransverseSemi(-0.2), [0.1, 0.2, 0.1], jnp.linspace(0.0, 9.0, 4), **given)
+    data, table = run.to_xarray(), run.to_dataframe()
+    assert data.attrs == {"level": "semi-reduced"}
+    np.testing.assert_array_equal(data.omega, run.omega)
+    assert list(table)[:6] == ["tau", "omega_1", "omega_2", "omega_3", "energy", "power"]
+    units = table.attrs["units"]
+    assert (units["tau"], units["omega_2"], units["power"]) == ("tau_0", "1/tau_0", "I_1/tau_0^3")
+    expected = {"tau": run.ts, "emitted": run.emitted, "dipole_3": run.dipole[:, 2]}
+    for name, column in expected.items():
+        np.testing.assert_array_equal(table[name], column)
+    assert "work" not in table
+    two = jax.vmap(lambda s: dt.simulate(dt.TransverseSemi(-0.2), s, run.ts))(run.omega[:2])
+    assert two.to_xarray().omega.dims == ("batch_1", "time", "component")
+    assert len(two.to_dataframe()) == 8
 
 
 @pytest.mark.slow

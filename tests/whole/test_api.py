@@ -16,6 +16,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 import dipoletop as dt
 import dipoletop.cli
 
@@ -136,6 +138,12 @@ def snapshot():
     known = {}
     lines = [line for module in [dt, *public_modules()] for line in of_module(module, known)]
     return "\n".join([*lines, *of_command(dipoletop.cli.main)]) + "\n"
+
+
+def test_a_misspelt_name_is_answered_with_the_nearest():
+    with pytest.raises(AttributeError, match="no attribute 'classfy'; did you mean 'classify'\\?"):
+        dt.classfy  # noqa: B018
+    assert not hasattr(dt, "__wrapped__")
 
 
 def test_public_api_is_that_of_the_snapshot():

@@ -18,13 +18,14 @@ import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 import dipoletop as dt
 from dipoletop import adaptive, boundary, continuation, fitting, particles, planar, plots
-from dipoletop import radiation, uncertainty
+from dipoletop import noise, radiation, uncertainty
 from dipoletop._maps.sweep import PointSweeps
 
 equation, start, times = dt.TransverseReduced(-0.2), jnp.array([0.2, 0.1, 0.2]), jnp.arange(3.0)
 grid = dt.Grid(w3=[0.1, 0.2], phi=[0.0, 1.0])
 basin = dt.Basin(grid.dims, grid.shape, grid.coords, {"outcome": np.zeros(4)}, {})
 many = dt.TransverseReduced(jnp.array([0.1, 0.2]))
+noisy = noise.with_noise(equation, noise.Bath(1e-4))
 two = dt.Body(jnp.stack([jnp.eye(3)] * 2), start)
 ends = {"z": np.zeros(1)}
 sweeps = PointSweeps(min, {"rtol": 1e-8})
@@ -56,6 +57,15 @@ CASES = {
     "dt.spectrum(field, start)": f"`equation` {EQUATION} of type function",
     "dt.slow_manifold(field, start)": "`equation` must be a full equation, but is function",
     "dt.threshold(3, 0.1, -0.9, 0.5)": "`family` must be a function .*, but is 3",
+    "jax.jvp(lambda d: dt.simulate(dt.TransverseSemi(d), start, times).ys, (0.1,), (1.0,))": (
+        "`adjoint` must be `diffrax.ForwardMode\\(\\)` for derivatives by `jax.jvp` or"
+    ),
+    "jax.jit(lambda: dt.sweep(lambda w3, phi: (equation, start), grid).steps)()": (
+        "`problem` must be swept where nothing is traced .*, but is swept within a trace"
+    ),
+    "jax.grad(lambda d: dt.sweep(lambda w3, phi: (equation, d * start), grid).steps)(0.1)": (
+        "`problem` must be swept where nothing is traced .*, but depends on a value that is"
+    ),
     "dt.sweep(lambda w3, phi: (field, start), grid)": f"`equation` {EQUATION} of type function",
     "dt.sweep(lambda w3, phi: (equation, start), grid, derivatives=3)": "`derivatives` must be a n",
     "dt.sweep(lambda w3, phi: (equation, start), grid, store=5)": "`store` must be a path, but is",
@@ -111,6 +121,19 @@ CASES = {
     "dt.torques.with_torque(equation, 0.1)": "`torque` must be a function of τ and ω, but is 0.1",
     "dt.torques.with_torque(equation, field, verdict=3)": "`verdict` must be a function of the st",
     "dt.torques.gas_drag(3, 1.0)": "`particle` must be a Particle, but is 3",
+    "dt.balance(3, 1.0)": "`particle` must be a Particle, but is 3",
+    "plots.balance(3)": "`balance` must be a Balance, but is 3",
+    "dt.simulate(noisy, start, times)": "`equation` must be without noise .`noise.ensemble`",
+    "dt.classify(noisy, start)": "`equation` must be without noise .`noise.ensemble`",
+    "dt.classify_many(noisy, start[None])": "`equations` must be without noise",
+    "dt.sweep(lambda w3, phi: (noisy, start), grid)": "`equation` must be without noise",
+    "dt.tally(lambda omega0: (noisy, omega0), dt.Sample(4))": "`equation` must be without noise",
+    "noise.with_noise(noisy, noise.Bath())": "`equation` must be without noise",
+    "noise.with_noise(equation, 0.1)": "`bath` must be a Bath, but is 0.1",
+    "noise.ensemble(equation, start, times)": "`noisy` must be an equation with noise",
+    "noise.ensemble(noisy, start, times, n=0)": "`n` must be a positive whole number",
+    "noise.averaged_ensemble(3, noise.Bath(), start, times)": "`body` must be a Body, but is 3",
+    "noise.Bath.around(3)": "`particle` must be a Particle",
     "plots.unfold(dt)": "`basin` must be a Basin, but is of type module",
     "dt.residual_rotation(many, start)": f"`equation` {SINGLE}",
     "dt.residual_rotation(equation, start, max_steps=2**32)": "`max_steps` must be at most 214748",

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
-from .._base.types import Real
+from .._base.types import PREDICTED_FATES, Fate, Real
 from .capture import LEVELS as QUANTILES
 from .capture import Capture, end_of_top
 from .capture_times import clock_of_needle
@@ -25,20 +25,6 @@ from .principal_axes import FreeRotation
 from .stages import RTOL, Stage
 from .unfolding import entry_q
 
-ENDS = (
-    "residual +",
-    "residual -",
-    "stop about axis 1",
-    "stop about axis 2",
-    "stop about axis 3",
-    "tumbling, low",
-    "tumbling, high",
-    "wobbling",
-)
-"""The ends of a motion: residual rotation along and against the dipole; a stop in pure spin about
-the principal axis of J₁ (the smallest), J₂, J₃; a stop while tumbling, with h below or above 1/J₂;
-a stop while oscillating about the middle axis of a needle."""
-
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
 
@@ -47,7 +33,7 @@ class SlowEnd(NamedTuple):
     """How a slow motion ends."""
 
     probability: Float[Array, "8"]
-    """The probability of each of the `ENDS`."""
+    """The probability of each of the `PREDICTED_FATES`."""
     log_ratio: Real
     """The logarithm of the mean of L∞/L₀; −∞ for a stop."""
     log_quantiles: Float[Array, "5"]
@@ -128,14 +114,15 @@ def late_decay(stage: Stage) -> tuple[Real, Real]:
 
 
 def _probability(rotation: FreeRotation, motion: SlowMotion, spins: Array) -> Float[Array, "8"]:
-    """Return the probabilities of the `ENDS` of a slow motion, which ends on an axis or not."""
+    """Return the probabilities of the fates of a slow motion, which ends on an axis or not."""
     axis = jnp.where(motion.ends_high, 0, 2)
+    tumbling = jnp.where(motion.ends_high, Fate.TUMBLING_HIGH, Fate.TUMBLING_LOW)
     # The sign of L about the last axis is the first one, or chance after the separatrix.
     sign = jnp.sign(rotation.momentum[axis] * rotation.dipole[axis])
     return jnp.where(
         spins & (rotation.spin_decay(axis) == 0),
         _residual_ends(jnp.where(motion.crosses, 0.0, sign)),
-        jax.nn.one_hot(jnp.where(spins, 2 + axis, jnp.where(motion.ends_high, 6, 5)), 8),
+        certainty_of(jnp.where(spins, Fate.AXIS_1 + axis, tumbling)),
     )
 
 
@@ -145,7 +132,7 @@ def spin_end(rotation: FreeRotation, axis: Int[Array, ""]) -> SlowEnd:
     r = rotation.spin_decay(axis)
     residual = r == 0
     sign = jnp.sign(rotation.momentum[axis] * cosine)
-    probability = jnp.where(residual, _residual_ends(sign), jax.nn.one_hot(2 + axis, 8))
+    probability = jnp.where(residual, _residual_ends(sign), certainty_of(Fate.AXIS_1 + axis))
     energy = 1 / (2 * moment)
     log_ratio = jnp.where(residual, 0.0, -jnp.inf)
     last_energy = jnp.where(residual, energy, 0.0)
@@ -181,7 +168,7 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
     cosine = rotation.dipole @ rotation.momentum
     square, stops = cosine**2, cosine == 0
     divisor = safe_divisor(square)
-    ends = jnp.where(stops, jax.nn.one_hot(4, 8), _residual_ends(jnp.sign(cosine)))
+    ends = jnp.where(stops, certainty_of(Fate.AXIS_3), _residual_ends(jnp.sign(cosine)))
     half = jnp.full_like(square, 0.5)
     return SlowEnd(
         ends,
@@ -234,9 +221,15 @@ def needle_end(
         error += jnp.where(end.random, late, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
     zero = jnp.zeros_like(residual)
-    ends = end.along, end.against, end.symmetry_axis, zero, end.across, zero, zero, end.wobbling
+    ends = {
+        Fate.POSITIVE: end.along,
+        Fate.NEGATIVE: end.against,
+        Fate.AXIS_1: end.symmetry_axis,
+        Fate.AXIS_3: end.across,
+        Fate.WOBBLING: end.wobbling,
+    }
     return SlowEnd(
-        jnp.stack(ends),
+        jnp.stack([ends.get(fate, zero) for fate in PREDICTED_FATES]),
         jnp.where(residual > 0, log_mean, -jnp.inf),
         end.capture.log_quantiles_of_all() + shift,
         energy,
@@ -283,4 +276,10 @@ def _certain(log_ratio: Real) -> tuple[Real, Float[Array, "5"]]:
 
 def _residual_ends(sign: Real) -> Float[Array, "8"]:
     """Return the probabilities if L∞ is along (1), against (−1) or as likely either way (0)."""
-    return jnp.concatenate([jnp.stack([1 + sign, 1 - sign]) / 2, jnp.zeros(6, sign.dtype)])
+    shares = jnp.stack([1 + sign, 1 - sign]) / 2
+    return jnp.concatenate([shares, jnp.zeros(len(PREDICTED_FATES) - 2, sign.dtype)])
+
+
+def certainty_of(fate: Fate | Int[Array, ""]) -> Float[Array, "8"]:
+    """Return the probabilities of an end that is certain."""
+    return jax.nn.one_hot(fate, len(PREDICTED_FATES))

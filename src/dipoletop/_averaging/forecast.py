@@ -13,7 +13,7 @@ from .._base.checks import concrete, or_nan
 from .._base.compiling import compiled_soon, special_numbers
 from .._base.forward_mode import forward_differentiable
 from .._base.guards import safe_divisor
-from .._base.types import Outcome, Real, Regime
+from .._base.types import RESIDUAL_FATES, STOP_FATES, Fate, Outcome, Real, Regime
 from .capture import LARGEST, SMALLEST, capture
 from .ends import SlowEnd, needle_end, needle_start, slow_end, sphere_end, spin_end
 from .estimates import (
@@ -82,7 +82,7 @@ def decided(
     probability: Float[Array, "8"], omega_inf: Real, error: Real
 ) -> tuple[Int[Array, ""], Real]:
     """Return the outcome with a probability above `CERTAIN`, unless the error is large, and ω∞."""
-    residual, stop = jnp.sum(probability[:2]), jnp.sum(probability[2:])
+    residual, stop = jnp.sum(probability[RESIDUAL_FATES]), jnp.sum(probability[STOP_FATES])
     outcome = jnp.where(residual > CERTAIN, Outcome.RESIDUAL, Outcome.UNDECIDED)
     outcome = jnp.where(stop > CERTAIN, Outcome.STOP, outcome)
     outcome = jnp.where(error > LARGEST_ERROR, Outcome.UNDECIDED, outcome)
@@ -192,7 +192,8 @@ def _speed_about_dipole(
     probability: Float[Array, "8"], ratio: Real, last_moment: Real, units: Units
 ) -> Real:
     """Return ω∞: signed, 0 for a stop, NaN where chance decides its sign."""
-    residual, sign = probability[0] + probability[1], probability[0] - probability[1]
+    along, against = probability[Fate.POSITIVE], probability[Fate.NEGATIVE]
+    residual, sign = along + against, along - against
     speed = units.momentum * ratio / (units.moment * last_moment)
     return jnp.where(residual == 0, 0.0, or_nan(sign * speed, jnp.abs(sign) == 1))
 

@@ -28,8 +28,9 @@ x Db [q cn² + (1 − x)Db sn²]. Hence, with the sums over the two axes j ≠ i
     rᵢ = Σⱼ {pⱼ³⟨yⱼ²⟩ + pⱼ[pᵢpⱼ − pₖ(pᵢ − pⱼ)]⟨yᵢyⱼ⟩} + pⱼpₖ(pⱼ + pₖ)⟨yⱼyₖ⟩
     fᵢ = Σⱼ {−pⱼ²⟨yⱼ Var⟩ + ⟨yᵢyⱼ⟩(pᵢ − pⱼ) pₖ[(2pᵢ − h)pⱼ − pₖ(pᵢ − pⱼ)]}.
 
-Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. All
-means are of even powers of elliptic functions, each evaluated as a sum of positive terms, and all
+Both Var and every yᵢyⱼ(pᵢ − pⱼ) contain the factor x Db, which is divided out: f = x Db F. The
+terms with sn⁴ of each sum cancel, so that both means are ⟨cn²⟩ times the value where sn = 0, plus
+⟨sn²⟩ times that where cn = 0: as if L stood at these two places only, where y_a y_b = 0. All
 differences are differences of moments. So the only cancellation in r and F is the one that makes
 F zero, also for nearly spherical and nearly axisymmetric bodies, on the axes and next to the
 separatrix.
@@ -75,23 +76,21 @@ def averages(
     a, b, c = p = tuple(1 / moment for moment in moments)
     to_a, to_b, a_to_b, q, m, m1 = path(moments, x, rest)
     h = rest * c + x * b
-    sn2, sn4 = elliptic_means(m, m1)
-    cn2, cn4, sn2_cn2 = 1 - sn2, 1 - 2 * sn2 + sn4, sn2 - sn4
-    cn2_dn2, sn2_dn2 = m1 * cn2 + m * cn4, m1 * sn2 + m * sn2_cn2  # dn² = (1 − m) + m cn²
-    dn4 = m1 * (m1 + 2 * m * cn2) + m**2 * cn4
-    ya, yb, yc = x * to_b / to_a, x, q / to_a  # times cn², sn², dn²
+    sn2, _ = elliptic_means(m, m1)
+    cn2 = 1 - sn2
+    ya, yb, yc = x * to_b / to_a, x, q / to_a  # times cn², sn², dn², which is 1 or 1 − m
     # Of axis i: pᵢ³⟨yᵢ²⟩ and pᵢ²⟨yᵢ Var⟩. Of the axes j and k that follow it in the cycle a, b, c:
     # ⟨yⱼyₖ⟩, pᵢ(pⱼ − pₖ) and pᵢ⟨yⱼyₖ⟩(pⱼ − pₖ). Means with Var or a difference are over x Db.
-    squares = a**3 * ya**2 * cn4, b**3 * yb**2 * sn4, c**3 * yc**2 * dn4
+    squares = a**3 * ya**2 * cn2, b**3 * yb**2 * sn2, c**3 * yc**2 * (cn2 + m1**2 * sn2)
     slope = rest * to_b
     losses = (
-        a**2 * ya * (q * cn4 + slope * sn2_cn2),
-        b**2 * yb * (q * sn2_cn2 + slope * sn4),
-        c**2 * yc * (q * cn2_dn2 + slope * sn2_dn2),
+        a**2 * ya * q * cn2,
+        b**2 * yb * slope * sn2,
+        c**2 * yc * (q * cn2 + m1 * slope * sn2),
     )
-    mixed = yb * yc * sn2_dn2, ya * yc * cn2_dn2, ya * yb * sn2_cn2
+    mixed = yb * yc * m1 * sn2, ya * yc * cn2, 0.0
     gaps = a * to_b, -b * to_a, c * a_to_b
-    torques = a * yc * sn2_dn2, -b * yc * cn2_dn2, c * (x * a_to_b / to_a) * sn2_cn2
+    torques = a * yc * m1 * sn2, -b * yc * cn2, 0.0
 
     def of_dipole(i: int) -> tuple[Real, Real]:
         j, k = (i + 1) % 3, (i + 2) % 3

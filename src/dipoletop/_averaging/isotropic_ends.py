@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from .._base.types import RESIDUAL_FATES
 from .forecast import Forecast
 from .free_rotation import quarter_period
 from .untimed_ends import ends_of_many
@@ -37,7 +38,7 @@ class IsotropicEnds(NamedTuple):
     """How B bodies end."""
 
     probability: Float[np.ndarray, "B 8"]
-    """The probability of each of the `ENDS`, a mean over directions."""
+    """The probability of each of the `PREDICTED_FATES`, a mean over directions."""
     ratio: Float[np.ndarray, "B"]
     """The mean of L∞/L₀."""
     error: Float[np.ndarray, "B"]
@@ -93,8 +94,9 @@ def isotropic_ends(
 
 def _merged(probability: Float[np.ndarray, "M 8"]) -> Float[np.ndarray, "M 8"]:
     """Give both senses of residual rotation their mean probability: L and −L are as frequent."""
-    residual = np.mean(probability[:, :2], axis=1, keepdims=True)
-    return np.concatenate([residual, residual, probability[:, 2:]], axis=1)
+    merged = probability.copy()
+    merged[:, RESIDUAL_FATES] = np.mean(probability[:, RESIDUAL_FATES], axis=1, keepdims=True)
+    return merged
 
 
 def _shares(

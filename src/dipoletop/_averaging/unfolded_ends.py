@@ -18,10 +18,10 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
-from .._base.types import Real
+from .._base.types import RESIDUAL_FATES, Fate, Real
 from .capture import LEVELS
 from .capture_times import clock_from
-from .ends import SlowEnd, slow_end
+from .ends import SlowEnd, certainty_of, slow_end
 from .motion import HALVINGS, SlowMotion, motion_from
 from .planar_orbits import Settled, follow
 from .principal_axes import FreeRotation
@@ -57,7 +57,8 @@ def captured_end(rotation: FreeRotation, motion: SlowMotion, top: Top) -> tuple[
     turning = jnp.all(2 * jnp.abs(top.delta * lanes.state[:, 1]) > TURNING)
     certain = (top.eta > 0) | ((share == 0) & turning)
     residual = jnp.where(certain, share, jnp.clip(share, 0.5 / PHASES, 1 - 0.5 / PHASES))
-    ends = residual / 2 * (_one(0) + _one(1)) + (1 - residual) * _one(5)
+    ends = residual / 2 * (certainty_of(Fate.POSITIVE) + certainty_of(Fate.NEGATIVE))
+    ends += (1 - residual) * certainty_of(Fate.TUMBLING_LOW)
     end = _end_of(rotation, top, ends, logs)
     square = jnp.exp(log_u - 2 * top.log_unit)
     clock = clock_from(plane, q, jnp.mean(jnp.exp(2 * lanes.log_ratio)))
@@ -88,7 +89,9 @@ def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
     shifts = jnp.array([[0, 0, 0], [1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0.0]])
     lanes = jax.vmap(lambda shift: settle(plane, start + shift * size))(shifts)
     stop, log_stop = _stops(rotation, top, plane, jax.tree.map(lambda leaf: leaf[0], lanes))
-    residual = jnp.where(lanes.along[:, None], _one(0), _one(1))
+    residual = jnp.where(
+        lanes.along[:, None], certainty_of(Fate.POSITIVE), certainty_of(Fate.NEGATIVE)
+    )
     each = jnp.where(lanes.residual[:, None], residual, stop)
     logs = jnp.where(lanes.residual, lanes.log_ratio + _log_momentum(top, log_u), log_stop)
     alike = jnp.all(lanes.residual == lanes.residual[0])
@@ -180,16 +183,12 @@ def _log_momentum(top: Top, log_u: Real) -> Real:
     return log_u / 2 - top.log_unit + jnp.log(top.moment)
 
 
-def _one(end: int) -> Float[Array, "8"]:
-    return jnp.zeros(8).at[end].set(1.0)
-
-
 def _end_of(
     rotation: FreeRotation, top: Top, probability: Float[Array, "8"], logs: Float[Array, "n"]
 ) -> SlowEnd:
     """Return the end, given ln L∞/L₀ of equally probable lanes; the half time is NaN."""
     unknown = jnp.full_like(top.delta, jnp.nan)
-    residual = jnp.sum(probability[:2])
+    residual = jnp.sum(probability[RESIDUAL_FATES])
     log_mean = jax.nn.logsumexp(logs) - np.log(logs.size)
     return SlowEnd(
         probability,
@@ -235,6 +234,6 @@ def _stops(
     high, z = handed.place
     end = slow_end(handed, motion_from(handed.side(high), high, z))
     log_ratio = jnp.log(size) + _log_momentum(top, top.log_u) + end.log_ratio
-    stays = _one(3)  # across dipole and symmetry axis
-    ends = jnp.where(plane.repels(at.state), _one(5), stays)
+    stays = certainty_of(Fate.AXIS_2)  # across dipole and symmetry axis
+    ends = jnp.where(plane.repels(at.state), certainty_of(Fate.TUMBLING_LOW), stays)
     return jnp.where(turning, end.probability, ends), jnp.where(turning, log_ratio, nothing)

@@ -2,12 +2,14 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 
+Method = TypeVar("Method", bound=Callable[..., Any])
 
-def over_batch(axes: Callable[[Any], int]) -> Callable[[Any], Any]:
+
+def over_batch(axes: Callable[[Any], int]) -> Callable[[Method], Method]:
     """Return a decorator for methods of objects to which `jax.vmap` may add leading batch axes.
 
     Args:
@@ -18,13 +20,13 @@ def over_batch(axes: Callable[[Any], int]) -> Callable[[Any], Any]:
         batch axes in front.
     """
 
-    def decorate(method: Any) -> Any:
+    def decorate(method: Method) -> Method:
         @functools.wraps(method)
         def batched(self: Any, *args: Any, **kwargs: Any) -> Any:
             if axes(self) == 0:
                 return method(self, *args, **kwargs)
             return eqx.filter_vmap(lambda each: batched(each, *args, **kwargs))(self)
 
-        return batched
+        return batched  # pyright: ignore[reportReturnType]
 
     return decorate

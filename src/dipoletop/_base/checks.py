@@ -1,7 +1,7 @@
 """Checks of arguments: a bad known value raises an error; a bad traced value becomes NaN."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,9 +13,9 @@ from jaxtyping import Real as RealOrInteger
 
 from .forks import refuse_orphan
 from .quantities import Quantity, WrongUnitError, plain
+from .refusals import described, refuse
 from .structure import of_structure, state_of
 
-LONGEST = 2000  # characters of a value that a message shows
 NumberLike = (
     float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""] | Quantity
 )
@@ -27,36 +27,6 @@ ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."] | Quantity
 def concrete(*values: Any) -> bool:
     """Return whether every leaf is a value, not a tracer."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
-
-
-def one_line(value: Any) -> str:
-    """Return a value as text on one line, cut if it is long, without control characters."""
-    shown = printable(" ".join(str(value).split()))  # some values print over many lines
-    return shown[:LONGEST] + " …" if len(shown) > LONGEST else shown
-
-
-def printable(text: str) -> str:
-    """Return a text in which characters that control a terminal are written as escapes."""
-    return "".join(x if x.isprintable() else ascii(x)[1:-1] for x in text)
-
-
-def refusal(name: str, must: str, was: Any) -> str:
-    """Return the message of a refusal: "Argument `name` must …, but …."."""
-    return f"Argument `{name}` must {must}, but {one_line(was)}."
-
-
-def refuse(name: str, must: str, was: Any) -> NoReturn:
-    """Raise a ValueError with a refusal."""
-    raise ValueError(refusal(name, must, was))
-
-
-def described(value: Any) -> str:
-    """Return a short description of a value of a wrong type."""
-    if isinstance(value, type):
-        return f"is the class {value.__name__}"
-    if value is None or isinstance(value, bool | int | float | complex | str | bytes):
-        return f"is {value!r}"
-    return f"is of type {type(value).__name__}"
 
 
 def instance(name: str, value: Any, kind: Any, must: str = "") -> Any:
@@ -237,6 +207,9 @@ def subnormal(array: Any) -> np.ndarray:
 def check_equation(equation: Any, name: str = "equation") -> None:
     """Refuse a value that cannot be an equation of motion, such as a plain function."""
     must = "be an equation of motion, callable and with methods `lift(omega0)` and `omega(y)`"
+    if getattr(equation, "is_noisy", False):
+        kinds = "`noise.ensemble` and `noise.averaged_ensemble` follow many paths"
+        refuse(name, f"be without noise ({kinds})", "has noise, so that it ends by chance")
     if isinstance(equation, type) or not callable(equation):
         refuse(name, must, described(equation))
     for method in ("lift", "omega"):

@@ -14,6 +14,7 @@ from jax.core import Tracer
 
 from .checks import concrete
 from .digests import digest
+from .refusals import refuse
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -71,12 +72,20 @@ def _is_host_call(*arguments: Any) -> bool:
     """Return whether no trace is active, even one on which the arguments do not depend."""
     if jax.default_backend() != "cpu" or not concrete(arguments):
         return False
-    return not isinstance(jax.device_put(np.float32(0)), Tracer)
+    return not in_a_trace()
+
+
+def in_a_trace() -> bool:
+    """Return whether every computation is traced at present, as in `jax.jit`."""
+    return isinstance(jax.device_put(np.float32(0)), Tracer)
 
 
 KEPT = 64  # largest number of kept programs of users' functions
 _programs: dict[bytes, jax.stages.Compiled] = {}
 _lock = threading.Lock()
+
+
+UNTRACED = "be swept where nothing is traced (`classify` works in jit, grad and vmap)"
 
 
 class CompiledPrograms:
@@ -99,7 +108,10 @@ class CompiledPrograms:
         key = structure, tuple((x.shape, x.dtype) for x in leaves)
         with _lock:
             if key not in self._own:
-                self._own[key] = _compiled(jax.jit(flat).lower(*leaves))
+                traced = jax.jit(flat).trace(*leaves)
+                if len(traced.jaxpr.in_avals) > len(leaves):  # a tracer outside of the function
+                    refuse("problem", UNTRACED, "depends on a value that is")
+                self._own[key] = _compiled(traced.lower())
         return self._own[key](*leaves)
 
 

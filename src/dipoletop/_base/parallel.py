@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import jax
 import jax.numpy as jnp
 
-from .checks import refuse
+from .refusals import refuse
 
 if TYPE_CHECKING:  # for a type checker `jax.Device` is a variable, not a type
     from jaxlib._jax import Device

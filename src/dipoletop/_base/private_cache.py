@@ -75,6 +75,25 @@ def location() -> Path | None:
     return Path(base) / "dipoletop" if os.path.isabs(base) else None
 
 
+def subfolder(name: str) -> Path | None:
+    """Return a folder in the cache for files of another library, without the oldest beyond a limit.
+
+    None if there is no cache, or if others may write to the folder.
+    """
+    folder = _folder(make=True)
+    if folder is None:
+        return None
+    try:
+        within = folder / name
+        within.mkdir(mode=0o700, exist_ok=True)
+        if not _is_private(within.lstat()):
+            return None
+        _remove_oldest(within)
+    except OSError:
+        return None
+    return within
+
+
 def _folder(make: bool = False) -> Path | None:
     """Return the folder of the cache if it exists and only this user can write to it, else None."""
     folder = location()
@@ -104,6 +123,8 @@ def _remove_oldest(folder: Path) -> None:
     for file in os.scandir(folder):
         with contextlib.suppress(OSError):  # another process has removed it
             state = file.stat(follow_symlinks=False)
+            if stat.S_ISDIR(state.st_mode):
+                continue
             files.append((state.st_mtime_ns, state.st_size, file.path))
     total = sum(size for _, size, _ in files)
     for _, size, path in sorted(files):

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .checks import concrete, on_device, on_host, real, refuse
+from .checks import concrete, on_device, on_host, real
 from .linalg import length
+from .refusals import refusal, refuse
 
 MAX_STEPS = 50_000
 MOST = 2**31 - 1  # engines count steps in 32 bits
@@ -36,6 +37,9 @@ class Tolerances(NamedTuple):
     """Absolute tolerance, one for each lane."""
 
 
+SWITCH_ON = 'Float64 is off; jax.config.update("jax_enable_x64", True) switches it on'
+
+
 def step_tolerances(
     rtol: Any, atol: Any, omega0: Float[Array, "3"], exact_when_slow: Any = True
 ) -> Tolerances:
@@ -49,11 +53,11 @@ def tolerance(name: str, value: Any, xp: Any = jnp) -> Any:
     array = real(name, value, xp=xp)
     least = 20 * float(jnp.finfo(array.dtype).eps)
     if concrete(array) and not (array.ndim == 0 and least <= float(array) < 1):
-        hint = ""
-        if array.dtype == np.float32:
-            hint = ' (float64 is off; jax.config.update("jax_enable_x64", True) switches it on)'
         shown = f"{float(array):g}" if array.ndim == 0 else f"of shape {array.shape}"
-        refuse(name, f"lie between {least:.1e} and 1 in {array.dtype}", f"is {shown}{hint}")
+        must = f"lie between {least:.1e} and 1 in {array.dtype}"
+        if array.dtype == np.float32:
+            raise ValueError(f"{SWITCH_ON}. {refusal(name, must, f'is {shown}')}")
+        refuse(name, must, f"is {shown}")
     return array
 
 

@@ -52,6 +52,50 @@ class Stop(enum.IntEnum):
     """Free rotation of a general body whose energy and angular momentum decay."""
 
 
+class Fate(enum.IntEnum):
+    """How a motion ends, in full: outcome, sense of a residual rotation, kind of a stop.
+
+    A prediction has a probability for each member from POSITIVE to WOBBLING, in this order. A run
+    knows a stop by its `Stop`, which tells no axis; it has the members from AXIS on, or WOBBLING.
+    """
+
+    FAILED = -2
+    UNDECIDED = -1
+    """No outcome, or a residual rotation whose sense is not known."""
+    POSITIVE = 0
+    """Residual rotation with ω∞ > 0."""
+    NEGATIVE = 1
+    """Residual rotation with ω∞ < 0."""
+    AXIS_1 = 2
+    """A stop in pure spin about the principal axis of J₁, the smallest moment."""
+    AXIS_2 = 3
+    """A stop in pure spin about the principal axis of J₂."""
+    AXIS_3 = 4
+    """A stop in pure spin about the principal axis of J₃, the largest moment."""
+    TUMBLING_LOW = 5
+    """A stop while tumbling, with h = 2E/L² below 1/J₂."""
+    TUMBLING_HIGH = 6
+    """A stop while tumbling, with h above 1/J₂."""
+    WOBBLING = 7
+    """A stop while oscillating about the axis across the dipole (the middle one of a needle)."""
+    AXIS = 8
+    """A stop about a fixed axis."""
+    ROTATING = 9
+    """A stop while the angular velocity precesses about the symmetry axis."""
+    TUMBLING = 10
+    """A stop while tumbling."""
+    STOP = 11
+    """A stop of unknown kind."""
+
+
+PREDICTED_FATES = tuple(fate for fate in Fate if 0 <= fate <= Fate.WOBBLING)
+"""The fates that have probabilities: POSITIVE to WOBBLING."""
+RESIDUAL_FATES = slice(Fate.POSITIVE, Fate.NEGATIVE + 1)
+"""The residual rotations among them."""
+STOP_FATES = slice(Fate.AXIS_1, Fate.WOBBLING + 1)
+"""The stops among them."""
+
+
 class Regime(enum.IntEnum):
     """The law that decided how a motion ends."""
 

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .._base.checks import check_single, finite, or_nan, refuse
+from .._base.checks import check_single, finite, or_nan
 from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
+from .._base.refusals import refuse
 from .._base.tolerances import tolerance
 from ..equations._common import is_full, physical, rate_of_omega
 from .march import EFOLDS, PREVIOUS_ELEMENT, depends_on_time, start_march

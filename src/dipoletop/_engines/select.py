@@ -7,9 +7,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from .._base.checks import refuse
 from .._base.monitoring import report_compile_time
 from .._base.parallel import Device
+from .._base.refusals import refuse
 from .._base.stopping import Until
 from .._base.types import Equation
 from ..equations._common import is_full, physical

@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import described, flag, instance, refuse
+from .._base.checks import flag, instance
+from .._base.pictured import Pictured
+from .._base.refusals import described, refuse
 from .._base.statistics import Share, share_of
+from .._base.tables import rows_of
 from .._base.types import Outcome
 from .columns import (
     DERIVATIVE_PREFIX,
+    LEVEL,
     MISSING,
     START,
     BasinParts,
@@ -29,11 +33,12 @@ from .store import saved_basins
 from .store.errors import StoreDamaged
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 
 @dataclass(frozen=True, eq=False)
-class Basin:
+class Basin(Pictured):
     """Outcomes on a grid or a sample; every property is an array of its shape.
 
     | property | column | meaning |
@@ -211,6 +216,23 @@ class Basin:
         truths = {name: x.astype("int8") for name, x in data.items() if x.dtype == bool}
         return data.assign(truths).where(computed)
 
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a `pandas.DataFrame` with a row for each start.
+
+        Components have columns of their own, such as `omega_1`; units are in `attrs["units"]`.
+
+        Example:
+            >>> import dipoletop as dt
+            >>> def problem(w3, phi):
+            ...     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
+            >>> basin = dt.sweep(problem, dt.Grid(w3=[0.1, 0.3], phi=[0.0, 0.8, 1.6]))
+            >>> table = basin.to_dataframe()
+            >>> len(table), table.attrs["units"]["w3"]
+            (6, '1/tau_0')
+        """
+        # The level is the same in every row.
+        return rows_of(self.to_xarray().drop_vars(LEVEL, errors="ignore"), self.dims)
+
     def isel(self, **positions: Any) -> "Basin":
         """Return the part at positions on axes; other axes are kept whole.
 
@@ -331,6 +353,7 @@ class Basin:
             if "certified" in self.columns and computed.any():
                 shares.append(f"certified {np.mean(self.certified[computed]):.2%}")
             if not computed.all():
+                shares = [f"of what is computed so far: {', '.join(shares)}"]
                 shares.append(f"not computed yet {1 - np.mean(computed):.2%}")
         except StoreDamaged as error:
             return str(error)

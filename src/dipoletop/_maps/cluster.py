@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from .._base.checks import one_line, refuse
 from .._base.digests import digest
 from .._base.parallel import as_worker
+from .._base.refusals import one_line, refuse
 from .._engines.processors import host_processor
 from .store.errors import StoreMismatch
 from .sweep_plan import Plan, plan_of

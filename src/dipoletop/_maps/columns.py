@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from jaxtyping import Float
 from numpy import nan, ndarray
 
-from .._base.checks import refuse
+from .._base.refusals import refuse
 from .._base.types import Outcome, Regime, Stop
 
 

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from .._base.checks import described, finite, positive, real, refuse, shape_of
+from .._base.checks import finite, positive, real, shape_of
 from .._base.quantities import Quantity
+from .._base.refusals import described, refuse
 from .._base.tolerances import budget, whole
 
 PointValues = Array | Mapping[str, Array | np.ndarray]

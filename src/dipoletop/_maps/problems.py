@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import check_equation, instance, real, refuse
+from .._base.checks import check_equation, instance, real
 from .._base.compiling import CompiledPrograms
 from .._base.dependence import dependence
 from .._base.digests import array_digest, program_digest
 from .._base.linalg import length
 from .._base.parallel import as_worker
+from .._base.refusals import refuse
 from .._base.types import DecidingEquation, Equation, State, Vector, Verdict
 from ..equations._common import error_scale_of, physical
 from ..equations.tangent import Tangent

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._base.checks import refuse
+from .._base.refusals import refuse
 from .columns import BasinParts, is_result
 
 Positions = dict[str, Any]

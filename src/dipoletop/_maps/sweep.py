@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._base.checks import refuse
+from .._base.refusals import refuse
 from .._base.tolerances import MAX_STEPS, check_settings, tolerance
 from .._runs.classification import Value
 from .._runs.run_settings import RunSettings

@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._base.checks import names_of, refuse
+from .._base.checks import names_of
+from .._base.compiling import UNTRACED, in_a_trace
 from .._base.parallel import Device, worker_devices
+from .._base.refusals import refuse
 from .._base.tolerances import tolerance
 from .._base.types import Equation
 from .._engines.interface import Engine, power_of_two
@@ -220,6 +222,8 @@ def plan_of(
     Raises:
         ValueError: bad arguments.
     """
+    if in_a_trace():
+        refuse("problem", UNTRACED, "is swept within a trace")
     blocks = BlockBuilder(problem, over, derivative_names(derivatives, settings.value))
     devices = worker_devices(settings.devices)
     equation, _ = blocks.template()

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._base.checks import finite, instance, names_of, refuse
+from .._base.checks import finite, instance, names_of
+from .._base.refusals import refuse
 from .._base.types import Outcome
 from .columns import DERIVATIVE_PREFIX
 from .grids import Grid, Points, Sample

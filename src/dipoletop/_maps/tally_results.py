@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._base.checks import flag, refuse
+from .._base.checks import flag
+from .._base.refusals import refuse
 from .._base.statistics import wilson
 from .._base.types import Outcome
 from .columns import column_spec, coordinate_dims, labels, with_level

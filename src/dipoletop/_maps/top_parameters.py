@@ -1,25 +1,16 @@
-"""The quantities that fix a transverse top and its start: symbols, defaults, ranges, the problem.
+"""The quantities that fix a transverse top and its start: symbols, defaults, ranges.
 
-A quantity has the name of its axis in a `Grid`, such as `w_perp`.
+A quantity has the name of its axis in a `Grid`, such as `w_perp`. Nothing here needs JAX, so that
+the command line can name them at once.
 """
 
-import functools
 import math
 from collections.abc import Iterable, Mapping
+from numbers import Real
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array
-
-from .._base.checks import described, refuse
 from .._base.numerals import as_text
-from .._base.types import Equation
-from ..equations.coordinates import cylindrical
-from ..equations.levels import Level
-from ..equations.transverse import equation_at
-from .problems import Problem
+from .._base.refusals import described, refuse
 
 
 class Quantity(NamedTuple):
@@ -55,7 +46,7 @@ def checked(name: str, value: Any, quantity: Quantity) -> float:
         ValueError: it is none, or lies out of bounds.
     """
     must = "be a finite number"
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+    if isinstance(value, bool) or not isinstance(value, Real):
         refuse(name, must, described(value))
     number = float(value)
     if not math.isfinite(number):
@@ -89,21 +80,3 @@ def describe(values: Mapping[str, float]) -> str:
     return ", ".join(
         f"{QUANTITIES[name].symbol} = {as_text(value)}" for name, value in values.items()
     )
-
-
-def initial_condition(values: Mapping[str, ArrayLike]) -> Array:
-    """Return ω₀, shape (3,), from the quantities by name."""
-    if "amplitude" not in values:
-        return cylindrical(values["w_perp"], values["w3"], values["phi"])
-    amplitude, theta = values["amplitude"], values["theta"]
-    return cylindrical(amplitude * jnp.sin(theta), amplitude * jnp.cos(theta), values["phi"])
-
-
-@functools.cache  # the same function for every sweep of a level, so that it is traced once
-def problem_of_top(level: Level) -> Problem:
-    """Return the problem of a sweep at a level, over δ and the quantities of a start."""
-
-    def problem(**point: Any) -> tuple[Equation, Array]:
-        return equation_at(level, point["delta"]), initial_condition(point)
-
-    return problem

@@ -53,7 +53,7 @@ def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = 
                 last, warned = time.monotonic(), False
                 if counts is not None:
                     totals += counts
-                    bar.set_postfix_str(_shares(plan, totals), refresh=False)
+                    bar.set_postfix_str(f"so far {_shares(plan, totals)}", refresh=False)
                 bar.update(plan.tiling.length(tile))
                 waiting.discard(tile)
             if waiting:

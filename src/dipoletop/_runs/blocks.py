@@ -23,7 +23,14 @@ from .conditioning import with_error_estimates, without_error_estimates
 from .label_doubt import CERTAIN, finish_of, made_twice
 from .memory_limits import Lanes, in_fitting_parts, part_of, put_back
 from .run_settings import RunSettings
-from .slow_runs import awaits_slow_flow, is_open, predictions, why_unpredictable
+from .slow_runs import (
+    awaits_slow_flow,
+    first_budget,
+    is_open,
+    may_be_predicted,
+    predictions,
+    why_unpredictable,
+)
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # largest number of steps in the first pass: all longer runs would be in doubt
@@ -62,17 +69,22 @@ def _classified(
     if settings.slow_flow is False or why_unpredictable(equation):
         return block.classified(limits)
     every, label_only, t1 = settings.slow_flow is True, settings.value is False, limits.t1
-    slow = awaits_slow_flow(equation, omegas, limits, every, label_only)
+    possible = may_be_predicted(equation, omegas)
+    slow = awaits_slow_flow(equation, omegas, limits, every, label_only) & (possible | every)
     rest = limits._replace(t1=np.where(slow, 0.0, t1).astype(t1.dtype)) if slow.any() else limits
+    rest = rest._replace(max_steps=first_budget(equation, limits))
     runs = block.classified(rest)
-    # Also to be predicted are runs that have exhausted their budget.
-    unknown = is_open(runs, label_only) & (t1 > 0) & (slow | (runs.steps >= limits.max_steps))
-    lanes = np.flatnonzero(unknown)
+    # Also to be predicted are runs that turn out to be long.
+    slow |= runs.steps >= rest.max_steps
+    unknown = is_open(runs, label_only) & (t1 > 0) & slow
+    lanes = np.flatnonzero(unknown & possible)
     if not lanes.size:
         return runs
     found = predictions(*part_of((equation, omegas), lanes, slow.size), place.threads)
     if not every:  # the predicted L∞ shows which runs are not long after all
-        again = lanes[slow[lanes] & ~found.exceed_budget(limits, label_only)]
+        steps = np.asarray(runs.steps[lanes])
+        long = found.exceed_budget(limits, label_only, steps > 0)
+        again = lanes[~long & (steps < limits.max_steps)]
         if again.size:
             runs = put_back(runs, again, block.some_classified(again, limits))
     filled = found.filled_in(part_of(runs, lanes, slow.size), label_only)

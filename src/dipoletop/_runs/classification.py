@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.checks import concrete, refuse
+from .._base.checks import concrete
+from .._base.refusals import refuse
 from .._base.stopping import BROKEN, Until, settled
 from .._base.summaries import with_error
 from .._base.tolerances import Tolerances

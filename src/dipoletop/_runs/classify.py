@@ -18,11 +18,11 @@ from .._base.checks import (
     concrete,
     is_whole_state,
     known_start,
-    refuse,
 )
 from .._base.compiling import compiled_soon
 from .._base.integration import integrated
 from .._base.parallel import worker_devices
+from .._base.refusals import refuse
 from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import DecidingEquation, Equation, State

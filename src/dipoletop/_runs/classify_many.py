@@ -7,8 +7,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real, refuse
+from .._base.checks import ArrayLike, NumberLike, check_verdict, concrete, is_single, real
 from .._base.parallel import Device, in_parallel, worker_devices
+from .._base.refusals import refuse
 from .._base.tolerances import MAX_STEPS
 from .._base.types import Equation
 from .._engines.interface import Limits, power_of_two

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._averaging.ends import QUANTILES
+from .._averaging.ends import QUANTILES, certainty_of
 from .._averaging.forecast import (
     Forecast,
     Variables,
@@ -26,7 +26,7 @@ from .._averaging.histories import Values, best_history, in_units
 from .._averaging.slow_flow import from_logit
 from .._base.compiling import compiled_soon
 from .._base.tolerances import MAX_STEPS
-from .._base.types import Outcome, Real, Regime, Vector
+from .._base.types import RESIDUAL_FATES, Fate, Outcome, Real, Regime, Vector
 from ..bodies import Body
 from ..equations.rigid import SemiReduced
 from .classification import Classification
@@ -89,6 +89,10 @@ class _Course:
         """Return |L| of a state, in the units of `start`."""
         return float(jnp.linalg.norm(self.start[:9].reshape(3, 3) @ omega)) / self.unit
 
+    def run(self) -> Classification:
+        """Return the outcome by integration alone, since averages do not hold here."""
+        return classify(self.equation, self.omegas[0], rtol=RTOL, slow_flow=False)
+
     def residual_state(self, run: Classification) -> Vector:
         """Return the state in which a residual rotation ends."""
         return jnp.asarray(run.omega_inf) * self.equation.body.dipole
@@ -141,7 +145,7 @@ def resolved_forecast(
     course = _Course(start, strength, is_needle)
     if course.is_long(ratio):
         return None
-    run = classify(course.equation, course.omegas[0], rtol=RTOL)
+    run = course.run()
     first = course.energy(course.omegas[0])
     if _is_residual(run):
         last = course.residual_state(run)
@@ -152,7 +156,7 @@ def resolved_forecast(
     if run.outcome != Outcome.STOP or not _follow_stop(course):
         return None
     late = course.averages()
-    stops = late.probability.at[:2].set(0.0)
+    stops = late.probability.at[RESIDUAL_FATES].set(0.0)
     if not bool(jnp.sum(stops) > 0):  # the two laws contradict each other
         return None
     stops = stops / jnp.sum(stops)
@@ -179,7 +183,7 @@ def resolved_history(
     """Return E, |L|, h and √⟨Ω²⟩ of a rotation with a resolved forecast at given times."""
     times, strength = np.asarray(constants[0]), constants[1]
     course = _Course(start, strength, is_needle)
-    run = classify(course.equation, course.omegas[0], rtol=RTOL)
+    run = course.run()
     if residual := _is_residual(run):
         least = course.energy(course.residual_state(run))
         least += SETTLED * course.energy(course.omegas[0])
@@ -233,11 +237,11 @@ def _residual(course: _Course, run: Classification, half_time: float) -> Forecas
     omega, last = course.omegas[0], course.residual_state(run)
     ratio = jnp.asarray(course.momentum(last) / course.momentum(omega))
     omega_inf = jnp.asarray(run.omega_inf)
-    senses = jnp.stack([omega_inf > 0, omega_inf < 0])
+    sense = jnp.where(omega_inf > 0, Fate.POSITIVE, Fate.NEGATIVE)
     _, units = scaled_rotation(course.start, course.strength)
     return Forecast(
         outcome=jnp.asarray(Outcome.RESIDUAL.value),
-        probability=jnp.append(senses.astype(ratio.dtype), jnp.zeros(6)),
+        probability=certainty_of(sense),
         omega_inf=omega_inf / course.unit,
         ratio=ratio,
         ratio_quantiles=jnp.full(len(QUANTILES), ratio),

@@ -37,11 +37,11 @@ from .._base.checks import (
     finite,
     is_whole_state,
     on_host,
-    refuse,
     where_valid,
 )
 from .._base.compiling import compiled_soon
 from .._base.forward_mode import forward_differentiable
+from .._base.refusals import refusal, refuse
 from .._base.structure import state_of
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import Equation, State, Vector
@@ -157,7 +157,13 @@ def simulate(
         failures = {BRANCH_LOST.format(steps): ~(reached >= times[-1])}
     else:
         y0 = start if whole_state else motion.lift(start)
-        run, result = _solve(motion, y0, times, tolerances, steps, options, q0)
+        try:
+            run, result = _solve(motion, y0, times, tolerances, steps, options, q0)
+        except TypeError as error:
+            if "forward-mode" not in str(error):
+                raise
+            must = "be `diffrax.ForwardMode()` for derivatives by `jax.jvp` or `jax.jacfwd`"
+            raise ValueError(refusal("adjoint", must, "is another one")) from None
         out_of_steps = result == diffrax.RESULTS.max_steps_reached
         failed = ~(diffrax.is_okay(result) | out_of_steps)
         failures = {OUT_OF_STEPS.format(steps): out_of_steps, STEP_FAILED: failed}

@@ -3,6 +3,8 @@
 A run turns about 1/(τ₀Ω) times before its outcome is certain, so its cost grows without bound as
 the amplitude falls. Where the estimated number of steps exceeds the budget, the engine only tests
 the first state, and averages over free rotation (`_averaging`) predict what it does not decide.
+The length of a run depends on L∞, which the averages give. So a run of a body whose length is not
+clear is begun, and averages are computed when it has taken a part of its budget.
 
 The number of steps of a run is estimated from the phase of the precession about the dipole until
 the motion is aligned with it. With the dipole on the axis c of a body (others a, b), angles to it
@@ -23,8 +25,16 @@ from jaxtyping import Bool, Float, Int
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
 from .._averaging.untimed_ends import ends_of_many
-from .._base.checks import refuse
-from .._base.types import Outcome, Regime, Stop, implied_probability
+from .._base.refusals import refuse
+from .._base.types import (
+    PREDICTED_FATES,
+    RESIDUAL_FATES,
+    Fate,
+    Outcome,
+    Regime,
+    Stop,
+    implied_probability,
+)
 from .._engines.interface import Limits
 from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
@@ -41,8 +51,9 @@ WINDOWS = 0.2  # windows of a run along a physical branch, in units of these ste
 NEAR_AXIS = 1e-4  # approximate sin² of the angle between L and the dipole at which runs end
 LEAST_RATIO = 0.03
 """The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
-found when they have exhausted their budget. If it were smaller, more runs would be predicted in
-vain: that costs as much as a few of them, and seconds of compilation the first time."""
+found when they have taken many steps. If it were smaller, more runs would be predicted in vain:
+that costs as much as a few of them, and seconds of compilation the first time."""
+PATIENCE = 0.3  # part of the budget after which a run of a body turns out to be long
 ROUNDING = ROUNDINGS * float(np.finfo(float).eps)
 MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
 EQUAL = 0.05  # relative difference of moments up to which the formula of needles is also used
@@ -173,6 +184,39 @@ def _long_runs(
     return (delta > 0) & (phase > budget / _steps_per_radian(rtol, label_only)[1])
 
 
+def may_be_predicted(equation: Any, omegas: Any) -> Bool[np.ndarray, "N"]:
+    """Return which runs a law may describe; no law does where the rotation brakes too fast.
+
+    The criterion is the error that `ends_of_many` finds at the start. It has a closed form for
+    transverse tops; other bodies may all be predicted.
+    """
+    if type(equation) not in TRANSVERSE:
+        return np.ones(omegas.shape[1], bool)
+    errors = least_errors_of_needles(np.asarray(equation.delta), np.asarray(omegas))
+    return (np.asarray(equation.delta) <= 0) | ~(errors > LARGEST_ERROR)
+
+
+def least_errors_of_needles(
+    delta: Float[np.ndarray, "N"], omegas: Float[np.ndarray, "3 N"]
+) -> Float[np.ndarray, "N"]:
+    """Return the least error of a prediction of transverse tops, 0 < δ < 1.
+
+    It is that of the averages at the start (`start_error`) or of a known phase (`error_of_phase`),
+    with the angle θ between L and the symmetry axis, c = cos θ, β = δ/(1 − δ): the lines 1 ± βc of
+    a dipole across that axis carry off L at the rate L³S, S = Σ(1 ± c)²(1 ± βc)³/4, and a period
+    lasts 2π/(βcL).
+    """
+    w1, w2, w3 = omegas
+    axial, square = (1 - delta) * w3, w1**2 + w2**2
+    with np.errstate(all="ignore"):
+        size = np.sqrt(square + axial**2)
+        c, beta = np.abs(axial) / size, delta / (1 - delta)
+        rate = ((1 + c) ** 2 * (1 + beta * c) ** 3 + (1 - c) ** 2 * (1 - beta * c) ** 3) / 4
+        of_averages = 2 * size * np.abs(rate) / (beta * c)
+        of_phase = size + 2 * delta * np.abs(w3) ** 3 / square**2
+        return np.minimum(of_averages, of_phase)
+
+
 def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
     """Refuse True where nothing can be predicted, and values that are not among the choices.
 
@@ -219,6 +263,16 @@ def awaits_slow_flow(
     return _long_runs(equation, omegas, _budget(limits), float(limits.rtol), label_only)
 
 
+def first_budget(equation: Any, limits: Limits) -> Any:
+    """Return the number of steps after which averages tell whether a run goes on.
+
+    The length of the runs of tops does not depend on L∞, so that it is known from the beginning.
+    """
+    if type(equation) not in RIGID:
+        return limits.max_steps
+    return np.asarray(max(1, int(PATIENCE * int(limits.max_steps))))
+
+
 def _budget(limits: Limits) -> float:
     return MARGIN * int(limits.max_steps)
 
@@ -231,10 +285,13 @@ class Predictions(NamedTuple):
     known: Bool[np.ndarray, "N"]
     """Whether a law holds, with an error that lets it decide."""
 
-    def exceed_budget(self, limits: Limits, label_only: bool) -> Bool[np.ndarray, "N"]:
-        """Return which runs are known to need more steps than the budget."""
+    def exceed_budget(
+        self, limits: Limits, label_only: bool, begun: Bool[np.ndarray, "N"]
+    ) -> Bool[np.ndarray, "N"]:
+        """Return which runs need more steps than the budget; of those begun, which surely do."""
         steps = self.motions.steps(self.ends.ratio, float(limits.rtol), label_only)
-        return self.known & (steps > _budget(limits))
+        budget = np.where(begun, int(limits.max_steps) / MARGIN, _budget(limits))
+        return self.known & (steps > budget)
 
     def filled_in(self, runs: Classification, label_only: bool) -> Classification:
         """Fill in unknown outcomes and ω∞, if a law is known. That certifies nothing."""
@@ -243,7 +300,7 @@ class Predictions(NamedTuple):
         agrees = (runs.outcome == Outcome.RESIDUAL) & (ends.outcome == Outcome.RESIDUAL)
         value = label | (known & agrees & np.isfinite(ends.omega_inf))
         error = ends.error * np.abs(ends.omega_inf)
-        probability = np.sum(ends.probability[:, :2], axis=1)
+        probability = np.sum(ends.probability[:, RESIDUAL_FATES], axis=1)
         return replace(
             runs,
             outcome=np.where(label, ends.outcome, runs.outcome),
@@ -282,15 +339,16 @@ def _stops(ends: Forecast, motions: SlowMotions) -> Any:
     prolate, oblate = last & ~first, first & ~last
     across = prolate & _is_across(n1, j2 - j1, j3)
     across |= oblate & _is_across(n3, j3 - j2, j3)
-    of_axes = ends.probability[:, 2:5]
-    about_symmetry = across * np.where(prolate, ends.probability[:, 2], ends.probability[:, 4])
+    share = dict(zip(PREDICTED_FATES, ends.probability.T, strict=True))
+    of_axes = share[Fate.AXIS_1] + share[Fate.AXIS_2] + share[Fate.AXIS_3]
+    about_symmetry = across * np.where(prolate, share[Fate.AXIS_1], share[Fate.AXIS_3])
     ways = {
-        Stop.AXIS: np.sum(of_axes, axis=1) - about_symmetry,
+        Stop.AXIS: of_axes - about_symmetry,
         Stop.ROTATING: about_symmetry,
-        Stop.WOBBLING: ends.probability[:, 7],
-        Stop.TUMBLING: ends.probability[:, 5] + ends.probability[:, 6],
+        Stop.WOBBLING: share[Fate.WOBBLING],
+        Stop.TUMBLING: share[Fate.TUMBLING_LOW] + share[Fate.TUMBLING_HIGH],
     }
-    return np.select([share > CERTAIN for share in ways.values()], list(ways), Stop.NONE)
+    return np.select([chance > CERTAIN for chance in ways.values()], list(ways), Stop.NONE)
 
 
 def _is_across(component: Any, gap: Any, largest: Any) -> Any:

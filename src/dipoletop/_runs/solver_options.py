@@ -8,7 +8,8 @@ import diffrax
 import jax
 from jaxtyping import Array, Float
 
-from .._base.checks import ArrayLike, NumberLike, flag, instance, positive, refuse
+from .._base.checks import ArrayLike, NumberLike, flag, instance, positive
+from .._base.refusals import refuse
 from .._base.types import State
 
 

@@ -1,7 +1,7 @@
 """A simulated motion: its states, and the energies, powers and balance computed from them."""
 
 import functools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax
 import equinox as eqx
@@ -20,14 +20,32 @@ from .._base.checks import (
     concrete,
     finite,
     real,
-    refuse,
     shape_of,
     where_valid,
 )
 from .._base.compiling import compiled_soon
+from .._base.pictured import Pictured
+from .._base.refusals import refuse
+from .._base.tables import rows_of
 from .._base.types import Equation, Vector
 from ..equations._common import follows_attitude, rate_of_omega
 from ..equations.levels import level_of
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+COLUMNS = {
+    "omega": ("1/tau_0", "angular velocity in body axes", ("component",)),
+    "energy": ("I_1/tau_0^2", "kinetic energy", ()),
+    "power": ("I_1/tau_0^3", "radiated power", ()),
+    "emitted": ("I_1/tau_0^2", "energy radiated since the first time", ()),
+    "work": ("I_1/tau_0^2", "work of the torque from outside since the first time", ()),
+    "balance_defect": ("1", "error of the energy balance", ()),
+    "attitude": ("1", "unit quaternion from body axes to the laboratory", ("part",)),
+    "dipole": ("1", "dipole in the laboratory", ("component",)),
+}
+"""Columns of tables: units, meaning, axes behind the times."""
 
 
 @compiled_soon
@@ -55,7 +73,7 @@ def _batch_axes(trajectory: Any) -> int:
     return len(ts) - 1
 
 
-class Trajectory(eqx.Module):
+class Trajectory(Pictured, eqx.Module):
     """The states of an equation at T given times; other quantities are computed when read.
 
     From `jax.vmap` every field and property has the batch axes in front of the shape given here.
@@ -148,7 +166,8 @@ class Trajectory(eqx.Module):
     @compiled_soon
     def _balance_defect(self) -> Float[Array, "T"]:
         schott = functools.partial(radiation.schott_energy, self._body)
-        total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + self.emitted
+        emitted: Any = self.emitted  # not None: `balance_defect` has refused that
+        total = self.energy - jax.vmap(schott)(self.omega, self.omega_dot) + emitted
         total = total if self.work is None else total - self.work
         initial = self.energy[0]
         return (total - total[0]) / jnp.where(initial > 0, initial, 1.0)
@@ -212,6 +231,53 @@ class Trajectory(eqx.Module):
         if shape not in ((3,), wanted):
             refuse("vectors", f"have shape (3,) or {wanted}", f"has shape {shape}")
         return _rotated(q, real("vectors", vectors, shape, batch=False))
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return all quantities of the trajectory as an `xarray.Dataset`, with units.
+
+        Axes of a batch are called `batch_1`, …; then `tau` is a coordinate over `time`.
+
+        Example:
+            >>> import jax.numpy as jnp, dipoletop as dt
+            >>> ts = jnp.linspace(0.0, 10.0, 5)
+            >>> run = dt.simulate(dt.TransverseSemi(-0.2), [0.2, 0.0, 0.1], ts)
+            >>> data = run.to_xarray()
+            >>> data.omega.dims, data.omega.attrs["units"]
+            (('tau', 'component'), '1/tau_0')
+        """
+        import xarray
+
+        batch = tuple(f"batch_{k + 1}" for k in range(_batch_axes(self)))
+        dims = (*batch, "time" if batch else "tau")
+        variables = {}
+        for name, (unit, meaning, behind) in COLUMNS.items():
+            if self._has(name):
+                values = np.asarray(getattr(self, name))
+                attrs = {"units": unit, "long_name": meaning}
+                variables[name] = ((*dims, *behind), values, attrs)
+        times = {"tau": (dims, np.asarray(self.ts), {"units": "tau_0", "long_name": "time"})}
+        return xarray.Dataset(variables, times, {"level": self.level})
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a `pandas.DataFrame` with a row for each time; see `to_xarray`.
+
+        Components have columns of their own, such as `omega_1`; units are in `attrs["units"]`.
+        """
+        data = self.to_xarray()
+        return rows_of(data, tuple(map(str, data.tau.dims)))
+
+    def _has(self, name: str) -> bool:
+        """Return whether there is a quantity of `COLUMNS`."""
+        turns = self._attitude is not None or follows_attitude(self.equation)
+        has_body = hasattr(self.equation, "body")
+        return {
+            "omega": True,
+            "emitted": self.emitted is not None,
+            "work": self.work is not None,
+            "balance_defect": self.emitted is not None,
+            "attitude": turns,
+            "dipole": turns and has_body,
+        }.get(name, has_body)
 
     @property
     def stats(self) -> dict[str, Any]:

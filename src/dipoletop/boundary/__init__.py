@@ -9,7 +9,7 @@ and `residual_share` the share of segments that ends in residual rotation, with 
 from .crossings import Crossings, bisect, derivative, normal
 from .curves import Curve, CurveEnd, trace
 from .edge_states import Edge, edge_state
-from .fates import Fate, fate
+from .fates import fate
 from .kicks import Kick, minimal_kick
 from .residual_shares import ResidualShare, residual_share
 
@@ -18,7 +18,6 @@ __all__ = [
     "Curve",
     "CurveEnd",
     "Edge",
-    "Fate",
     "Kick",
     "ResidualShare",
     "bisect",

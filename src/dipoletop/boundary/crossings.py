@@ -19,15 +19,17 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._base.checks import finite, instance, names_of, positive, refuse
+from .._base.checks import finite, instance, names_of, positive
+from .._base.refusals import refuse
 from .._base.summaries import span
 from .._base.tolerances import check_settings
+from .._base.types import Fate
 from .._maps.basin import Basin
 from .._maps.grids import Points
 from .._maps.problems import Problem, check_problem
 from .._maps.sweep import PointSweeps
 from .._runs.classification import UNCHECKED
-from .fates import Fate, fate, is_residual
+from .fates import fate, is_residual
 
 RTOL = 1e-10  # default relative tolerance of the runs
 ROUNDING = 2.0**-52  # smallest width of a bracket, as a fraction of its segment
@@ -47,7 +49,7 @@ class Crossings:
         a: the coordinates of one end of each segment, name = values of shape (N,).
         b: the coordinates of the other end.
         bracket: fractions of the segments between which the fate changes, shape (N, 2).
-        fates: the fates at the two sides of the bracket, shape (N, 2).
+        fates: members of `Fate` at the two sides of the bracket, shape (N, 2).
 
     Properties: `found`, whether a segment crosses the boundary; `s`, the fraction at which it does;
     `width` of the bracket; `before` and `after`, the coordinates of its two sides; and `at(s)`,
@@ -125,15 +127,17 @@ def bisect(
         >>> def problem(z):  # the limit of small amplitudes has its boundary at 4.25533557…
         ...     return dt.TransverseReduced(-0.2), dt.cylindrical(1e-3, z * 1e-6, 0.0)
         >>> crossings = bisect(problem, {"z": 4.0}, {"z": 4.5})
-        >>> crossings.fates.tolist(), crossings.before["z"].round(3).tolist()
-        ([[1, 5]], [4.255])
+        >>> [dt.Fate(number).name for number in crossings.fates[0]]
+        ['POSITIVE', 'ROTATING']
+        >>> crossings.before["z"].round(3).tolist()
+        [4.255]
     """
     crossings = narrow(new_crossings(problem, a, b, settings))
     if not crossings.found.any():
         for end in (crossings.a, crossings.b):
             problem(**{name: x[0] for name, x in end.items()})  # raises if the arguments are bad
-        fates = crossings.fates[0].tolist()
-        refuse("b", "end otherwise than `a` in some segment", f"the fates are {fates} in the first")
+        first = " and ".join(Fate(number).name for number in crossings.fates[0])
+        refuse("b", "end otherwise than `a` in some segment", f"the first one ends in {first}")
     return crossings
 
 

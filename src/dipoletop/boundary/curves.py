@@ -18,7 +18,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import corners_of_box, finite, instance, refuse
+from .._base.checks import corners_of_box, finite, instance
+from .._base.refusals import refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget
 from .._base.types import Equation

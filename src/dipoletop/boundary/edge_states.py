@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import check_single, check_verdict, finite, refuse
+from .._base.checks import check_single, check_verdict, finite
+from .._base.refusals import refuse
 from .._base.summaries import summary
 from .._base.tolerances import MAX_STEPS, absolute, budget, tolerance
 from .._base.types import Equation

@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._base.checks import finite, refuse
+from .._base.checks import finite
+from .._base.refusals import refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget
-from .._base.types import Equation
+from .._base.types import Equation, Fate
 from .._maps.sweep import PointSweeps
 from .crossings import (
     Crossings,
@@ -31,7 +32,6 @@ from .crossings import (
     unsearched,
 )
 from .edge_states import NAMES, problem_of_starts, to_array, to_coordinates
-from .fates import Fate
 
 SHORTLIST, COARSE = 64, 1e-4  # nearest rays that are bisected, and the width of their brackets
 BEST, ALIKE = 6, np.cos(0.3)  # starts of Newton's method, and the cosine of their least distance
@@ -106,8 +106,8 @@ def minimal_kick(
         >>> from dipoletop.boundary import minimal_kick
         >>> omega0 = dt.cylindrical(0.2, 0.1, 0.0)
         >>> kick = minimal_kick(dt.TransverseReduced(-0.2), omega0, directions=100, radii=9)
-        >>> bool(kick.size < 0.2), kick.fates.tolist()
-        (True, [1, 5])
+        >>> bool(kick.size < 0.2), [dt.Fate(number).name for number in kick.fates]
+        (True, ['POSITIVE', 'ROTATING'])
     """
     sweeps = sweeps_of(problem_of_starts(equation), settings)
     rays = _Rays(sweeps, *_checked(omega0, largest, components))

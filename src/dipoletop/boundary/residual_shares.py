@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import names_of, refuse
+from .._base.checks import names_of
+from .._base.refusals import refuse
 from .._base.statistics import mean_and_error
 from .._base.summaries import summary
 from .._base.tolerances import budget
+from .._base.types import Fate
 from .._maps.problems import Problem
 from .crossings import (
     Crossings,
@@ -25,7 +27,7 @@ from .crossings import (
     residual_gradient,
     unsearched_rows,
 )
-from .fates import Fate, is_residual
+from .fates import is_residual
 
 
 class ResidualShare(NamedTuple):

@@ -1,19 +1,13 @@
-"""The command line: `dipoletop map`, `simulate`, `predict`, `atlas`, `figures`, …."""
+"""`dipoletop simulate`, `figures`, `spectrum`, `validate` and `explore`."""
 
+import functools
 from pathlib import Path
 from typing import Any
 
 import click
-import jax.numpy as jnp
-import numpy as np
 
-from .. import stability, validation
-from .._maps.top_parameters import QUANTITIES, describe, initial_condition
-from .._runs.classify import classify
-from .._runs.simulate import simulate
+from .._maps.top_parameters import QUANTITIES, describe
 from ..equations.levels import Level
-from ..equations.transverse import equation_at
-from .map_command import map_command
 from .options import (
     AXIS,
     FORMATS,
@@ -29,15 +23,13 @@ from .options import (
     picture_options,
     quantity_options,
     range_option,
+    saved,
     start_values,
     write_table,
 )
-from .particle_commands import atlas_command, predict_command
-from .running import Refusal, computing, say
-from .store_commands import export_command, info_command, plot_command, store
+from .running import Refusal, computing, end_at_once, say, waiting
 
 FIGURES = click.Choice(["1", "1-full", "2", "3", "spectra", "levels"])
-COLUMNS = "tau", "omega_1", "omega_2", "omega_3", "energy", "power"
 NAMES = """\b
 Names of the figures:
   1        which outcomes are possible for which shape δ, at order 1
@@ -46,25 +38,9 @@ Names of the figures:
   3        phase plane of the plane rotator, with its runaways
   spectra  how perturbations of a residual rotation decay, at every level
   levels   which starts have another outcome at another level"""
-OTHERS = (
-    map_command,
-    predict_command,
-    atlas_command,
-    info_command,
-    plot_command,
-    export_command,
-    store,
-)
-SHOWN = {"show_default": True, "help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
-@click.group(epilog=TERMS, context_settings=SHOWN, commands=OTHERS)
-@click.version_option(package_name="dipoletop", message="%(prog)s %(version)s")
-def main() -> None:
-    """Rotation of a rigid electric dipole that radiates: does it keep rotating, or stop?"""
-
-
-@main.command("simulate", epilog=TERMS, short_help="One top: its motion and its outcome.")
+@click.command("simulate", epilog=TERMS)
 @click.option(
     "--level",
     type=LEVEL,
@@ -85,7 +61,13 @@ def simulate_command(**options: Any) -> None:
     Without options: the start of figure 2a of the paper (δ = -1/5, ω⊥ = ω₃ = 1/5, φ = π/30) by
     the semi-reduced equation; with --level order-1 the paper's own curves.
     """
+    import numpy as np
+
     from .. import plots
+    from .._maps.top_problems import initial_condition
+    from .._runs.classify import classify
+    from .._runs.simulate import simulate
+    from ..equations.transverse import equation_at
 
     level, tau_max = Level(options["level"]), options["tau_max"]
     if tau_max <= 0:
@@ -96,29 +78,33 @@ def simulate_command(**options: Any) -> None:
     settings = {name: options[name] for name in ("rtol", "max_steps")}
     times = np.linspace(0.0, tau_max, options["points"])
     equation = equation_at(level, delta)
-    trajectory = simulate(equation, omega0, times, throw=False, **settings)
-    columns = trajectory.ts, *trajectory.omega.T, trajectory.energy, trajectory.power
-    rows = np.column_stack(columns)
-    if not np.all(np.isfinite(rows)):
-        raise Refusal(
-            f"The run did not reach τ = {tau_max:g}: it ended after "
-            f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
-        )
-    figure: Any = plots.trajectory(trajectory).figure
-    figure.savefig(picture, dpi=150)
+    semi = None
+    with waiting():
+        trajectory = simulate(equation, omega0, times, throw=False, **settings)
+        table = trajectory.to_dataframe()
+        rows = table.to_numpy()
+        if not np.all(np.isfinite(rows)):
+            raise Refusal(
+                f"The run did not reach τ = {tau_max:g}: it ended after "
+                f"{trajectory.stats['num_steps']} steps of at most {options['max_steps']}."
+            )
+        drawn = plots.trajectory(trajectory)
+        end = classify(equation, omega0, **settings)
+        if not level.consistent:
+            semi = classify(equation_at(Level.SEMI, delta), omega0, **settings)
     say(f"{describe(values)}.\n{trajectory}")
     say(f"{'τ':>10} {'ω₁':>16} {'ω₂':>16} {'ω₃':>16} {'energy':>12} {'power':>12}")
     last = len(rows) - 1  # shown with the tenfold times before it
     for k in sorted({0, *(max(1, round(last / 10**k)) for k in range(4))}):
         say("{:10g} {:16.9e} {:16.9e} {:16.9e} {:12.5e} {:12.5e}".format(*rows[k]))
-    say(classify(equation, omega0, **settings))
-    if not level.consistent:
-        semi = classify(equation_at(Level.SEMI, delta), omega0, **settings)
+    say(end)
+    if semi is not None:
         say(f"{level.caveat}; at the semi-reduced level: {semi}")
-    write_table(picture, dict(zip(COLUMNS, columns, strict=True)))
+    saved("Picture", picture, functools.partial(plots.save, drawn, dpi=150))
+    write_table(picture, dict(table))
 
 
-@main.command("figures", epilog=NAMES, short_help="The figures of the paper, and three more.")
+@click.command("figures", epilog=NAMES)
 @click.argument("names", type=FIGURES, metavar="[NAME]...", nargs=-1)
 @output_option("figures", "Folder of the figures.")
 @click.option(
@@ -135,20 +121,17 @@ def figures_command(names: tuple[str, ...], output: str, suffixes: tuple[str, ..
 
     Without names: all of them, in about two minutes.
     """
+    make_folder(Path(output))
     from ..paper import figures
 
-    make_folder(Path(output))
     for name in dict.fromkeys(names or FIGURES.choices):
         figure = figures.FIGURES[name]()
         for suffix in dict.fromkeys(suffixes):
             path = Path(output) / f"figure-{name}.{suffix}"
-            figures.save(figure, path)
-            say(f"Figure: {path}")
+            saved("Figure", path, functools.partial(figures.save, figure))
 
 
-@main.command(
-    "spectrum", epilog=TERMS, short_help="How perturbations of a residual rotation decay."
-)
+@click.command("spectrum", epilog=TERMS)
 @click.option("--delta", type=NUMBER, default=-0.2, help="δ = 1 − I₃/I₁.")
 @click.option("-w", "--w", type=NUMBER, default=0.1, help="ω of the residual rotation.")
 @levels_option(LEVEL, ("order-1", "semi", "full"), "Level of the equation; may be repeated.")
@@ -159,15 +142,22 @@ def spectrum_command(delta: float, w: float, level: tuple[str, ...]) -> None:
     The slow eigenvalues are those of physical motions. The full equation has fast ones, too, of
     runaways.
     """
+    import jax.numpy as jnp
+
+    from .. import stability
+    from ..equations.transverse import equation_at
+
     only_first = set(level) == {Level.ORDER_1}
     for each in (*level, Level.SEMI) if only_first else level:
         equation = equation_at(each, delta)
-        say(f"{equation.level}\n{stability.spectrum(equation, jnp.array([w, 0.0, 0.0]))}")
+        with waiting():
+            found = stability.spectrum(equation, jnp.array([w, 0.0, 0.0]))
+        say(f"{equation.level}\n{found}")
     if only_first:
         say(f"{Level.ORDER_1.caveat}.")
 
 
-@main.command("validate", short_help="Check this installation against exact values.")
+@click.command("validate")
 @click.option(
     "--paper",
     is_flag=True,
@@ -180,6 +170,8 @@ def validate_command(paper: bool) -> None:
 
     This takes less than a minute; the exit status is 1 if a check fails.
     """
+    from .. import validation
+
     say(validation.environment())
     if paper:
         from ..paper import ledger
@@ -195,7 +187,7 @@ def validate_command(paper: bool) -> None:
     raise SystemExit(1 if failed else 0)
 
 
-@main.command("explore", epilog=TERMS, short_help="Maps in the browser that follow sliders.")
+@click.command("explore", epilog=TERMS)
 @levels_option(MAP_LEVEL, ("semi",), "Level of the equation at first; give two to compare them.")
 @click.option("--x", type=AXIS, metavar="AXIS", help="Horizontal axis at first.  [default: phi]")
 @click.option("--y", type=AXIS, metavar="AXIS", help="Vertical axis at first.  [default: w3]")
@@ -241,3 +233,5 @@ def explore_command(**options: Any) -> None:
         raise Refusal(str(error)) from None
     place = {name: options[name] for name in ("address", "port", "origins", "show")}
     explorer.serve(**place, say=lambda url: say(f"Explore at {url} (Ctrl-C ends it)."))
+    if explorer.is_working:
+        end_at_once(0)

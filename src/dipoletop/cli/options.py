@@ -8,16 +8,17 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from .._base.numerals import as_text, number_in
-from .._maps.grids import Grid
 from .._maps.top_parameters import CYLINDRICAL, QUANTITIES, SPHERICAL, checked, describe
 from ..equations.levels import Level
-from .running import Command, Refusal, say
+from .running import Command, Refusal, plain_reason, say
+
+if TYPE_CHECKING:
+    from .._maps.grids import Grid
 
 TERMS = """\b
 The top is axisymmetric, I₁ = I₂, and its dipole lies across the symmetry axis. Quantities
@@ -213,24 +214,33 @@ def output_paths(options: Mapping[str, Any], name: str) -> tuple[Path, Path]:
     return base, base.with_name(f"{base.name}.{suffix or 'png'}")
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, unless it is there."""
+def make_folder(folder: Path, given: str = "--output") -> None:
+    """Make a folder, and those above it, unless it is there; `given` is what names it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise Refusal(f"--output: the folder {folder} cannot be made ({reason}).") from None
+        said = f"{given}: the folder {folder} cannot be made ({plain_reason(error)})."
+        raise Refusal(said) from None
+
+
+def saved(kind: str, path: Path, write: Callable[[Path], Any], about: str = "") -> None:
+    """Write a file, and say where it is, and whether it takes the place of another one."""
+    notes = [about] if about else []
+    notes += ["in place of an older one"] if path.exists() else []
+    write(path)
+    say(f"{kind}: {path}" + (f" ({'; '.join(notes)})" if notes else ""))
 
 
 def write_table(picture: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns beside their picture as CSV, and say where both are.
+    """Write columns beside their picture as CSV, whose 17 digits give every number back exactly."""
+    import numpy as np
 
-    Its 17 digits give every number back exactly.
-    """
-    data, rows = picture.with_suffix(".csv"), np.column_stack(list(columns.values()))
-    header = ",".join(columns)
-    np.savetxt(data, rows, fmt="%.17g", delimiter=",", header=header, comments="")
-    say(f"Picture: {picture}\nData: {data}")
+    rows, header = np.column_stack(list(columns.values())), ",".join(columns)
+    saved(
+        "Data",
+        picture.with_suffix(".csv"),
+        lambda path: np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=header, comments=""),
+    )
 
 
 def start_values(given: Mapping[str, Any], axes: tuple[str, ...] = ()) -> dict[str, float]:
@@ -265,7 +275,7 @@ def grid_over(
     ranges: Mapping[str, Any],
     size: tuple[int, int],
     given: Mapping[str, Any],
-) -> tuple[Grid, str]:
+) -> "tuple[Grid, str]":
     """The grid over two quantities, and a line that describes it.
 
     A quantity that is fixed is an axis of length 1, so that the data hold all of them. The axes
@@ -275,6 +285,10 @@ def grid_over(
         Refusal: axes, ranges or values that do not go together.
         ValueError: a value that cannot be.
     """
+    import numpy as np
+
+    from .._maps.grids import Grid
+
     x, y = map(spelled, axes)
     if x == y:
         raise Refusal(f"--x and --y must be two different quantities, but are both {x}.")

@@ -1,18 +1,11 @@
-"""`dipoletop predict` and `atlas`: how particles end, and bodies of every shape."""
+"""`dipoletop predict`, `balance` and `atlas`: how particles end, what brakes them, all shapes."""
 
-from typing import Any
+import contextlib
+import functools
+from typing import TYPE_CHECKING, Any
 
 import click
-import jax
-import jax.numpy as jnp
-import numpy as np
-from tqdm import tqdm
 
-from .._base.directions import spread_directions
-from ..atlases import atlas
-from ..bodies import Body
-from ..particles import DEBYE, Particle, angular_speed, paper_particles, start
-from ..prediction import ENDS, Prediction, predict
 from .options import (
     DIRECTION,
     NUMBER,
@@ -21,10 +14,15 @@ from .options import (
     output_paths,
     picture_options,
     progress_option,
+    saved,
     together,
     write_table,
 )
-from .running import Refusal, computing, say
+from .running import Refusal, computing, say, waiting
+
+if TYPE_CHECKING:
+    from ..particles import Particle
+    from ..prediction import Prediction
 
 OF_PAPER = click.Choice(["silica", "dast", "cellulose", "cdse", "cds"], case_sensitive=False)
 """The first words of the names of `paper_particles`."""
@@ -74,7 +72,22 @@ particle_options = together(
 )
 
 
-@click.command("predict", epilog=NOTES, short_help="How the rotation of a real particle ends.")
+surrounding_options = together(
+    click.option("--pressure", type=NUMBER, help="Pressure of the air, Pa (1e-3 mbar is 0.1 Pa)."),
+    click.option("--temperature", type=NUMBER, help="Temperature, K.  [default: 300]"),
+    click.option(
+        "--loss", type=NUMBER, help="Im[(ε − 1)/(ε + 2)] of the material in the infrared."
+    ),
+)
+
+
+def given_surroundings(options: dict[str, Any]) -> dict[str, Any]:
+    """The surroundings that the options describe, as arguments of `balance` and `predict`."""
+    names = "pressure", "temperature", "loss"
+    return {name: options[name] for name in names if options[name] is not None}
+
+
+@click.command("predict", epilog=NOTES)
 @particle_options
 @click.option("--spin", default="1 GHz", help="L·Ω/|L|: 1GHz, 3000rpm or 6e9rad/s.")
 @click.option("--momentum", type=DIRECTION, help="Direction of L: x, y, z or 1,2,3.")
@@ -85,6 +98,7 @@ particle_options = together(
     default=200,
     help="Number of directions of L, if none is given.",
 )
+@surrounding_options
 @picture_options("prediction")
 @progress_option
 @computing
@@ -95,7 +109,14 @@ def predict_command(**options: Any) -> None:
     --axis it is predicted for directions of L spread evenly over the sphere; the picture then shows
     the median and bands. x, y, z are body axes.
     """
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
     from .. import plots
+    from .._base.directions import spread_directions
+    from .._base.types import PREDICTED_FATES
+    from ..particles import angular_speed, start
 
     if options["momentum"] and options["axis"]:
         raise Refusal("--momentum and --axis cannot both be given.")
@@ -105,9 +126,11 @@ def predict_command(**options: Any) -> None:
     single = options[name]
     directions = np.asarray([single]) if single else spread_directions(options["directions"])
     starts = start(particle, spin, **{name: jnp.asarray(directions)})
-    predictions = _predictions(particle, starts, options["progress"])
+    surroundings, progress = given_surroundings(options), options["progress"] and not single
+    with waiting() if single else contextlib.nullcontext():
+        predictions = _predictions(particle, starts, surroundings, progress)
     shown = jax.tree.map(lambda leaf: leaf[0], predictions) if single else predictions
-    plots.save(plots.history(shown), picture)
+    figure = plots.history(shown)
     say(particle)
     along = f"{letter} along {single}" if single else f"{len(starts)} isotropic directions of L"
     say(f"L·Ω/|L| = {float(angular_speed(spin)):.4g} rad/s, {along}")
@@ -120,26 +143,39 @@ def predict_command(**options: Any) -> None:
     else:
         columns = {f"L_{axis}": directions[:, k] for k, axis in enumerate("xyz")}
         columns |= {column: getattr(shown, column) for column in COLUMNS}
-        names = (end.replace(",", "").replace(" ", "_") for end in ENDS)
+        names = (f"share_{fate.name.lower()}" for fate in PREDICTED_FATES)
         columns |= dict(zip(names, shown.probability.T, strict=True))
+    saved("Picture", picture, functools.partial(plots.save, figure))
     write_table(picture, columns)
 
 
-def _predictions(particle: Particle, starts: Any, show: bool) -> Prediction:
+def _predictions(
+    particle: "Particle", starts: Any, surroundings: dict[str, Any], show: bool
+) -> "Prediction":
     """The predictions for all starts, as a batch."""
+    import jax
+    import numpy as np
+    from tqdm import tqdm
+
+    from ..prediction import predict
+
     # One by one: a batch by `vmap` would be compiled for minutes.
     bar = tqdm(starts, desc="predict", disable=not show, leave=False)
-    each = [predict(particle, omega0) for omega0 in bar]
+    each = [predict(particle, omega0, **surroundings) for omega0 in bar]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
 
 
-def given_particle(options: dict[str, Any]) -> Particle:
+def given_particle(options: dict[str, Any]) -> "Particle":
     """The particle that the options describe.
 
     Raises:
         Refusal: none or several of --particle and the shapes, or options that one needs are absent.
         ValueError: values that no particle has.
     """
+    import jax.numpy as jnp
+
+    from ..particles import DEBYE, Particle, paper_particles
+
     given = [name for name in ("particle", *SHAPES) if options[name] is not None]
     if len(given) != 1:
         all_names = "--particle, --box, --rod, --sphere or --ellipsoid"
@@ -156,7 +192,7 @@ def given_particle(options: dict[str, Any]) -> Particle:
             return found
         length = jnp.linalg.norm(found.dipole) if dipole is None else dipole * DEBYE
         vector = length * _unit(along or found.dipole)
-        return Particle(found.mass, found.inertia, vector, radius=found.radius)
+        return Particle(found.mass, found.inertia, vector, shape=found.shape)
     for name in ("density", "dipole", "along"):
         if options[name] is None:
             raise Refusal(f"--{shape} needs --{name}, too.")
@@ -170,8 +206,68 @@ def given_particle(options: dict[str, Any]) -> Particle:
     return Particle.ellipsoid([length / 2 for length in size], vector, density=density)
 
 
-def _unit(vector: Any) -> np.ndarray:
+def _unit(vector: Any) -> Any:
+    import numpy as np
+
     return np.asarray(vector) / np.linalg.norm(vector)
+
+
+BALANCE = """\b
+Examples:
+  dipoletop balance
+  dipoletop balance --particle silica --pressure 1e-7 --loss 0.1
+  dipoletop balance --rod 300x30nm --density 1600 --dipole 4000 --along x --axis z
+
+\b
+radiation   of the dipole itself
+gas         the drag by a rarefied gas, diffuse reflection
+blackbody   thermal friction, by the absorption of the material in the infrared
+The rates are those at which the angular momentum falls."""
+
+
+@click.command("balance", epilog=BALANCE)
+@particle_options
+@click.option("--spin", default="1 GHz", help="|Ω|: 1GHz, 3000rpm or 6e9rad/s.")
+@click.option(
+    "--axis",
+    type=DIRECTION,
+    help="Direction of Ω.  [default: the stable axis across the dipole]",
+)
+@surrounding_options
+@click.option("--field", type=NUMBER, help="Amplitude of an applied field, V/m.")
+@click.option("--strength", type=NUMBER, help="Stress at which the material breaks, Pa.")
+@picture_options("balance")
+@computing
+def balance_command(**options: Any) -> None:
+    """Compare the torques on a particle: its radiation, a gas, thermal radiation, a field.
+
+    The particle is one of the paper's, or a homogeneous solid with a dipole; without one, the six
+    particles of the paper are compared. Then there is no picture.
+    """
+    from .. import plots
+    from ..particles import paper_particles
+    from ..surroundings import balance
+
+    surroundings = given_surroundings(options)
+    surroundings |= {x: options[x] for x in ("field", "strength") if options[x] is not None}
+    if any(options[name] is not None for name in ("particle", *SHAPES)):
+        particle = given_particle(options)
+        with waiting():
+            found = balance(particle, _spin_about(options["axis"], options["spin"]), **surroundings)
+        say(f"{particle}\n{found}")
+        _, picture = output_paths(options, "balance")
+        saved("Picture", picture, functools.partial(plots.save, plots.balance(found)))
+        return
+    for name, particle, axis in paper_particles():
+        spin = _spin_about(options["axis"] or axis, options["spin"])
+        say(f"{name}: {balance(particle, spin, **surroundings)}")
+
+
+def _spin_about(axis: Any, spin: str) -> Any:
+    """The angular velocity of a given size, or the size alone."""
+    from ..particles import angular_speed
+
+    return spin if axis is None else angular_speed(spin) * _unit(axis)
 
 
 ENDINGS = """\b
@@ -186,7 +282,7 @@ How a body ends, over all directions of L; in the data, by these numbers:
 ratio is L∞/L₀, what is left of the angular momentum."""
 
 
-@click.command("atlas", epilog=ENDINGS, short_help="How bodies of every shape end.")
+@click.command("atlas", epilog=ENDINGS)
 @click.option(
     "--dipole",
     "dipoles",
@@ -214,7 +310,11 @@ def atlas_command(**options: Any) -> None:
     the sphere are its corners. Directions of L are isotropic. With --body the map is over the
     squares of the direction cosines of the dipole. This takes about two minutes.
     """
+    import numpy as np
+
     from .. import plots
+    from ..atlases import atlas
+    from ..bodies import Body
 
     _, picture = output_paths(options, "atlas")
     dipoles, moments = options["dipoles"], options["body"]
@@ -225,7 +325,8 @@ def atlas_command(**options: Any) -> None:
         maps = [atlas(body=Body(np.diag(moments), [1.0, 0.0, 0.0]), **settings)]
     else:
         maps = [atlas(int(axis), **settings) for axis in dict.fromkeys(dipoles or "123")]
-    plots.save(plots.atlas(maps, particles=options["particles"]), picture)
+    figure = plots.atlas(maps, particles=options["particles"])
     say("\n".join(map(repr, maps)))
+    saved("Picture", picture, functools.partial(plots.save, figure))
     columns = [each.columns() for each in maps]
     write_table(picture, {k: np.concatenate([each[k] for each in columns]) for k in columns[0]})

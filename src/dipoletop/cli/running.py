@@ -4,6 +4,7 @@ import contextlib
 import functools
 import io
 import os
+import re
 import shlex
 import signal
 import sys
@@ -11,9 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
-import jax
 
-from .._base.parallel import stop_requested, workers_are_busy
 from .._maps.store.errors import StoreDamaged
 
 Command = Callable[..., None]
@@ -40,9 +39,11 @@ def computing(command: Command) -> Command:
 
     @functools.wraps(command)
     def wrapped(**options: Any) -> None:
+        import jax
         import matplotlib
 
         jax.config.update("jax_enable_x64", True)
+        _keep_programs()
         matplotlib.use("Agg")
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="replace")  # "?" for characters that a terminal lacks
@@ -58,16 +59,37 @@ def computing(command: Command) -> Command:
             names = {x.name: x.get_error_hint(context) for x in context.command.params}
             for argument, option in (names | OPTIONS).items():
                 text = text.replace(f"Argument `{argument}`", option.strip("'"))
+            text = re.sub(r"^Argument `(\w+)`", r"\1", text)  # such as an axis that is not there
             raise Refusal(text) from None
 
     return wrapped
+
+
+def _keep_programs() -> None:
+    """Let JAX keep what it compiles beside the machine code, unless it has a folder already."""
+    import jax
+
+    from .._base import private_cache
+    from .._engines.processors import host_processor
+
+    if jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore
+        return
+    folder = private_cache.subfolder(f"programs-{host_processor().replace(' ', '-')}")
+    if folder is not None:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def _sentence(error: OSError) -> str:
     """What the system refused, without its number."""
     if error.strerror is None:
         return str(error)
-    return f"{error.filename or 'A file'} cannot be used ({error.strerror.lower()})."
+    return f"{error.filename or 'A file'} cannot be used ({plain_reason(error)})."
+
+
+def plain_reason(error: OSError) -> str:
+    """Why the system refused, in its words."""
+    return (error.strerror or type(error).__name__).lower()
 
 
 def say(text: Any) -> None:
@@ -79,6 +101,19 @@ def say(text: Any) -> None:
 
 
 @contextlib.contextmanager
+def waiting() -> Iterator[None]:
+    """Say on a terminal that something is compiled and computed, as long as it lasts."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    click.echo("compiling and computing …", err=True, nl=False)
+    try:
+        yield
+    finally:
+        click.echo("\r\x1b[K", err=True, nl=False)
+
+
+@contextlib.contextmanager
 def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iterator[None]:
     """End the command as Ctrl-C does if a batch system stops it, or if its time is up.
 
@@ -86,6 +121,8 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
         keeps_tiles: whether the same command goes on with what is finished.
         time_limit: seconds until it stops by itself, or None.
     """
+    from .._base.parallel import stop_requested
+
     if time_limit is not None and not hasattr(signal, "SIGALRM"):
         raise Refusal("--time-limit: this system has no alarm signal.")
     # One that is ignored, as under `nohup`, stays so.
@@ -117,6 +154,8 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
 
 
 def _stop(number: int, frame: Any) -> None:
+    from .._base.parallel import stop_requested
+
     _status.append(TIME_IS_UP if number == getattr(signal, "SIGALRM", None) else 128 + number)
     stop_requested.set()
     raise KeyboardInterrupt
@@ -124,8 +163,15 @@ def _stop(number: int, frame: Any) -> None:
 
 def _end(status: int) -> None:
     """End the process, at once if a worker is busy: Python would wait for it."""
+    from .._base.parallel import workers_are_busy
+
     if workers_are_busy():
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
+        end_at_once(status)
     raise SystemExit(status)
+
+
+def end_at_once(status: int) -> None:
+    """End the process without waiting for any thread."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)

@@ -1,30 +1,34 @@
 """`dipoletop info`, `plot`, `export` and `store`: what is in a store, and whether it is sound."""
 
 import contextlib
+import functools
 import os
 import tempfile
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from .._base.checks import refuse
-from .._base.summaries import duration
-from .._maps.basin import Basin
-from .._maps.columns import LEVEL, VERSION, without_versions
-from .._maps.grids import Grid, counted
+from .._base.refusals import refuse
 from .._maps.store.errors import StoreDamaged
-from .._maps.store.layout import tiling_of_starts
-from .._maps.store.saved_basins import verify
-from .._maps.store.tiles import open_store
-from .._maps.tally_results import Tally
 from .._maps.top_parameters import CYLINDRICAL, SPHERICAL
 from ..equations.levels import Level
-from .map_command import run_level
-from .options import NUMBER, name_of, output_paths, picture_options, progress_option, range_option
-from .running import Refusal, computing, interruptible, say
+from .options import (
+    NUMBER,
+    make_folder,
+    name_of,
+    output_paths,
+    picture_options,
+    progress_option,
+    range_option,
+    saved,
+)
+from .running import Refusal, computing, interruptible, plain_reason, say
+
+if TYPE_CHECKING:
+    from .._maps.basin import Basin
 
 RECENT = 100  # tiles from which the speed of a sweep is found
 path_argument = click.argument("path")
@@ -39,11 +43,18 @@ SHADE = """What shades the outcomes: omega_inf, omega_inf_error, time, steps, pr
 certified, a derivative such as d_omega_inf_d_delta, or none."""
 
 
-@click.command("info", short_help="What is in a store, and how far its sweep is.")
+@click.command("info")
 @path_argument
 @computing
 def info_command(path: str) -> None:
     """Say what the sweep of the store PATH is, how far it is, how fast it goes, and its digests."""
+    from .._base.summaries import duration
+    from .._maps.basin import Basin
+    from .._maps.columns import VERSION, without_versions
+    from .._maps.store.layout import tiling_of_starts
+    from .._maps.store.tiles import open_store
+    from .._maps.tally_results import Tally
+
     tiles = open_store(path)
     header, attrs = tiles.header, tiles.header["attrs"]
     starts, finished = tiling_of_starts(header), tiles.finished()
@@ -69,7 +80,7 @@ def info_command(path: str) -> None:
     say(f"Format    {header['format']}, {', '.join(header['columns'])}")
 
 
-@click.command("plot", short_help="A picture of the data in a store.")
+@click.command("plot")
 @path_argument
 @click.option("--x", metavar="AXIS", help="Horizontal axis.  [default: phi, or the last]")
 @click.option("--y", metavar="AXIS", help="Vertical axis.  [default: the other one]")
@@ -106,11 +117,10 @@ def plot_command(path: str, **options: Any) -> None:
         drawn = plots.line(basin, options["shade"])
     else:
         drawn = plots.basin(basin, shade=shade, x=x, y=y)
-    drawn.figure.savefig(picture, dpi=150)
-    say(f"Picture: {picture}")
+    saved("Picture", picture, functools.partial(plots.save, drawn, dpi=150))
 
 
-@click.command("export", short_help="Data of a store as NetCDF, Parquet or CSV.")
+@click.command("export")
 @path_argument
 @click.argument("target")
 @at_option
@@ -128,40 +138,50 @@ def export_command(path: str, target: str, **options: Any) -> None:
 
     NetCDF keeps the grid, its labels and units. The tables have a row for each start.
     """
+    from .._base.tables import rows_of
+    from .._maps.columns import LEVEL
+    from .._maps.grids import counted
+
     suffix, formats = Path(target).suffix, (".nc", ".parquet", ".csv")
     if suffix not in formats:
         raise Refusal(f"{target} must end with {', '.join(formats)}, which tells the format.")
     basin = _part(path, options["at"], options["ranges"])
     data = basin.to_xarray()
+    if suffix != ".nc":
+        data = data.drop_vars(LEVEL, errors="ignore")  # the same in every row
     names = [str(name) for name in data.data_vars]
     if unknown := [name for name in options["columns"] if name not in names]:
         raise Refusal(f"--column {unknown[0]}: the columns are {', '.join(names)}.")
     kept = options["columns"] or names
     data = data.drop_vars([name for name in names if name not in kept])
-    with _replaced(target) as part:
-        if suffix == ".nc":
-            _write_netcdf(data, part)
-        elif suffix == ".csv":
-            # 17 digits give every number back exactly.
-            _table(data, basin.dims).to_csv(part, index=False, float_format="%.17g")
-        else:
-            try:
-                _table(data, basin.dims).to_parquet(part)
-            except ImportError:
-                raise Refusal("Parquet needs pyarrow: pip install pyarrow.") from None
-    say(f"Data: {target} ({counted(basin.shape)}, {', '.join(kept)})")
+    make_folder(Path(target).absolute().parent, target)
+
+    def write(path: Path) -> None:
+        with _replaced(path) as part:
+            if suffix == ".nc":
+                _write_netcdf(data, part)
+            elif suffix == ".csv":
+                # 17 digits give every number back exactly.
+                rows_of(data, basin.dims).to_csv(part, index=False, float_format="%.17g")
+            else:
+                try:
+                    rows_of(data, basin.dims).to_parquet(part)
+                except ImportError:
+                    needs = "Parquet needs pyarrow: pip install 'dipoletop[parquet]'."
+                    raise Refusal(needs) from None
+
+    saved("Data", Path(target), write, f"{counted(basin.shape)}, {', '.join(kept)}")
 
 
 @contextlib.contextmanager
-def _replaced(target: str) -> Iterator[Path]:
+def _replaced(target: Path) -> Iterator[Path]:
     """A file beside the target, which replaces it once it is complete."""
-    folder = Path(target).absolute().parent
     try:
-        with tempfile.TemporaryDirectory(prefix=".", dir=folder) as beside:
-            yield Path(beside) / Path(target).name
-            os.replace(Path(beside) / Path(target).name, target)
+        with tempfile.TemporaryDirectory(prefix=".", dir=target.absolute().parent) as beside:
+            yield Path(beside) / target.name
+            os.replace(Path(beside) / target.name, target)
     except OSError as error:
-        raise Refusal(f"{target} cannot be written: {error.strerror or error}.") from None
+        raise Refusal(f"{target} cannot be written ({plain_reason(error)}).") from None
 
 
 def _write_netcdf(data: Any, file: Path) -> None:
@@ -176,8 +196,10 @@ def _write_netcdf(data: Any, file: Path) -> None:
         raise Refusal(f"NetCDF with the name {other} needs h5netcdf: pip install h5netcdf h5py.")
 
 
-def _part(path: str, at: Any, ranges: Any = ()) -> Basin:
+def _part(path: str, at: Any, ranges: Any = ()) -> "Basin":
     """What is chosen of the basin in a store, whether it is finished or not."""
+    from .._maps.basin import Basin
+
     basin = Basin.load(path, unfinished=True)
     nearest: dict[str, Any] = {name_of(axis): value for axis, value in at}
     within: dict[str, Any] = {name_of(axis): slice(*ends) for axis, *ends in ranges}
@@ -185,26 +207,12 @@ def _part(path: str, at: Any, ranges: Any = ()) -> Basin:
     return basin.sel(**within) if within else basin
 
 
-def _table(data: Any, dims: tuple[str, ...]) -> Any:
-    """A row for each start; components have columns of their own."""
-    data = data.drop_vars(LEVEL, errors="ignore")  # the same in every row
-    for name in [*data.data_vars, *data.coords]:
-        behind = [dim for dim in data[name].dims if dim not in dims]
-        if behind:
-            values = data[name].values
-            kept = data[name].dims[: -len(behind)]
-            flat = values.reshape(*values.shape[: len(kept)], -1)
-            parts = {f"{name}_{k + 1}": (kept, flat[..., k]) for k in range(flat.shape[-1])}
-            data = data.drop_vars(name).assign(parts)
-    return data.to_dataframe().reset_index()
-
-
-@click.group("store", short_help="Verify and repair the data of a sweep.")
-def store() -> None:
+@click.group("store")
+def store_command() -> None:
     """Verify and repair the data that `dipoletop map` and `dipoletop.sweep` keep in a folder."""
 
 
-@store.command("verify", short_help="Check that the data are what was written.")
+@store_command.command("verify", short_help="Check that the data are what was written.")
 @path_argument
 @computing
 def verify_command(path: str) -> None:
@@ -213,6 +221,8 @@ def verify_command(path: str) -> None:
     The exit status is 1 if there is damage. A tile that a sweep has not computed yet is not
     damaged; the same sweep computes it when it is resumed.
     """
+    from .._maps.store.saved_basins import verify
+
     try:
         report = verify(path)
     except StoreDamaged as error:
@@ -225,7 +235,7 @@ def verify_command(path: str) -> None:
     raise SystemExit(1 if report.damaged else 0)
 
 
-@store.command("repair", short_help="Recompute damaged tiles of a map.")
+@store_command.command("repair", short_help="Recompute damaged tiles of a map.")
 @path_argument
 @progress_option
 @computing
@@ -237,6 +247,11 @@ def repair_command(path: str, progress: bool) -> None:
     writes them anew. The store of another sweep is repaired by that sweep: dt.sweep(...,
     repair=True).
     """
+    from .._maps.grids import Grid
+    from .._maps.store.saved_basins import verify
+    from .._maps.store.tiles import open_store
+    from .map_run import run_level
+
     with interruptible(keeps_tiles=True):
         report, tiles = verify(path), open_store(path)
         attrs, axes = tiles.header["attrs"], tiles.header["axes"]

@@ -16,16 +16,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._base.checks import (
-    instance,
-    namespace,
-    on_device,
-    on_host,
-    real,
-    refuse,
-    where_valid,
-)
+from .._base.checks import instance, namespace, on_device, on_host, real, where_valid
 from .._base.linalg import diagonal, dot, largest, length, scale
+from .._base.refusals import refuse
+from .._base.shown import Shown
 from .._base.types import Equation, ErrorScale, OmegaScale, Real, State, Vector
 from ..bodies import AXES, Body, axisymmetric
 from ..radiation import radiated_power
@@ -184,7 +178,7 @@ def planar_rates(
     return jnp.stack([-delta * z - sine / 2, growth - c * sine / (1 - delta)])
 
 
-class OfOmega(eqx.Module):
+class OfOmega(Shown):
     """An equation whose state is ω itself."""
 
     def lift(self, omega0: Vector) -> Vector:
@@ -207,7 +201,7 @@ class OfOrder(OfOmega):
         return Level.of_order(self.order).label
 
 
-class OmegaFirst(eqx.Module):
+class OmegaFirst(Shown):
     """An equation whose state begins with ω."""
 
     def omega(self, y: State) -> Vector:
@@ -223,7 +217,7 @@ class OfFull(OmegaFirst):
         return jnp.concatenate([omega0, self.fast(self.reduced(3)(0.0, omega0))])
 
 
-class Cylindrical(eqx.Module):
+class Cylindrical(Shown):
     """An equation with the state (ω⊥, ω₃, φ)."""
 
     def lift(self, omega0: Vector) -> Vector:
@@ -249,7 +243,7 @@ def _structure_of_body() -> Any:
     return jax.tree.structure(axisymmetric(0.0))
 
 
-class TransverseTop(eqx.Module):
+class TransverseTop(Shown):
     """An equation of the top with a transverse dipole."""
 
     delta: Real = eqx.field(converter=shape_parameter)
@@ -262,7 +256,7 @@ class TransverseTop(eqx.Module):
         return _top(self.delta, "transverse")
 
 
-class LongitudinalTop(eqx.Module):
+class LongitudinalTop(Shown):
     """An equation of the top with a longitudinal dipole."""
 
     delta: Real = eqx.field(converter=shape_parameter)
@@ -273,7 +267,7 @@ class LongitudinalTop(eqx.Module):
         return _top(self.delta, "longitudinal")
 
 
-class OfBody(eqx.Module):
+class OfBody(Shown):
     """An equation of any body."""
 
     body: Body = eqx.field(converter=rigid_body)

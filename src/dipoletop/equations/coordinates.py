@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, on_host, refuse, where_valid
+from .._base.checks import finite, on_host, where_valid
 from .._base.compiling import compiled_soon
+from .._base.refusals import refuse
 from .._base.types import Real, Vector
 
 

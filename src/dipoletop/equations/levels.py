@@ -3,7 +3,7 @@
 import enum
 from typing import Any
 
-from .._base.checks import refuse
+from .._base.refusals import refuse
 
 WITH_TORQUE = ", with a torque"
 """The end of the label of a level with a torque from outside."""

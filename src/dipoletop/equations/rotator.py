@@ -6,11 +6,11 @@ equation ω″ = ω′ + ω³ has one physical branch, ϖ = f(ω); all other mot
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._base.checks import where_valid
+from .._base.shown import Shown
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ..bodies import Body, axisymmetric
 from .levels import Level
@@ -33,7 +33,7 @@ def _always_stops(y: Float[Array, "n *lanes"]) -> Verdict:
     return Verdict(outcome.astype("int32"), zero, zero == 0, int(Stop.AXIS))
 
 
-class _Rotator(eqx.Module):
+class _Rotator(Shown):
     """An equation of the plane rotator, whose state begins with ω."""
 
     def omega(self, y: Float[Array, "n *lanes"]) -> Vector:

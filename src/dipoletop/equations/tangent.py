@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.guards import rounding, safe_divisor
 from .._base.linalg import cross, largest, matvec
+from .._base.shown import Shown
 from .._base.stopping import prepared_verdicts, verdict_on
 from .._base.tolerances import TANGENT_FLOOR, TANGENT_SLACK
 from .._base.types import DecidingEquation, Flag, OmegaScale, Real, State, Vector, Verdict
@@ -20,7 +21,7 @@ from ._verdicts.nonsmooth import infinite
 from .levels import Level, level_of
 
 
-class Tangent(eqx.Module):
+class Tangent(Shown):
     """y′ = F(p, y) with m first variations of it, yₖ′ = (∂F/∂y) yₖ + (∂F/∂p) pₖ.
 
     The state is (y, y₁, …, y_m), n(1 + m) numbers. It is an equation like any other: simulate,

@@ -18,8 +18,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._base.attitudes import Quaternion, normalised, quaternion_rate
-from .._base.checks import check_single, concrete, refuse
+from .._base.checks import check_single, concrete
 from .._base.linalg import inverse, matvec
+from .._base.refusals import refuse
+from .._base.shown import Shown
 from .._base.types import OmegaScale, Real, State, Vector
 from ..bodies import Body
 from ..radiation import gyroscopic_torque
@@ -41,7 +43,7 @@ Slow = Float[Array, "m *lanes"]
 """ω, or (ω, q) where the attitude is followed."""
 
 
-class Loaded(eqx.Module):
+class Loaded(Shown):
     """A body with torques, and the rates of its slow state (ω, or (ω, q)) at each level."""
 
     body: Body

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, on_host, real, refuse, where_valid
+from .._base.checks import finite, on_host, real, where_valid
 from .._base.compiling import compiled_soon
+from .._base.refusals import refuse
 from .._base.types import Real, Vector
 from ..equations._common import shape_parameter
 from ..equations.coordinates import from_cylindrical

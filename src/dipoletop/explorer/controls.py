@@ -1,13 +1,14 @@
 """The controls of a page: axes and their ranges, sliders, levels, tolerance, size."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import panel as pn
 
-from .._base.checks import refuse
 from .._base.numerals import as_text, number_in
+from .._base.refusals import refuse
 from .._maps.top_parameters import Quantity
 from .scenes import Scene, checked_range
 from .views import SIZES, View, checked_view, in_system, zoomed
@@ -17,6 +18,8 @@ STEPS = 240
 TOLERANCES = tuple(10.0**-k for k in range(3, 13))
 NONE = "none"
 WIDTH = 300
+FULL = ".bk-input { font-size: 11px; padding: 0 5px; }"
+"""Numbers of 17 digits are not cut."""
 
 
 class Controls:
@@ -61,11 +64,14 @@ class Controls:
         self._system.visible = len(scene.systems) > 1
         for widget in self._levels:
             widget.visible = len(scene.levels) > 1
+        self.sliders = pn.FlexBox(
+            *(value.layout for value in self._values.values()), sizing_mode="stretch_width"
+        )
+        """The sliders of the quantities that are not axes."""
         return pn.Column(
             pn.Row(*self._axes),
             *(ends.layout for ends in self._ends.values()),
             self._system,
-            *(value.layout for value in self._values.values()),
             *self._levels,
             self._rtol,
             self._size,
@@ -177,24 +183,35 @@ class _Value:
 
     def __init__(self, name: str, quantity: Quantity, on_value: Callable[[str, Any], None]) -> None:
         symbol, low, high = quantity.symbol, quantity.low, quantity.high
+        self._step = round_step((high - low) / STEPS)
         self._slider = _Slider(
             name=symbol,
             start=low,
             end=high,
-            step=(high - low) / STEPS,
+            step=self._step,
             value=quantity.default,
             show_value=False,
             css_classes=[f"dt-slider-{name}"],
             sizing_mode="stretch_width",
         )
         self._text = pn.widgets.TextInput(name=" ", css_classes=[f"dt-value-{name}"], width=90)
-        self._slider.param.watch(lambda event: on_value(name, event.new), "value")
+        self._slider.param.watch(lambda event: on_value(name, self._rounded(event.new)), "value")
         self._text.param.watch(lambda event: on_value(name, event.new), "value")
-        self.layout = pn.Row(self._slider, self._text)
+        self.layout = pn.Row(self._slider, self._text, styles={"flex": "1 1 260px"})
+
+    def _rounded(self, value: float) -> float:
+        """Return a multiple of the step, without the rounding errors of the browser's sum."""
+        slider = self._slider
+        if value in (slider.start, slider.end):
+            return value
+        return float(f"{round(value / self._step) * self._step:.12g}")
 
     def show(self, value: float) -> None:
         slider = self._slider
-        slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
+        ends = {"start": min(slider.start, value), "end": max(slider.end, value)}
+        # A value that the browser has is not sent back: meanwhile the user has moved on.
+        is_known = abs(slider.value - value) < 1e-6 * self._step
+        slider.param.update(**ends, value=slider.value if is_known else value)
         self._text.value = as_text(value).replace("π", "pi")
 
 
@@ -202,7 +219,8 @@ class _Ends:
     """Text fields for the ends of an axis."""
 
     def __init__(self, axis: str, on_range: Callable[[str, str, str], None]) -> None:
-        self._texts = [pn.widgets.TextInput(sizing_mode="stretch_width") for _ in range(2)]
+        style: Any = {"sizing_mode": "stretch_width", "stylesheets": [FULL]}
+        self._texts = [pn.widgets.TextInput(**style) for _ in range(2)]
         for text in self._texts:
             text.param.watch(
                 lambda _: on_range(axis, self._texts[0].value, self._texts[1].value), "value"
@@ -212,6 +230,12 @@ class _Ends:
     def show(self, symbol: str, span: tuple[float, float]) -> None:
         for text, word, end in zip(self._texts, ("from", "to"), span, strict=True):
             text.param.update(name=f"{symbol} {word}", value=_exact(end))
+
+
+def round_step(least: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, not below a number."""
+    decade = 10.0 ** math.floor(math.log10(least))
+    return next(k * decade for k in (1, 2, 5, 10) if k * decade >= least * (1 - 1e-12))
 
 
 def _exact(value: float) -> str:

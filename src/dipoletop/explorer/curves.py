@@ -42,6 +42,7 @@ class CurvePlots:
         of_energy.line("tau", "energy", source=self._energy, color=BLACK, line_width=1.5)
         self.omega = _pane(of_omega)
         self.energy = _pane(of_energy)
+        self.omega.visible = self.energy.visible = False
         self._body = _Body()
         self._part = pn.widgets.RadioButtonGroup(
             name="part", options=[AT_BEGINNING, AT_END], value=AT_BEGINNING, width=200
@@ -64,6 +65,7 @@ class CurvePlots:
         most = 1.05 * float(np.max(size)) or 1.0
         _set_range(times, 0.0, float(motion.ts[-1]))
         _set_range(omegas, min(1.05 * float(np.min(motion.omega)), -0.02 * most), most)
+        self.omega.visible = True
         self.energy.visible = self.body.visible = motion.of_body is not None
         if motion.of_body is not None:
             energy = motion.of_body.energy
@@ -73,12 +75,9 @@ class CurvePlots:
             self._energy.data = {"tau": motion.ts, "energy": shown}
         self._show_body()
 
-    def clear(self) -> None:
-        """Empty the figures."""
-        self._motion = None
-        for source in (self._omega, self._energy):
-            source.data = {name: [] for name in source.data}
-        self.body.visible = False
+    def pause(self) -> None:
+        """Let the body stand still: drawing it takes the browser as long as drawing a map."""
+        self._body.player.direction = 0
 
     def _show_body(self) -> None:
         motion = self._motion
@@ -86,6 +85,14 @@ class CurvePlots:
             first = self._part.value == AT_BEGINNING
             part = slice(0, FRAMES) if first else slice(-FRAMES, None)
             self._body.show(motion, motion.of_body, part)
+
+
+class _Player(pn.widgets.Player):
+    """A player whose frames only the browser counts: the server has no use for them."""
+
+    @property
+    def _linked_properties(self) -> tuple[str, ...]:
+        return tuple(name for name in super()._linked_properties if name != "value")
 
 
 class _Body:
@@ -115,7 +122,7 @@ class _Body:
         plot.segment(*ends, source=arrows, color="color", line_width=4, line_cap="round")
         font = {"text_color": "color", "text_font_style": "bold", "text_align": "center"}
         plot.text("x", "y", "text", source=tips, text_baseline="middle", **font)
-        self.player = pn.widgets.Player(
+        self.player = _Player(
             start=0,
             end=FRAMES - 1,
             interval=60,
@@ -140,6 +147,7 @@ class _Body:
         q, w = of_body.attitude[part].T, motion.omega[part].T
         columns = {f"q{k}": q[k] for k in range(4)} | {f"w{k + 1}": w[k] for k in range(3)}
         speed = np.linalg.norm(motion.omega[part], axis=1)
+        self.player.direction = 1  # it turns at once
         self._frames.data = {"tau": motion.ts[part], **columns, "speed": speed}
 
 

@@ -26,6 +26,7 @@ class Explorer:
     Every notebook output and every session of a server has its own state.
 
     Attributes:
+        is_working: property; whether a picture or a start is being computed.
         view: property; the view of the page that was opened last.
         basins: property; the basins of the last finished picture, one for each level; () at first.
     """
@@ -45,6 +46,12 @@ class Explorer:
     def basins(self) -> tuple[Basin, ...]:
         """The basins of the last finished picture, before `plots.unfold`; () at first."""
         return () if self._picture is None else self._picture.basins
+
+    @property
+    def is_working(self) -> bool:
+        """Whether a picture or a start is being computed."""
+        shop = self._workshop
+        return shop is not None and (shop.turns.is_working or shop.starts.is_working)
 
     def code(self) -> str:
         """Return a script that computes and draws `view`."""
@@ -187,7 +194,7 @@ def explore(
         >>> explorer
         Explorer(semi-reduced: phi, delta; `.serve()` opens it in a browser)
         >>> print(explorer.code().splitlines()[-1])
-        dt.plots.basin(basin, x="phi", y="delta", unfold=True).figure.savefig("map.png")
+        dt.plots.save(dt.plots.basin(basin, x="phi", y="delta", unfold=True), "map.png")
     """
     if any(find_spec(name) is None for name in NEEDED):
         raise ImportError(MISSING)

@@ -19,6 +19,8 @@ class Turns:
         self._work: dict[Hashable, tuple[Work, float]] = {}
         """Each user's work and the time when it may go on, in the order of turns."""
         self._thread: threading.Thread | None = None
+        self.is_working = False
+        """Whether a piece of work is being done."""
 
     def put(self, user: Hashable, work: Work) -> None:
         """Begin a user's work, in place of any earlier work of this user."""
@@ -37,7 +39,9 @@ class Turns:
     def _run(self) -> None:
         while found := self._next():
             user, work = found
+            self.is_working = True
             when = next(work, None)
+            self.is_working = False
             with self._changed:
                 if self._work.get(user, (None,))[0] is work:  # else there is newer work
                     del self._work[user]

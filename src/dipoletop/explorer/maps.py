@@ -52,13 +52,16 @@ class Maps:
         on_start: Callable[[int, float, float], None],
         on_drawn: Callable[[int], None],
     ) -> None:
-        self._symbols, self._axes = symbols, ("", "")
+        self._symbols = symbols
         x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
         self.figures = [_figure(number, x, y) for number in range(2)]
         self._sources = [_source(number) for number in range(2)]
         self._chosen = ColumnDataSource({"x": [], "y": []}, name="chosen")
+        self._path = ColumnDataSource({"x": [], "y": []}, name="path")
         for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
             plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
+            for colour, width in (("white", 3), ("black", 1)):
+                plot.line("x", "y", source=self._path, line_color=colour, line_width=width)
             for colour, width in (("white", 5), ("black", 2)):
                 line = {"line_color": colour, "line_width": width}
                 plot.scatter("x", "y", source=self._chosen, marker="cross", size=18, **line)
@@ -88,25 +91,30 @@ class Maps:
         self.figures[0].js_on_change("inner_width", CustomJS(code=NO_ECHO))
 
     def look_at(self, view: View, whole: dict[str, Range]) -> None:
-        """Show the ranges of a view and name its axes; a reset shows their `whole` ranges."""
+        """Show the ranges of a view; a reset shows their `whole` ranges."""
         first = self.figures[0]
-        for name, span, axis in (
-            (view.x, first.x_range, "xaxis"),
-            (view.y, first.y_range, "yaxis"),
-        ):
+        for name, span in ((view.x, first.x_range), (view.y, first.y_range)):
             (low, high), (reset_low, reset_high) = view.ranges[name], whole[name]
             span.update(start=low, end=high, reset_start=reset_low, reset_end=reset_high)
+        self.mark_axes(view)
+        self.panes[1].visible = len(view.levels) == 2
+
+    def mark_axes(self, view: View) -> None:
+        """Name the axes, with ticks that suit their ranges."""
+        for name, axis in ((view.x, "xaxis"), (view.y, "yaxis")):
+            low, high = view.ranges[name]
             for plot in self.figures:
                 _label(getattr(plot, axis), name, self._symbols[name], high - low)
-        if self._axes != (view.x, view.y):
-            self._axes = view.x, view.y
-            self.mark(None)
-        self.panes[1].visible = len(view.levels) == 2
 
     def mark(self, place: tuple[float, float] | None) -> None:
         """Mark a start; remove the mark if `place` is None."""
+        self.trace([], [])
         xs, ys = ([], []) if place is None else ([place[0]], [place[1]])
         self._chosen.data = {"x": xs, "y": ys}
+
+    def trace(self, x: Any, y: Any) -> None:
+        """Draw the path of a motion, NaN where it leaves one side and enters at the other."""
+        self._path.data = {"x": x, "y": y}
 
     def show(self, picture: Picture, serial: int) -> None:
         """Draw a picture; its axes must be the ones shown."""

@@ -1,36 +1,48 @@
 """A page: the maps of a view, its controls, and the start that was clicked."""
 
 import asyncio
+import functools
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs
 
 import panel as pn
 
-from .._base.checks import one_line
+from .._base.refusals import one_line
 from . import texts
 from .controls import Controls
 from .curves import CurvePlots
+from .downloads import FORMATS, file_of
 from .drawing import Drawing
 from .fair_queue import Turns
 from .maps import Maps
 from .pictures import Picture
 from .recipes import code_of
 from .scenes import Scene
-from .starts import motion_of, slopes_of, verdict_of
-from .views import Range, View, address_of, whole_ranges, zoomed
+from .starts import motion_of, path_of, slopes_of, verdict_of
+from .views import (
+    EXAMPLES,
+    Range,
+    View,
+    address_of,
+    cells_of,
+    first_view,
+    view_at,
+    whole_ranges,
+    zoomed,
+)
 
 CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 PATIENCE = 5.0
 """Seconds after which a browser that has not confirmed a picture is sent another one."""
+SETTLED = 0.6
+"""Seconds without a change of the view after which its start is computed again."""
 AHEAD = 2
 """Number of pictures that may be in progress before the browser has confirmed one."""
-STARTS_AT_ONCE = 2
-"""Number of clicked starts, of all pages, that are computed at the same time."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +52,9 @@ class Workshop:
     scene: Scene
     drawing: Drawing
     turns: Turns = field(default_factory=Turns)
-    starts: ThreadPoolExecutor = field(
-        default_factory=lambda: ThreadPoolExecutor(STARTS_AT_ONCE, "explorer-start")
-    )
+    """The work of pictures."""
+    starts: Turns = field(default_factory=Turns)
+    """The work of chosen starts."""
 
 
 class Outlet:
@@ -124,7 +136,13 @@ class Page:
         self._has, self._has_changed = 0, False
         """The number of the last picture that the browser has, and whether the view is newer."""
         self._inspected = 0
-        """The number of the last start that was clicked."""
+        """The number of the last start that was chosen."""
+        self._completed = 0
+        """The number of the last start of which all is shown."""
+        self._chosen: tuple[dict[str, float], View, int] | None = None
+        """The last start, with the view and the number of the map in which it was chosen."""
+        self._picture: Picture | None = None
+        """The last finished picture."""
         symbols = texts.symbols_of(scene)
         self._maps = Maps(symbols, self._zoom, self._inspect, self._drawn)
         self._controls = Controls(scene, self._change, self._refuse)
@@ -136,6 +154,7 @@ class Page:
         self.layout = self._laid_out()
         self._controls.show(self.view)
         self._show_maps()
+        self._location = pn.state.location if self._outlet.is_served else None
         # Changes made while the browser is still loading the page would not reach it.
         if self._outlet.is_served:
             pn.state.onload(self._ask)
@@ -148,6 +167,20 @@ class Page:
         write = pn.widgets.Button(name="Write code", width=130)
         whole.on_click(lambda _: self._zoom(None))
         write.on_click(lambda _: self._write())
+        files = [
+            pn.widgets.FileDownload(
+                callback=functools.partial(self._file, suffix),
+                filename=f"dipoletop-map.{suffix}",
+                label=suffix.upper(),
+                width=85,
+            )
+            for suffix in FORMATS
+        ]
+        examples = pn.widgets.Select(
+            name="Examples", options=["", *EXAMPLES], sizing_mode="stretch_width"
+        )
+        examples.visible = self._workshop.scene.is_top
+        examples.param.watch(lambda event: self._open_example(event.new), "value")
         wide: Any = {"sizing_mode": "stretch_width"}
         maps = zip(self._maps.panes, self._captions, strict=True)
         boxes = [_box(pane, caption, flex="1 1 380px") for pane, caption in maps]
@@ -160,19 +193,22 @@ class Page:
         )
         self._start = pn.Column(start, visible=False, **wide)
         main = pn.Column(
+            self._controls.sliders,
             self._refusal,
             pn.FlexBox(*boxes, **wide),
             self._legend,
             self._status,
             styles={"flex": "1 1 320px", "min-width": "300px"},
         )
-        side = pn.Column(self._controls.layout, pn.Row(whole, write), width=310)
+        side = pn.Column(
+            examples, self._controls.layout, pn.Row(whole, write), pn.Row(*files), width=310
+        )
         layout = _Layout(
             _html(texts.HEAD),
             # On a narrow screen the maps come before the controls.
             pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **wide),
-            self._code,
             self._start,
+            self._code,
             **wide,
         )
         layout.outlet = self._outlet
@@ -180,8 +216,8 @@ class Page:
 
     def close(self) -> None:
         """Compute nothing more for this page."""
-        self._inspected += 1
         self._workshop.turns.drop(self)
+        self._workshop.starts.drop(self)
 
     # Actions of the user.
 
@@ -203,11 +239,31 @@ class Page:
             self._refuse(str(error))
             return
         self._controls.show(self.view)
+        self._maps.mark_axes(self.view)
         # The browser already shows the ranges it asked for, and may have moved on since.
         if ranges is None or self.view.ranges != wanted:
             self._show_maps()
         if self.view != before or self._ended:
             self._ask()
+
+    def _open_example(self, name: str) -> None:
+        """Show an example, with its start."""
+        if not name:
+            return
+        scene, (query, start) = self._workshop.scene, EXAMPLES[name]
+        fresh = first_view(scene, levels=scene.at_first, size=self.view.size)
+        view = view_at(scene, fresh, parse_qs(query))
+        self._chosen = None
+        self._controls.show(view)
+        self._change(replace(view, values=view.values | start))
+
+    def _file(self, suffix: str) -> Any:
+        """Return the finished picture as a file."""
+        if self._picture is None:
+            return None
+        view = self._picture.view
+        folded = cells_of(self._workshop.scene, view, view.size).folded
+        return file_of(self._picture, folded, suffix)
 
     def _write(self) -> None:
         """Show the code of the view."""
@@ -228,6 +284,8 @@ class Page:
     def _ask(self) -> None:
         """Ask for pictures of the view, unless the browser lags behind."""
         lags = self._asked - self._has >= AHEAD
+        self._curves.pause()
+        self._workshop.starts.drop(self)  # until the picture is there
         self._has_changed = lags and time.monotonic() < self._asked_at + PATIENCE
         if self._has_changed:
             return
@@ -256,7 +314,11 @@ class Page:
         for k, caption in enumerate(self._captions[: len(picture.basins)]):
             caption.object = texts.caption(picture, k)
         if picture.is_final:
+            self._picture = picture
             self._on_picture(picture)
+            self._follow()
+            if self._location is not None:
+                self._location.search = address_of(view)
 
     def _draw_at_once(self) -> None:
         """Draw a first picture here and now, which a notebook also keeps without its kernel."""
@@ -276,22 +338,49 @@ class Page:
     # The start that was clicked.
 
     def _inspect(self, number: int, x: float, y: float) -> None:
-        """Show how a start ends, and how it moves at the level of a map."""
+        """Choose a start that was clicked."""
         view = self.view
         (low, high), (bottom, top) = view.ranges[view.x], view.ranges[view.y]
         if not (low <= x <= high and bottom <= y <= top):
             return
+        self._choose(view.values | {view.x: x, view.y: y}, number)
+
+    def _follow(self) -> None:
+        """Show the chosen start at the values of the view; at first that of the defaults."""
+        view = self.view
+        values, before, number = self._chosen or (view.values, None, 0)
+        if set(values) != set(view.values):  # starts are given by other quantities now
+            values, before = view.values, None
+        values = values | view.fixed
+        inside = all(low <= values[n] <= high for n, (low, high) in view.ranges.items())
+        if before is not None:
+            place = (values[view.x], values[view.y]) if inside else None
+            same = bool(self._chosen) and values == self._chosen[0]
+            same = same and self._completed == self._inspected
+            if same and (before.levels, before.rtol) == (view.levels, view.rtol):
+                if (before.x, before.y) != (view.x, view.y):
+                    self._maps.mark(place)
+                return
+        elif not inside:
+            return
+        self._choose(values, number, SETTLED if self._chosen else 0.0)
+
+    def _choose(self, values: dict[str, float], number: int, delay: float = 0.0) -> None:
+        """Show how a start ends, and how it moves at the level of a map, after some seconds."""
+        view = self.view
         self._inspected += 1
-        values = view.values | {view.x: x, view.y: y}
-        self._maps.mark((x, y))
+        self._chosen = values, view, number
+        self._maps.mark((values[view.x], values[view.y]))
         self._start.visible = True
-        self._curves.clear()
         self._verdict.object = texts.waiting("Verdict")
         self._slopes.object = texts.waiting("Motion and derivatives")
-        self._workshop.starts.submit(self._compute, self._inspected, view, values, number)
+        work = self._computed(self._inspected, view, values, number, delay)
+        self._workshop.starts.put(self, work)
 
-    def _compute(self, number: int, view: View, values: dict[str, float], which: int) -> None:
-        """Compute verdict, motion and derivatives of a start until another is clicked."""
+    def _computed(
+        self, number: int, view: View, values: dict[str, float], which: int, delay: float
+    ) -> Iterator[float]:
+        """Compute verdict, motion and derivatives of a start, piece by piece."""
         workshop = self._workshop
         scene, levels = workshop.scene, view.levels or (None,)
         which = min(which, len(levels) - 1)
@@ -299,22 +388,22 @@ class Page:
         def show(change: Callable[[], None]) -> None:
             self._outlet.post(lambda: change() if number == self._inspected else None)
 
+        if delay:
+            yield time.monotonic() + delay
         try:
-            if number != self._inspected:
-                return
             found = [verdict_of(workshop.drawing, level, values, view.rtol) for level in levels]
             show(lambda: _set(self._verdict, texts.verdicts(scene, values, found)))
-            if number != self._inspected:
-                return
+            yield 0.0
             problem, chosen = scene.problem_at(levels[which]), found[which]
             motion = motion_of(problem, values, chosen, min(view.rtol, 1e-8))
             show(lambda: self._curves.show(motion))
+            path = path_of(motion, view)
+            show(lambda: self._maps.trace(*path))
             note = texts.length_of(motion)
-            show(lambda: _set(self._slopes, note + texts.waiting("Derivatives of ω∞")))
-            if number != self._inspected:
-                return
+            yield 0.0
             slopes = slopes_of(problem, values, min(view.rtol, 1e-8))
             show(lambda: _set(self._slopes, note + texts.slopes(scene, chosen.level, slopes)))
+            show(lambda: setattr(self, "_completed", number))
         except Exception as error:  # the thread works for other pages, too
             sentence = _sentence(error)
             show(lambda: _set(self._slopes, texts.refused(sentence)))

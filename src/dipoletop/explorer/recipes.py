@@ -24,9 +24,9 @@ def code_of(scene: Scene, view: View) -> str:
         parts.append(f"{name} = dt.sweep(problem, grid, rtol={view.rtol!r})")
     where = f'x="{view.x}", y="{view.y}", unfold={cells.folded}'
     if len(names) == 2:
-        parts.append(f'dt.plots.compare(first, second, {where}).savefig("map.png")')
+        parts.append(f'dt.plots.save(dt.plots.compare(first, second, {where}), "map.png")')
     else:
-        parts.append(f'dt.plots.basin(basin, {where}).figure.savefig("map.png")')
+        parts.append(f'dt.plots.save(dt.plots.basin(basin, {where}), "map.png")')
     return "\n\n".join(parts) + "\n"
 
 

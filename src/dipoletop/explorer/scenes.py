@@ -8,7 +8,8 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from .._base.checks import check_single, check_verdict, instance, refuse
+from .._base.checks import check_single, check_verdict, instance
+from .._base.refusals import refuse
 from .._base.types import Equation
 from .._maps.problems import Problem, check_problem
 from .._maps.top_parameters import (
@@ -16,9 +17,8 @@ from .._maps.top_parameters import (
     Quantity,
     checked,
     checked_range,
-    initial_condition,
-    problem_of_top,
 )
+from .._maps.top_problems import initial_condition, problem_of_top
 from ..equations._families import RIGID, TRANSVERSE
 from ..equations.levels import Level
 from . import source_code
@@ -69,6 +69,11 @@ class Scene:
     def at_first(self) -> tuple[Level, ...]:
         """The level of a page by default."""
         return self.levels[:1]
+
+    @property
+    def is_top(self) -> bool:
+        """Whether it is the transverse top at any shape and level."""
+        return bool(self.levels) and "delta" in self.free
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -11,12 +11,22 @@ import panel as pn
 from bokeh.server.util import create_hosts_allowlist
 from panel.io.server import get_server
 
-from .._base.checks import instance, names_of, refuse
+from .._base.checks import instance, names_of
+from .._base.refusals import refuse
 from .._base.tolerances import whole
 
 LOOPBACK = "127.0.0.1"
 TITLE = "dipoletop explore"
 SIGNALS = signal.SIGINT, signal.SIGTERM
+HEAD = """{% block preamble %}
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<script>window.addEventListener("popstate", () => window.location.reload())</script>
+{% endblock %}"""
+"""For the page: its width on a phone; and the view of an address to which the user goes back."""
+STOPPED = "The server has stopped: this page no longer follows what you do."
+BLOCKED = {1719, 1720, 1723, 2049, 3659, 4045, 4190, 5060, 5061, 6000, 6566, 6679, 6697, 10080}
+BLOCKED |= set(range(6665, 6670))
+"""Ports above 1023 that browsers refuse to open (the "bad ports" of the Fetch standard)."""
 
 
 def serve(server: Any, address: str, *, show: bool, say: Callable[[str], None]) -> None:
@@ -68,12 +78,18 @@ def made_server(
     if not address or ":" in address:
         refuse("address", "be a host name or an IPv4 address", f"is {address!r}")
     port = whole("port", port, 0, "be a whole number from 0 to 65535", 65535)
+    if port in BLOCKED:
+        refuse("port", "be one that browsers open", f"is {port}, which they block")
     port = port or _free_port(address)
     allowed = [f"{host}:{port}" for host in dict.fromkeys((_host(address), LOOPBACK, "localhost"))]
     for origin in names_of("origins", origins):
         allowed.append(_origin(origin))
 
     def page() -> Any:
+        document: Any = pn.state.curdoc
+        document.template = HEAD
+        pn.config.notifications = True
+        pn.config.disconnect_notification = STOPPED
         query = pn.state.session_args or {}
         return session({name: [_text(x) for x in values] for name, values in query.items()})
 

@@ -19,6 +19,7 @@ from .._runs.simulate import simulate
 from ..equations._common import follows_attitude
 from ..equations.levels import Level
 from .drawing import Drawing
+from .views import View
 
 FRAMES = 240
 """Number of pictures of the moving body at the beginning, and again at the end."""
@@ -147,6 +148,29 @@ def motion_of(
     if not np.all(np.isfinite(omega)):
         raise RuntimeError(f"The motion could not be followed to τ = {ts[-1]:.4g}.")
     return ShownMotion(verdict.level, ts, omega, of_body, is_cut)
+
+
+def path_of(motion: ShownMotion, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes of a view along a motion, NaN between sides of a whole turn.
+
+    Both are empty if an axis is none of the quantities that a rotation has.
+    """
+    w1, w2, w3 = motion.omega.T
+    across = np.hypot(w1, w2)
+    found = {"w_perp": across, "w3": w3, "amplitude": np.hypot(across, w3)}
+    found |= {"theta": np.arctan2(across, w3), "phi": np.arctan2(w2, w1)}
+    if view.x not in found or view.y not in found:
+        return np.empty(0), np.empty(0)
+    path = []
+    for name in (view.x, view.y):
+        values, (low, high) = found[name], view.ranges[name]
+        if name == "phi":
+            middle = (low + high) / 2
+            values = values + 2 * math.pi * np.round((middle - values) / (2 * math.pi))
+            jumps = np.abs(np.diff(values, prepend=values[0])) > math.pi
+            values = np.where(jumps, np.nan, values)
+        path.append(values)
+    return path[0], path[1]
 
 
 def _precession(body: Any, speed: float) -> float:

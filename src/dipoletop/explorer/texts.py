@@ -16,8 +16,9 @@ from .views import View
 
 HEAD = """
 <h1 class="dt-head">How a rotating dipole ends</h1>
-<p class="dt-help">Every point of the map is a start. Click one to see its motion. Scroll to zoom,
-drag to move: the map is computed again at the new range.</p>
+<p class="dt-help">Every point of the map is a start of the body. From a black one it stops; a
+colour is the rotation ω∞ that it keeps. Click a start to see its motion; scroll to zoom, drag to
+move: the map is computed again there.</p>
 """
 LAWS = {
     Regime.RESOLVED: "integrated",
@@ -43,7 +44,7 @@ def legend(picture: Picture) -> str:
     if picture.scale:
         stops = ", ".join(colour_scale())
         parts.append(
-            f'<span class="dt-scale">residual, ω∞ = {-picture.scale:g}'
+            f'<span class="dt-scale">residual, ω∞ = {minus(f"{-picture.scale:g}")}'
             f'<b style="background:linear-gradient(to right, {stops})"></b>{picture.scale:g}</span>'
         )
     return f'<div class="dt-legend">{"".join(parts)}</div>'
@@ -63,7 +64,7 @@ def caption(picture: Picture, number: int) -> str:
 def status(scene: Scene, picture: Picture, ended: Sequence[str]) -> str:
     """Return the fixed values, the number of starts, and what limits the resolution."""
     view, symbols = picture.view, symbols_of(scene)
-    fixed = ", ".join(f"{symbols[name]} = {as_text(x)}" for name, x in view.fixed.items())
+    fixed = ", ".join(f"{symbols[name]} = {shown(x)}" for name, x in view.fixed.items())
     size = f"{picture.size} × {picture.size} starts"
     lines = [f"{fixed}; {size}" if fixed else size]
     lines[0] += "" if picture.is_final else " at first, finer ones follow …"
@@ -99,7 +100,7 @@ def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
 def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[StartVerdict]) -> str:
     """Return the start, and how it ends at each level."""
     symbols = symbols_of(scene)
-    start = ", ".join(f"{escape(symbols[name])} = {as_text(x)}" for name, x in values.items())
+    start = ", ".join(f"{escape(symbols[name])} = {shown(x)}" for name, x in values.items())
     return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
 
 
@@ -110,7 +111,7 @@ def _verdict(verdict: StartVerdict) -> str:
     if verdict.outcome.startswith("residual"):
         known = math.isfinite(verdict.omega_inf)
         value = with_error(verdict.omega_inf, verdict.omega_inf_error) if known else "not known"
-        rows["ω∞ (1/τ₀)"] = value
+        rows["ω∞ = τ₀Ω∞"] = minus(value)
     if math.isfinite(verdict.time):
         rows["certain at τ"] = f"{verdict.time:.4g}, after {verdict.steps} steps"
     rows["certified for this level"] = "yes" if verdict.certified else "no"
@@ -137,7 +138,7 @@ def slopes(scene: Scene, level: str, found: Mapping[str, float]) -> str:
 def _slope(value: float) -> str:
     if math.isnan(value):
         return "none, or not known"
-    return "infinite" if abs(value) > 1e300 else f"{value:.6g}"
+    return "infinite" if abs(value) > 1e300 else minus(f"{value:.6g}")
 
 
 def _table(rows: Mapping[str, str]) -> str:
@@ -153,6 +154,16 @@ def waiting(what: str) -> str:
 def refused(sentence: str) -> str:
     """Return a message of refusal as HTML."""
     return f'<p class="dt-refused" role="alert">{escape(sentence)}</p>'
+
+
+def shown(value: float) -> str:
+    """Return a number as text, with a minus sign that is none of a hyphen."""
+    return minus(as_text(value))
+
+
+def minus(text: str) -> str:
+    """Return a text of numbers with minus signs in place of hyphens."""
+    return text.replace("-", "−")
 
 
 def symbols_of(scene: Scene) -> dict[str, str]:

@@ -9,8 +9,8 @@ from urllib.parse import urlencode
 import numpy as np
 from jaxtyping import Float
 
-from .._base.checks import refuse
 from .._base.numerals import number_in
+from .._base.refusals import refuse
 from .._base.tolerances import tolerance
 from .._maps.grids import Grid
 from ..equations.levels import Level
@@ -24,6 +24,21 @@ SMALLEST = 1e-290
 RANGE = ".."
 """The separator between the ends of a range in an address."""
 Range = tuple[float, float]
+PHI, W3 = "phi", "w3"
+EXAMPLES: dict[str, tuple[str, dict[str, float]]] = {
+    "Figure 2a of the paper: it keeps rotating": ("level=order-1", {PHI: math.pi / 30, W3: 0.2}),
+    "Figure 2b of the paper: it stops": ("level=order-1", {PHI: math.pi / 3, W3: 0.2}),
+    "Where the paper's equation is wrong": (
+        "level=order-1&level=semi&delta=-0.7",
+        {PHI: 0.3, W3: 0.05},
+    ),
+    "Needles that stop while they wobble": (
+        "delta=0.85&w_perp=0.05&w3=-0.2..0.2",
+        {PHI: 1.4, W3: 0.02},
+    ),
+    "As slow as real particles": ("x=phi&y=theta&amplitude=1e-20", {PHI: 0.4, "theta": 1.2}),
+}
+"""The query of an address and a start, by what there is to see; of the transverse top."""
 
 
 @dataclass(frozen=True)

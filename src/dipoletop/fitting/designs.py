@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import corners_of_box, refuse
+from .._base.checks import corners_of_box
+from .._base.refusals import refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget, check_settings, whole
 from .._maps.grids import Points

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, numbers_by_name, refuse, where_valid
+from .._base.checks import finite, numbers_by_name, where_valid
+from .._base.refusals import refuse
 from .._base.summaries import summary
 from .._base.tolerances import budget, tolerance
 from .._maps.problems import Problem

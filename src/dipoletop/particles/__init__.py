@@ -5,10 +5,11 @@ The unit of inertia is I₁, the transverse moment of an axisymmetric body, and 
 time t is τ = t/τ₀. An axis of rotation may define another I₁, the moment about it.
 """
 
+from . import shapes
 from .particle import Particle
 from .starts import start
 from .table import Rotator, Row, paper_particles, particle_table
-from .units import DEBYE, RADIATION, STATCOULOMB_CM, angular_speed
+from .units import DEBYE, RADIATION, STATCOULOMB_CM, angular_speed, magnetic_dipole
 
 __all__ = [
     "DEBYE",
@@ -18,7 +19,9 @@ __all__ = [
     "Rotator",
     "Row",
     "angular_speed",
+    "magnetic_dipole",
     "paper_particles",
     "particle_table",
+    "shapes",
     "start",
 ]

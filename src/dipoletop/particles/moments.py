@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import concrete, finite, on_host, or_nan, refuse, where_valid
+from .._base.checks import concrete, finite, on_host, or_nan, where_valid
 from .._base.linalg import dot, length, matvec, trace
+from .._base.refusals import refuse
 
 
 def middle(inertia: Float[Array, "3 3"]) -> Float[Array, ""]:
@@ -37,3 +38,11 @@ def across(dipole: Float[Array, "3"], inertia: Float[Array, "3 3"]) -> Float[Arr
     if concrete(valid) and not valid:
         refuse("axis", "be given where moments about axes across the dipole differ", "is None")
     return or_nan(moment, valid)
+
+
+def stable_axis(dipole: Float[Array, "3"], inertia: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Return the unit vector across the dipole about which the moment is largest."""
+    n = dipole / length(dipole)
+    project = jnp.eye(3) - n[:, None] * n[None]
+    _, axes = jnp.linalg.eigh(project @ (inertia / trace(inertia)) @ project)
+    return axes[:, 2]

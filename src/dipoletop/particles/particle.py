@@ -9,18 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.batches import over_batch
-from .._base.checks import (
-    concrete,
-    finite,
-    on_device,
-    on_host,
-    refuse,
-    where_valid,
-    without_unit,
-)
+from .._base.checks import concrete, finite, instance, on_device, on_host, where_valid, without_unit
 from .._base.guards import safe_sqrt
 from .._base.linalg import dot
 from .._base.quantities import ANGULAR
+from .._base.refusals import refuse
 from ..bodies import Body
 from . import moments, shapes
 from .texts import text
@@ -29,6 +22,7 @@ from .units import (
     RADIATION,
     STATCOULOMB_CM,
     finite_numbers,
+    magnetic_dipole,
     numbers,
     positive_si,
     speed_in_rad,
@@ -58,6 +52,8 @@ class Particle(eqx.Module):
         dipole: dipole moment d in body axes, shape (3,), C m; `DEBYE` converts.
         radius: the largest distance R of a point of the body from the centre of mass, m; None if
             it is not known. Only `rim_speed` needs it.
+        shape: the body as a solid of `particles.shapes`, whose radius then counts, along the body
+            axes; None if it is not known. The drag by a gas and thermal radiation depend on it.
 
     Raises:
         ValueError: a `mass` that is not positive; a bad `inertia` or `dipole`, as for `Body`; a
@@ -83,8 +79,11 @@ class Particle(eqx.Module):
     inertia: Float[Array, "*batch 3 3"]
     dipole: Float[Array, "*batch 3"]
     radius: Float[Array, "*batch"] | None = None
+    shape: shapes.Solid | None = None
 
-    def __init__(self, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> None:
+    def __init__(
+        self, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None, shape: Any = None
+    ) -> None:
         mass = positive_si("mass", mass, "kg")
         self.mass = on_device(mass)
         # The conditions on a body have no scale, so they hold for SI values, too.
@@ -93,7 +92,16 @@ class Particle(eqx.Module):
             finite("dipole", dipole, (3,), batch=False, unit="C*m"),
         )
         self.inertia, self.dipole = body.inertia, body.dipole
-        self.radius = None
+        self.radius, self.shape = None, None
+        if shape is not None:
+            must = "be a solid of `particles.shapes`, such as `Sphere`"
+            positive_si(
+                "shape", instance("shape", shape, shapes.Solid, must).half_lengths, "m", (3,)
+            )
+            self.shape = jax.tree.map(on_device, shape)
+            if radius is not None:
+                refuse("radius", "be None if a `shape` is given, whose radius counts", "is given")
+            radius = shape.reach
         if radius is not None:
             given = positive_si("radius", radius, "m")
             # tr I = 2 Σ mρ² ≤ 2mR²
@@ -110,10 +118,8 @@ class Particle(eqx.Module):
             return eqx.tree_pformat(self)
         return text(self)
 
-    @classmethod
-    def sphere(
-        cls, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
-    ) -> "Particle":
+    @staticmethod
+    def sphere(radius: Any, dipole: Any, *, mass: Any = None, density: Any = None) -> "Particle":
         """Return the homogeneous sphere, I = 2mR²/5, m = 4πR³ρ/3.
 
         Args:
@@ -126,12 +132,11 @@ class Particle(eqx.Module):
             ValueError: `radius`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        radius = positive_si("radius", radius, "m")
-        return cls(**shapes.spheroid(radius, radius, mass, density), dipole=dipole)
+        return _homogeneous(shapes.sphere(radius), dipole, mass, density)
 
-    @classmethod
+    @staticmethod
     def spheroid(
-        cls, a: Any, c: Any, dipole: Any, *, mass: Any = None, density: Any = None
+        a: Any, c: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
         """Return the homogeneous spheroid about the third body axis, m = 4πa²cρ/3.
 
@@ -146,11 +151,11 @@ class Particle(eqx.Module):
             ValueError: `a`, `c`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls(**shapes.spheroid(a, c, mass, density), dipole=dipole)
+        return _homogeneous(shapes.spheroid(a, c), dipole, mass, density)
 
-    @classmethod
+    @staticmethod
     def ellipsoid(
-        cls, semi_axes: Any, dipole: Any, *, mass: Any = None, density: Any = None
+        semi_axes: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
         """Return the homogeneous ellipsoid, I = m/5 diag(b²+c², c²+a², a²+b²), m = 4πabcρ/3.
 
@@ -164,12 +169,10 @@ class Particle(eqx.Module):
             ValueError: `semi_axes`, or the one of `mass` and `density` that is given, not
                 positive; neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls(**shapes.ellipsoid(semi_axes, mass, density), dipole=dipole)
+        return _homogeneous(shapes.ellipsoid(semi_axes), dipole, mass, density)
 
-    @classmethod
-    def cuboid(
-        cls, lengths: Any, dipole: Any, *, mass: Any = None, density: Any = None
-    ) -> "Particle":
+    @staticmethod
+    def cuboid(lengths: Any, dipole: Any, *, mass: Any = None, density: Any = None) -> "Particle":
         """Return the homogeneous cuboid with its edges along the body axes, m = l₁l₂l₃ρ.
 
         Args:
@@ -182,11 +185,11 @@ class Particle(eqx.Module):
             ValueError: `lengths`, or the one of `mass` and `density` that is given, not positive;
                 neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls(**shapes.cuboid(lengths, mass, density), dipole=dipole)
+        return _homogeneous(shapes.cuboid(lengths), dipole, mass, density)
 
-    @classmethod
+    @staticmethod
     def rod(
-        cls, length: Any, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
+        length: Any, radius: Any, dipole: Any, *, mass: Any = None, density: Any = None
     ) -> "Particle":
         """Return the homogeneous cylinder about the third body axis, m = πr²lρ.
 
@@ -201,7 +204,7 @@ class Particle(eqx.Module):
             ValueError: `length`, `radius`, or the one of `mass` and `density` that is given, not
                 positive; neither or both of these given; a bad `dipole`, as for `Particle`.
         """
-        return cls(**shapes.rod(length, radius, mass, density), dipole=dipole)
+        return _homogeneous(shapes.cylinder(length, radius), dipole, mass, density)
 
     @classmethod
     def gaussian(cls, mass: Any, inertia: Any, dipole: Any, *, radius: Any = None) -> "Particle":
@@ -227,6 +230,33 @@ class Particle(eqx.Module):
         metres = None if given.radius is None else 1e-2 * given.radius
         dipole = STATCOULOMB_CM * given.dipole
         return cls(1e-3 * given.mass, 1e-7 * given.inertia, dipole, radius=metres)
+
+    @classmethod
+    def magnetic(
+        cls, mass: Any, inertia: Any, moment: Any, *, radius: Any = None, shape: Any = None
+    ) -> "Particle":
+        """Return a particle with a magnetic dipole moment m, which radiates as d = m/c does.
+
+        Args:
+            mass: mass, kg.
+            inertia: inertia tensor in body axes, shape (3, 3), kg m².
+            moment: magnetic moment m in body axes, shape (3,), A m².
+            radius: as for `Particle`.
+            shape: as for `Particle`. `Particle.sphere(radius, magnetic_dipole(moment), …)` and the
+                other solids take a magnetic moment, too.
+
+        Raises:
+            ValueError: a bad `moment`; else as for `Particle`.
+
+        Example:
+            The neutron star in the Crab nebula: its speed over its rate of braking, in years.
+
+            >>> import jax.numpy as jnp
+            >>> star = Particle.magnetic(2.8e30, 1e38 * jnp.eye(3), [3.79e27, 0, 0])
+            >>> f"{star.braking_time(2 * jnp.pi / 0.0334) / 3.15576e7:.0f}"
+            '2519'
+        """
+        return cls(mass, inertia, magnetic_dipole(moment), radius=radius, shape=shape)
 
     @over_batch(_batch_axes)
     def moment(self, axis: Any = None) -> Float[Array, "*batch"]:
@@ -389,3 +419,8 @@ class Particle(eqx.Module):
         else:
             speed = speed_in_rad("angular_velocity", given)
         return speed * (self.radius / LIGHT)
+
+
+def _homogeneous(shape: shapes.Solid, dipole: Any, mass: Any, density: Any) -> Particle:
+    mass = shapes.mass_of(shape, mass, density)
+    return Particle(mass, shape.inertia(mass), dipole, shape=shape)

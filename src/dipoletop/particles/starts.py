@@ -3,15 +3,20 @@
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._base.batches import over_batch
-from .._base.checks import finite, instance, on_host, positive, refuse, where_valid
+from .._base.checks import concrete, finite, instance, on_host, positive, where_valid
 from .._base.compiling import compiled_soon
 from .._base.linalg import dot, length, matvec, scale, solve, trace
+from .._base.refusals import refuse
 from ..bodies import Body
 from .particle import Particle
-from .units import speed_in_rad
+from .units import LIGHT, speed_in_rad
+
+FASTEST_RIM = 0.1
+"""The largest speed of a point of a particle over the speed of light."""
 
 
 def start(
@@ -94,3 +99,14 @@ def _start(
         return scale(s * length(momentum) / dot(n, momentum), n)
 
     return jnp.vectorize(along, signature="(),(n)->(n)")(spin, direction)
+
+
+def refuse_relativistic(name: str, body: Any, omega: Float[Array, "*batch 3"]) -> None:
+    """Refuse a known rotation of a particle of known radius whose rim is relativistic."""
+    if not isinstance(body, Particle) or body.radius is None or not concrete(body, omega):
+        return
+    speed = np.max(np.linalg.norm(np.asarray(omega), axis=-1))
+    rim = float(speed * body.radius / LIGHT)
+    if rim > FASTEST_RIM:
+        must = f"have a rim slower than {FASTEST_RIM} c, since the theory is not relativistic"
+        refuse(name, must, f"makes it {rim:.2g} c")

@@ -7,16 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import (
-    finite,
-    on_host,
-    real,
-    refuse,
-    shape_of,
-    where_valid,
-    without_unit,
-)
+from .._base.checks import finite, on_device, on_host, real, shape_of, where_valid, without_unit
 from .._base.quantities import ANGULAR
+from .._base.refusals import refuse
 
 # CODATA 2022. `scipy.constants` has them, too, but takes 60 ms to import.
 LIGHT = 299_792_458.0
@@ -25,6 +18,12 @@ CHARGE = 1.602_176_634e-19
 """The elementary charge, in C."""
 PERMITTIVITY = 8.854_187_818_8e-12
 """The electric constant ε₀, in F/m."""
+BOLTZMANN = 1.380_649e-23
+"""Boltzmann's constant k, in J/K."""
+HBAR = 1.054_571_817_646_156_4e-34
+"""Planck's constant over 2π, in J s."""
+DALTON = 1.660_539_068_92e-27
+"""The atomic mass constant, in kg."""
 
 RADIATION = 1 / (6 * math.pi * PERMITTIVITY * LIGHT**3)
 """k = 1/(6πε₀c³), the strength of the radiation torque, in kg m² s/(C m)²."""
@@ -79,6 +78,25 @@ def speed_in_rad(name: str, value: Any) -> Float[Array, "*batch"]:
         value = float(given[1]) * _UNITS[given[2]]
     speed = finite(name, value, unit=ANGULAR)
     return where_valid(name, speed, on_host(speed) >= 0, "not be negative")
+
+
+def magnetic_dipole(moment: Any) -> Float[Array, "3"]:
+    """Return d = m/c, the electric dipole that radiates as a magnetic moment m does.
+
+    Args:
+        moment: m in A m², shape (3,).
+
+    Returns:
+        d in C m, shape (3,).
+
+    Raises:
+        ValueError: a `moment` of another shape, or not finite.
+
+    Example:
+        >>> magnetic_dipole([299792458.0, 0.0, 0.0]).tolist()
+        [1.0, 0.0, 0.0]
+    """
+    return on_device(on_host(finite("moment", moment, (3,), batch=False, unit="A*m**2")) / LIGHT)
 
 
 def positive_si(name: str, value: Any, unit: str, shape: tuple[int, ...] = ()) -> Any:

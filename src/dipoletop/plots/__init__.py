@@ -8,6 +8,7 @@ people, too. Only this folder, `paper`, `explorer` and `cli` import matplotlib.
 from .._maps.unfolded_basins import unfold
 from .animations import animate
 from .atlases import atlas
+from .balances import balance
 from .basins import basin, compare, shares
 from .continuations import continuation, diagram
 from .histograms import histogram
@@ -19,6 +20,7 @@ from .trajectories import trajectory
 __all__ = [
     "animate",
     "atlas",
+    "balance",
     "basin",
     "compare",
     "continuation",

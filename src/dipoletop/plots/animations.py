@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.animation import FuncAnimation
 
-from .._base.checks import check_body, instance, refuse
+from .._base.checks import check_body, instance
+from .._base.refusals import refuse
 from .._base.tolerances import budget
 from .._runs.trajectory import Trajectory
 from ..bodies import Body

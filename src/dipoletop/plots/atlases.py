@@ -13,7 +13,8 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
 
-from .._base.checks import flag, instance, refuse
+from .._base.checks import flag, instance
+from .._base.refusals import refuse
 from ..atlases import BODY_CORNERS, STOPS_AT, Atlas, Ending, saddle_node_border, spin_border
 from ..particles import paper_particles
 from .axes import several_axes

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from .._base.checks import instance, refuse
+from .._base.checks import instance
+from .._base.refusals import refuse
 from .style import symbol
 
 Spacing = Literal["even", "log", "uneven"]

@@ -11,9 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import ScaledTranslation
 
-from .._base.checks import flag, instance, refuse
+from .._base.checks import flag, instance
+from .._base.refusals import refuse
 from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
@@ -37,6 +39,8 @@ from .style import capitalised, hatch, percent, symbol
 
 COLUMNS, MOST = 3, 12
 """Largest numbers of panels in a row, and in a picture."""
+DEEP = 0.05
+"""Half the width of a region that is marked, over that of the map."""
 
 
 @overload
@@ -273,6 +277,8 @@ def _draw(
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
     show_cells(ax, xs, plane.ys, image)
+    if any(shade.column == "omega_inf" for shade in shades):
+        _mark_signs(ax, plane)
     missing = classes == len(CLASSES)
     if missing.any():
         hatched = {name: cells & ~missing for name, cells in hatched.items()}
@@ -284,6 +290,24 @@ def _draw(
     name_axis(ax.yaxis, plane.y)
     ax.set_title(plane.title, fontsize="medium")
     put_legend_below(ax, handles)
+
+
+def _mark_signs(ax: Axes, plane: Plane) -> None:
+    """Write + and − where the region of either sense is widest, for those who see no colours."""
+    from scipy.ndimage import distance_transform_edt
+
+    values = np.where(plane.columns["outcome"] == Outcome.RESIDUAL, plane.columns["omega_inf"], 0.0)
+    regions = {"+": values > 0, "−": values < 0}
+    if not all(region.any() for region in regions.values()):
+        return
+    for sign, region in regions.items():
+        depth = np.asarray(distance_transform_edt(np.pad(region, 1)))[1:-1, 1:-1]
+        if np.max(depth) < DEEP * min(region.shape):
+            continue
+        row, column = np.unravel_index(np.argmax(depth), depth.shape)
+        around = [withStroke(linewidth=2.5, foreground="black")]
+        style: dict[str, Any] = {"ha": "center", "va": "center", "path_effects": around}
+        ax.text(plane.xs[column], plane.ys[row], sign, color="white", size=15, **style)
 
 
 def put_legend_below(ax: Axes, handles: list[Any]) -> None:

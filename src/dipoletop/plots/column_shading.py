@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, SymLogNorm
 
-from .._base.checks import refuse
+from .._base.refusals import refuse
 from .._base.types import Outcome
 from .._maps.columns import DERIVATIVE_PREFIX
 from .style import symbol

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from .._base.checks import instance, refuse
+from .._base.checks import instance
+from .._base.refusals import refuse
 from .._base.tolerances import budget
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin

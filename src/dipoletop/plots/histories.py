@@ -11,7 +11,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .._base.checks import ArrayLike, finite, instance, refuse
+from .._base.checks import ArrayLike, finite, instance
+from .._base.refusals import refuse
 from .._base.types import Outcome
 from ..prediction import Prediction
 from .axes import several_axes

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import to_rgb
 
-from .._base.checks import instance, refuse
+from .._base.checks import instance
 from .._base.numerals import as_text
+from .._base.refusals import refuse
 from .._base.types import Outcome, Stop
 from .._maps.basin import Basin
 from .._maps.columns import MISSING

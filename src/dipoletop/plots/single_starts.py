@@ -8,7 +8,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from .._base.checks import instance, refuse
+from .._base.checks import instance
+from .._base.refusals import refuse
 from .._maps.basin import Basin
 from .._maps.columns import START, is_result
 from .axes import axes_or_new, name_axis, spacing

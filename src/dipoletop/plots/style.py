@@ -71,21 +71,23 @@ SYMBOLS = {
 """Labels of quantities and columns; any other one is labelled by its name."""
 
 
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure without its date, in the style of the paper's figures.
+def save(drawn: Figure | Axes, path: str | Path, *, dpi: int = 300) -> None:
+    """Write a figure without its date, so that the same picture is the same file.
 
     Args:
-        figure: a figure of `paper.figures`, or of `plots.diagram`.
+        drawn: a figure, or axes of it: what the functions of `plots` and `paper.figures` return.
         path: the file; the suffix of its name is its format: pdf, png or svg.
+        dpi: pixels per inch of a png.
 
     Raises:
         ValueError: arguments of other types.
     """
-    instance("figure", figure, Figure, "be a figure of matplotlib")
+    instance("drawn", drawn, Figure | Axes, "be a figure or axes of matplotlib")
     instance("path", path, str | os.PathLike, "be a path")
+    figure: Any = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
     suffix = Path(path).suffix[1:]
     with mpl.rc_context(STYLE):
-        figure.savefig(path, dpi=300, metadata=UNDATED.get(suffix))
+        figure.savefig(path, dpi=dpi, metadata=UNDATED.get(suffix))
 
 
 def level_line(level: Level) -> dict[str, Any]:

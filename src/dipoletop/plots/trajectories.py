@@ -8,8 +8,10 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from .._base.checks import instance, refuse
-from .._base.types import DecidingEquation, Outcome
+from .._base.checks import instance
+from .._base.compiling import compiled_soon
+from .._base.refusals import refuse
+from .._base.types import DecidingEquation, Outcome, State, Verdict
 from .._runs.trajectory import BranchSolution, Trajectory
 from .axes import axes_or_new
 from .style import BLACK, BLUE, COMPONENTS, capitalised
@@ -32,7 +34,7 @@ def trajectory(
     ax: Axes | None = None,
     curves: Sequence[str] = tuple(CURVES),
 ) -> Axes:
-    """Plot ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale, linear up to the first time > 0.
+    """Plot ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale, linear near τ = 0.
 
     A dotted line marks ω∞ if the last state is certain to keep a residual rotation, a dashed one
     the law |ω| ∝ τ^{-1/2} if it is certain to stop.
@@ -48,7 +50,7 @@ def trajectory(
         curves: the curves to draw, among "size", "w1", "w2", "w3".
 
     Returns:
-        The axes; the title shows the level of the equation.
+        The axes; the title shows the level of the equation, the shape and the first |ω|.
 
     Raises:
         ValueError: a batch of trajectories, more than four of them, or an unknown curve.
@@ -73,8 +75,7 @@ def trajectory(
     _asymptotes(ax, runs)
     _time_axis(ax, list(runs.values()))
     ax.set_ylabel(r"$\omega = \tau_0\Omega$ (dimensionless)")
-    levels = dict.fromkeys(capitalised(run.level) for run in runs.values())
-    ax.set_title("; ".join(levels), fontsize="medium")
+    ax.set_title(_title(list(runs.values())), fontsize="medium")
     handles: list[Any] = [line for line in ax.lines if not str(line.get_label()).startswith("_")]
     if several:
         handles = [Line2D([], [], color=CURVES[name][1], label=CURVES[name][0]) for name in wanted]
@@ -82,6 +83,17 @@ def trajectory(
         handles += [Line2D([], [], color="0.3", ls=dashes, label=name) for name, dashes in lines]
     ax.legend(handles=handles, frameon=False, ncols=2)
     return ax
+
+
+def _title(runs: list[Trajectory]) -> str:
+    """Return the levels, with the shape of the top and the size of ω at the start."""
+    levels: dict[str, dict[str, None]] = {}
+    for run in runs:
+        delta, size = getattr(run.equation, "delta", None), float(np.linalg.norm(run.omega[0]))
+        shape = "" if delta is None else rf"$\delta = {float(delta):.4g}$, "
+        start = rf"{shape}$|\omega| = {size:.4g}$ at first"
+        levels.setdefault(start, {})[capitalised(run.level)] = None
+    return "\n".join(f"{'; '.join(each)}: {start}" for start, each in levels.items())
 
 
 def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
@@ -129,7 +141,7 @@ def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:
         equation, times = run.equation, np.asarray(run.ts)
         if not isinstance(equation, DecidingEquation):
             continue
-        verdict, hidden = equation.verdict(run.ys[-1]), "_" if name else ""
+        verdict, hidden = _verdict(equation, run.ys[-1]), "_" if name else ""
         if verdict.outcome == Outcome.RESIDUAL and verdict.error < 1e-3:
             label = rf"{hidden}$\omega_\infty = {float(verdict.omega_inf):.4g}$"
             ax.axhline(float(verdict.omega_inf), color=BLUE, linestyle=":", label=label)
@@ -140,13 +152,21 @@ def _asymptotes(ax: Axes, runs: Mapping[str, Trajectory]) -> None:
             ax.plot(times[late], law, color="0.5", linestyle="--", label=label)
 
 
+@compiled_soon
+def _verdict(equation: DecidingEquation, y: State) -> Verdict:
+    return equation.verdict(y)
+
+
 def _time_axis(ax: Axes, runs: list[Trajectory]) -> None:
-    """Make the axis of τ logarithmic, linear up to the first time if the runs begin at 0."""
-    firsts = [float(run.ts[0]) for run in runs]
+    """Make the axis of τ logarithmic, linear near 0 if the runs begin there."""
+    firsts, last = [float(run.ts[0]) for run in runs], max(float(np.nanmax(x.ts)) for x in runs)
     if min(firsts) > 0:
         ax.set_xscale("log")
     else:
         step = min(float(run.ts[1] - run.ts[0]) for run in runs)
-        ax.set_xscale("symlog", linthresh=step, linscale=0.5)
-    ax.set_xlim(min(firsts), max(float(np.nanmax(run.ts)) for run in runs))
+        ax.set_xscale("asinh", linear_width=step)  # smooth, unlike `symlog`
+        decades = 10.0 ** np.arange(np.ceil(np.log10(step)), np.log10(last))
+        ax.set_xticks([0.0, *decades])
+        ax.set_xticks([x * k for x in decades for k in range(2, 10) if x * k < last], minor=True)
+    ax.set_xlim(min(firsts), last)
     ax.set_xlabel(r"$\tau = t/\tau_0$")

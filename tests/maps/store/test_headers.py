@@ -74,6 +74,7 @@ def test_one_edited_point_of_many_is_seen(tmp_path):
         dt.sweep(reduced, dt.Points(w3=w3, phi=w3), store=tmp_path / "a.zarr")
 
 
+@pytest.mark.slow
 def test_seed_and_draw_of_a_sample_are_seen(tmp_path):
     def problem(omega0):
         return dt.TransverseReduced(-0.2), omega0

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ..._base.checks import one_line, printable, refusal
+from ..._base.refusals import one_line, printable, refusal
 
 
 class StoreDamaged(ValueError):

@@ -11,7 +11,7 @@ from typing import IO, Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from ..._base.checks import refuse
+from ..._base.refusals import refuse
 from .errors import StoreMismatch
 
 try:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..._base.checks import one_line, printable
 from ..._base.digests import SIZE, array_digest, digest
+from ..._base.refusals import one_line, printable
 from ..columns import MISSING, BasinParts, column_spec
 from .arrays import METADATA, StoredArray, content_of, refuse_links
 from .claims import Claims
@@ -332,7 +332,8 @@ def open_tiles(argument: str, folder: Path) -> Tiles:
     except Exception as error:  # of any type, as in `_reading`
         if (folder / RECORDS).is_dir():
             raise _unreadable(folder, (), "its header", error) from None
-        reason = f"{folder} cannot be read as one ({error})"
+        why = error.strerror if isinstance(error, OSError) else one_line(error)
+        reason = f"{folder} cannot be read as one ({why})"
         raise StoreMismatch(argument, folder, must, reason) from None
     if header.pop("digest", None) != header_digest(header):
         raise StoreDamaged(folder, (), "its header is not what was written")
