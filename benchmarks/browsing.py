@@ -132,12 +132,12 @@ class Visit:
             self.page.wait_for_timeout(20)
         return found
 
-    def final(self, **fixed: float) -> dict[str, Any]:
-        """The finished picture at some fixed values."""
+    def final(self, fine: bool = False, **fixed: float) -> dict[str, Any]:
+        """The finished picture at some fixed values, if wanted with its fine edges."""
 
         def wanted():
             about = self.about()
-            good = about and about["final"]
+            good = about and about["fine_edges" if fine else "final"]
             if good and all(abs(about["fixed"][k] - v) < 1e-9 for k, v in fixed.items()):
                 return about
             return None

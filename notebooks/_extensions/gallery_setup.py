@@ -23,8 +23,7 @@ def figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
     for figure in dict.fromkeys([*numbered, *made]):
         path = next(block_vars["image_path_iterator"])
         figure.savefig(path)
-        picture = Image.open(path).convert("RGB")
-        picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+        Image.open(path).convert("RGB").save(path, optimize=True)
         paths.append(path)
     plt.close("all")
     return figure_rst(paths, gallery_conf["src_dir"])

@@ -38,10 +38,11 @@ def test_the_last_picture_is_that_of_a_sweep(crew, levels):
     levels = tuple(dt.Level(level) for level in levels)
     shown, _ = drawn(crew, replace(SMALL, levels=levels))
     sizes = [picture.size for picture in shown]
-    assert [picture.is_final for picture in shown] == [False] * (len(shown) - 1) + [True]
+    assert [picture.is_final for picture in shown] == [False] * (len(shown) - 2) + [True] * 2
+    assert [picture.has_fine_edges for picture in shown] == [False] * (len(shown) - 1) + [True]
     assert sizes == sorted(sizes)
     assert sizes[-1] == 64
-    final = shown[-1]
+    final = shown[-2]
     cells = views.cells_of(TOP, SMALL, 64)
     for basin, level in zip(final.basins, levels, strict=True):
         assert basin == dt.sweep(TOP.problem_at(level), cells.grid)
@@ -50,6 +51,27 @@ def test_the_last_picture_is_that_of_a_sweep(crew, levels):
     if len(levels) == 2:
         assert final.differs == np.mean(outcomes[0] != outcomes[1])
         assert final.differs > 0
+
+
+def test_edges_are_those_of_a_finer_sweep(crew):
+    *_, final, fine = drawn(crew, SMALL)[0]
+    assert fine.basins == final.basins
+    assert all(image.shape == (192, 192, 4) for image in fine.images)
+    np.testing.assert_array_equal(fine.images[0][1::3, 1::3], final.images[0])
+    cells = views.cells_of(TOP, SMALL, 192)
+    whole = dt.sweep(TOP.problem_at(dt.Level.SEMI), cells.grid)
+    expected = pictures.picture_of(SMALL, [whole], cells.folded, 192, True).planes[0]
+    outcomes = fine.planes[0].columns["outcome"]
+    wrong = outcomes != expected.columns["outcome"]
+    assert np.mean(wrong) < 1e-3  # tongues thinner than a pixel
+    coarse = final.planes[0].columns["outcome"].repeat(3, 0).repeat(3, 1)
+    assert np.sum(wrong) < np.sum(coarse != expected.columns["outcome"]) / 20
+
+
+def test_close_starts_and_large_pictures_have_no_finer_edges(crew):
+    close = replace(SMALL, ranges={"phi": (0.3, 0.3 + 64 * 5 * np.spacing(0.3)), "w3": (0.1, 0.2)})
+    assert not drawn(crew, close)[0][-1].has_fine_edges
+    assert not drawn(crew, replace(SMALL, size=512))[0][-1].has_fine_edges
 
 
 @pytest.mark.parametrize(("cost", "size"), [(1e-7, 64), (2e-4, 32), (1.0, drawing.FEWEST)])
@@ -81,7 +103,7 @@ def test_tolerances_are_those_of_the_view(crew):
 def test_loose_pictures_differ_from_the_last_one_nowhere_that_is_seen(crew):
     drawn(crew, SMALL)
     crew._cost[dt.Level.SEMI, "unchecked"] = 1e-7
-    first, *_, last = drawn(crew, SMALL)[0]
+    first, *_, last, _ = drawn(crew, SMALL)[0]
     assert first.size == 64
     assert first.basins[0].attrs["rtol"] == drawing.LOOSE
     np.testing.assert_array_equal(first.basins[0].outcome, last.basins[0].outcome)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import dipoletop as dt
 from dipoletop.cli import main
-from dipoletop.explorer import page, server
+from dipoletop.explorer import page_thread, server
 
 
 def test_a_port_that_browsers_block_is_refused():
@@ -121,10 +121,10 @@ def test_a_page_on_a_server_is_changed_in_its_own_thread(monkeypatch):
         session_context=object(),
         add_next_tick_callback=lambda change: threads.append((threading.get_ident(), change())),
     )
-    monkeypatch.setattr(page, "pn", SimpleNamespace(state=SimpleNamespace(curdoc=document)))
+    monkeypatch.setattr(page_thread, "pn", SimpleNamespace(state=SimpleNamespace(curdoc=document)))
 
     async def posted():
-        outlet = page.Outlet([])
+        outlet = page_thread.Outlet([])
         await asyncio.to_thread(outlet.post, lambda: "changed")
         await asyncio.sleep(0)
 
@@ -143,8 +143,8 @@ def test_messages_to_a_notebook_are_taken_in_the_thread_of_the_page(monkeypatch)
     message = {"content": {"events": [1, 2], "references": []}, "buffers": 3}
 
     async def sent():
-        layout = page._Layout()
-        layout.outlet = page.Outlet([])
+        layout = page_thread.PageLayout()
+        layout.outlet = page_thread.Outlet([])
         await asyncio.to_thread(layout._on_msg, "ref", None, message)
 
     asyncio.run(sent())

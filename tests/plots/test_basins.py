@@ -46,6 +46,41 @@ def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():
     assert pixels(plots.basin(found, unfold=False)).shape == (4, 6, 4)
 
 
+# Keywords of matplotlib
+
+
+def test_keywords_reach_the_image_and_a_colour_map_the_shading():
+    ax = plots.basin(every_class(), alpha=0.4, zorder=3, cmap="PuOr")
+    (image,) = ax.images
+    assert (image.get_alpha(), image.get_zorder()) == (0.4, 3)
+    colours = {mappable.cmap.name for mappable in _colourbars(ax)}
+    assert colours == {"PuOr"}
+    uneven = made(np.full((2, 3), S), axes={"a": [0.0, 1.0], "b": [0.0, 1.0, 5.0]})
+    (mesh,) = [x for x in plots.basin(uneven, alpha=0.4).collections if isinstance(x, QuadMesh)]
+    assert mesh.get_alpha() == 0.4
+    figure = plots.compare(every_class(), every_class(), alpha=0.3)
+    assert [ax.images[0].get_alpha() for ax in figure.axes[:2]] == [0.3, 0.3]
+    with pytest.raises(
+        ValueError, match=r"`cmap` must be the name of a colour map .*'no'"
+    ):
+        plots.basin(every_class(), cmap="no")
+
+
+def _colourbars(ax):
+    return [bar.mappable for x in ax.figure.axes if (bar := getattr(x, "_colorbar", None))]
+
+
+def test_steps_have_whole_numbers_beside_their_colours():
+    found = made(np.full((2, 2), S), steps=np.array([[6, 13], [25, 60]]))
+    ax = plots.basin(found, shade="steps")
+    ax.figure.canvas.draw()
+    axis = ax.figure.axes[-1].yaxis
+    ticks = [*axis.get_ticklabels(), *axis.get_ticklabels(minor=True)]
+    texts = {tick.get_text() for tick in ticks if tick.get_text()}
+    assert "20" in texts
+    assert all(text.isdecimal() for text in texts)
+
+
 # Colours and legends
 
 

@@ -26,6 +26,12 @@ def shapes():
     return continuation(DELTAS, n=N)
 
 
+def test_keywords_reach_the_curves(shapes):
+    order_1 = Continuation("delta", (Level.ORDER_1,), shapes.basins[:1])
+    curve: Any = plots.continuation(order_1, c="red", lw=7).lines[0]
+    assert (curve.get_color(), curve.get_linewidth()) == ("red", 7)
+
+
 def test_a_diagram_shows_fractions_and_growth(shapes, monkeypatch):
     def at_deltas(delta, w, *, levels):  # of these the program is compiled already
         assert (delta[0], delta[-1]) == (-0.9, 0.76)

@@ -23,6 +23,8 @@ def test_residual_starts_are_counted_by_omega_inf():
     assert counts.sum() == 5  # not the one whose ω∞ is unknown, nor stops
     np.testing.assert_array_equal(counts, [1, 0, 0, 4])
     assert "8 starts, residual 75 %, stop 25 %" in ax.get_title()
+    (grey,) = steps(plots.histogram(found, bins=4, color="0.5", alpha=0.3))
+    assert (grey.get_facecolor()[:3], grey.get_alpha()) == ((0.5, 0.5, 0.5), 0.3)
 
 
 def test_times_are_stacked_by_outcome():

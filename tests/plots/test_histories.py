@@ -64,6 +64,7 @@ def test_one_rotation_is_a_curve(drawn):
         for label, tick in zip(right.get_yticklabels(), right.get_yticks(), strict=True)
     }
     assert marks == {"about $J_3$": 1.0, "separatrix": 1.25, "about $J_1$": 2.0}
+    assert {label.get_va() for label in right.get_yticklabels()} == {"center"}  # at their lines
 
 
 def test_many_rotations_are_bands_as_far_as_they_are_known(drawn):

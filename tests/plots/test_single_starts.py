@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from made_basins import R, S, U, legend, made
+from matplotlib import colormaps
 from matplotlib.colors import to_rgba
 
 import dipoletop as dt
@@ -38,6 +39,8 @@ def test_a_column_against_the_only_axis():
     assert ax.get_xlabel() == r"$\delta$"
     assert r"$\omega_\perp$ = 0.2" in ax.get_title()
     assert ax.get_yscale() == "linear"
+    squares = [line for line in plots.line(found, marker="s", ms=9).lines if len(line.get_xdata())]
+    assert {(line.get_marker(), line.get_markersize()) for line in squares} == {("s", 9), ("|", 9)}
 
 
 def test_times_are_logarithmic_and_other_axes_are_fixed():
@@ -93,6 +96,9 @@ def test_starts_over_what_a_sample_drew():
     np.testing.assert_allclose(ax.collections[0].get_offsets(), np.c_[np.arange(4) / 10, sizes])
     faces = plots.starts(found, shade="certified").collections[0].get_facecolors()
     assert [face[3] == 0 for face in faces] == [False, True, False, False]
+    large = plots.starts(found, s=99, cmap="PuOr").collections[0]
+    assert large.get_sizes().tolist() == [99]
+    np.testing.assert_allclose(large.get_facecolors()[0], colormaps["PuOr"](1.0), atol=0.01)
 
 
 def test_starts_over_listed_points():

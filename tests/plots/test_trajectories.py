@@ -46,6 +46,8 @@ def test_a_trajectory_that_keeps_a_residual_rotation(residual):
     assert r"$\omega_\infty = 0.09887$" in drawn  # Fig. 2a of the paper
     assert r"$\propto\tau^{-1/2}$" not in drawn
     assert (ax.get_xscale(), ax.get_xlim()) == ("asinh", (0.0, 3e3))
+    thick = curves(plots.trajectory(residual, lw=4, alpha=0.5))[r"$\omega_1$"]
+    assert (thick.get_linewidth(), thick.get_alpha()) == (4, 0.5)
     assert ax.get_title() == (
         r"Reduced, order 1 (the paper's): $\delta = -0.2$, $|\omega| = 0.2828$ at first"
     )

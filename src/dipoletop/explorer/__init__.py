@@ -1,10 +1,10 @@
 """The explorer: a page in a browser or a notebook that maps outcomes while sliders move.
 
 `scenes` defines the problem and `views` the part of it that a page shows. `drawing` computes the
-`pictures`, taking turns with other pages in `fair_queue`, and `starts` a single start. `recipes`
-and `addresses` write a view as code and as an address. None of these needs a browser. `page`, with
-its parts (`controls`, `maps`, `curves`), and `server` use Panel and Bokeh; they are imported when a
-page is opened.
+`pictures`, with finer `edges`, taking turns with other pages in `fair_queue`, and `starts` a single
+start. `recipes` writes a view as code. None of these needs a browser. `page`, with its parts
+(`controls`, `maps`, `curves`, `chosen_start`), and `server` use Panel and Bokeh; they are imported
+when a page is opened.
 """
 
 from .exploring import Explorer, explore

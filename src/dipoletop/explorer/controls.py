@@ -1,8 +1,9 @@
 """The controls of a page: axes and their ranges, sliders, levels, tolerance, size."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import panel as pn
@@ -10,6 +11,7 @@ import panel as pn
 from .._base.numerals import as_text, number_in
 from .._base.refusals import refuse
 from .._maps.top_parameters import Quantity
+from . import texts
 from .scenes import Scene, checked_range
 from .views import SIZES, View, checked_view, in_system, zoomed
 
@@ -20,6 +22,17 @@ NONE = "none"
 WIDTH = 300
 FULL = ".bk-input { font-size: 11px; padding: 0 5px; }"
 """Numbers of 17 digits are not cut."""
+PLAY = Path(__file__).with_name("play.js").read_text(encoding="utf-8")
+HELP = {
+    "axes": "Every point of the map is a start; the two axes are the quantities that vary.",
+    "system": "The quantities that give ω at the start: its components, or |ω| and its direction.",
+    "level": "How radiation is treated: the paper's equation is order 1; semi-reduced is the most "
+    "accurate one without runaways.",
+    "compare": "A second map at another level; starts that end differently are hatched in both.",
+    "rtol": "The relative error of every step. Only starts next to a boundary depend on it.",
+    "size": "Starts along each axis of the finished map; its edges are computed three times finer.",
+}
+"""What each control is for."""
 
 
 class Controls:
@@ -39,22 +52,21 @@ class Controls:
         self._is_showing = False
         symbols = {quantity.symbol: name for name, quantity in scene.quantities.items()}
         axes = {symbol: name for symbol, name in symbols.items() if name in scene.free}
-        self._axes = [_select(f"{word} axis", axes) for word in ("Horizontal", "Vertical")]
+        words = "Horizontal", "Vertical"
+        self._axes = [_select(f"{word} axis", axes, "axes") for word in words]
         systems = {_described(scene, system): system for system in scene.systems}
-        self._system = _select("Starts are given by", systems)
+        self._system = _select("Starts are given by", systems, "system")
         self._ends = {name: _Ends(name, self._set_range) for name in ("x", "y")}
         self._values = {
             name: _Value(name, scene.quantities[name], self._set_value) for name in scene.free
         }
         levels = {level.label: level for level in scene.levels}
         self._levels = [
-            _select("Level of the equation", levels),
-            _select("Compare with the level", {NONE: NONE} | levels),
+            _select("Level of the equation", levels, "level"),
+            _select("Compare with the level", {NONE: NONE} | levels, "compare"),
         ]
-        self._rtol = pn.widgets.DiscreteSlider(
-            name="Tolerance rtol", options=list(TOLERANCES), formatter="%.0e", width=WIDTH - 30
-        )
-        self._size = _select("Starts on an axis", {str(size): size for size in SIZES})
+        self._rtol = _select("Tolerance rtol", _named(TOLERANCES), "rtol")
+        self._size = _select("Starts on an axis", {str(size): size for size in SIZES}, "size")
         for widget in (*self._axes, *self._levels, self._system, self._rtol, self._size):
             widget.param.watch(self._chosen, "value")
         self.layout = self._laid_out()
@@ -73,8 +85,7 @@ class Controls:
             *(ends.layout for ends in self._ends.values()),
             self._system,
             *self._levels,
-            self._rtol,
-            self._size,
+            pn.Row(self._rtol, self._size),
             width=WIDTH,
         )
 
@@ -93,8 +104,8 @@ class Controls:
             for widget, level in zip(self._levels, (*view.levels, NONE), strict=False):
                 if level in widget.values:  # the list is empty if the equation is given
                     widget.value = level
-            if view.rtol not in self._rtol.options:
-                self._rtol.options = sorted({*TOLERANCES, view.rtol}, reverse=True)
+            if view.rtol not in self._rtol.values:
+                self._rtol.options = _named(sorted({*TOLERANCES, view.rtol}, reverse=True))
             self._rtol.value, self._size.value = view.rtol, view.size
         finally:
             self._is_showing = False
@@ -163,8 +174,13 @@ def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:
     return in_system(scene, view, scene.system_of(x if x != view.x else y), x, y)
 
 
-def _select(name: str, options: dict[str, Any]) -> Any:
-    return pn.widgets.Select(name=name, options=options, sizing_mode="stretch_width")
+def _select(name: str, options: dict[str, Any], about: str) -> Any:
+    wide: Any = {"sizing_mode": "stretch_width"}
+    return pn.widgets.Select(name=name, options=options, description=HELP[about], **wide)
+
+
+def _named(tolerances: Iterable[float]) -> dict[str, float]:
+    return {f"{rtol:.3g}": rtol for rtol in tolerances}
 
 
 def _described(scene: Scene, system: tuple[str, ...]) -> str:
@@ -179,10 +195,11 @@ class _Slider(pn.widgets.FloatSlider):
 
 
 class _Value:
-    """A slider of a quantity, and its exact value as text."""
+    """A slider of a quantity with its ends, its exact value as text, and a button to play it."""
 
     def __init__(self, name: str, quantity: Quantity, on_value: Callable[[str, Any], None]) -> None:
         symbol, low, high = quantity.symbol, quantity.low, quantity.high
+        self._name = name
         self._step = round_step((high - low) / STEPS)
         self._slider = _Slider(
             name=symbol,
@@ -194,10 +211,24 @@ class _Value:
             css_classes=[f"dt-slider-{name}"],
             sizing_mode="stretch_width",
         )
-        self._text = pn.widgets.TextInput(name=" ", css_classes=[f"dt-value-{name}"], width=90)
+        self._text = pn.widgets.TextInput(
+            name=" ", css_classes=[f"dt-value-{name}"], width=90, description=quantity.meaning
+        )
+        self._play = pn.widgets.Toggle(
+            name="▶", css_classes=[f"dt-play-{name}"], width=38, margin=(21, 0, 0, 5)
+        )
+        self._play.jscallback(args={"slider": self._slider, "play": self._play}, value=PLAY)
+        self._scale = pn.pane.HTML(
+            texts.scale(name, low, high),
+            stylesheets=[texts.CSS],
+            sizing_mode="stretch_width",
+            margin=(-8, 10, 0, 10),
+        )
         self._slider.param.watch(lambda event: on_value(name, self._rounded(event.new)), "value")
         self._text.param.watch(lambda event: on_value(name, event.new), "value")
-        self.layout = pn.Row(self._slider, self._text, styles={"flex": "1 1 260px"})
+        wide: Any = {"sizing_mode": "stretch_width"}
+        slider = pn.Column(self._slider, self._scale, **wide)
+        self.layout = pn.Row(self._play, slider, self._text, styles={"flex": "1 1 290px"})
 
     def _rounded(self, value: float) -> float:
         """Return a multiple of the step, without the rounding errors of the browser's sum."""
@@ -213,6 +244,7 @@ class _Value:
         is_known = abs(slider.value - value) < 1e-6 * self._step
         slider.param.update(**ends, value=slider.value if is_known else value)
         self._text.value = as_text(value).replace("π", "pi")
+        self._scale.object = texts.scale(self._name, slider.start, slider.end)
 
 
 class _Ends:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from ..plots.style import BLACK, BLUE, GREEN, ORANGE
 from .starts import FRAMES, OfBody, ShownMotion
+from .texts import DARK
 
-HEIGHT = 250
-CURVES = ("size", "|ω|", BLACK), ("w1", "ω₁", BLUE), ("w2", "ω₂", ORANGE), ("w3", "ω₃", GREEN)
+HEIGHT, WHITE = 250, "#e0e0e0"
+CURVES = ("size", "|ω|", None), ("w1", "ω₁", BLUE), ("w2", "ω₂", ORANGE), ("w3", "ω₃", GREEN)
 MERIDIANS, PARALLELS, POINTS = 8, 5, 24
 """Numbers of lines on the surface of a body, and of segments of each."""
 DRAW = Path(__file__).with_name("motion.js").read_text(encoding="utf-8")
@@ -29,9 +30,10 @@ class CurvePlots:
         self._omega = _source("omega", "tau", "w1", "w2", "w3", "size")
         self._energy = _source("energy", "tau", "energy")
         self._motion: ShownMotion | None = None
+        ink = WHITE if pn.config.theme == DARK else BLACK
         of_omega = _figure("τ = t/τ₀", "ω = τ₀Ω", "omega-figure")
         for column, name, colour in CURVES:
-            style = {"color": colour, "line_width": 1.5, "legend_label": name}
+            style = {"color": colour or ink, "line_width": 1.5, "legend_label": name}
             of_omega.line("tau", column, source=self._omega, **style)
         of_omega.legend.orientation = "horizontal"
         of_omega.legend.padding = 2
@@ -39,7 +41,7 @@ class CurvePlots:
         of_energy = _figure("τ = t/τ₀", "energy", "energy-figure", y_axis_type="log")
         self._ranges = of_omega.x_range, of_omega.y_range, of_energy.y_range
         of_energy.x_range = of_omega.x_range
-        of_energy.line("tau", "energy", source=self._energy, color=BLACK, line_width=1.5)
+        of_energy.line("tau", "energy", source=self._energy, color=ink, line_width=1.5)
         self.omega = _pane(of_omega)
         self.energy = _pane(of_energy)
         self.omega.visible = self.energy.visible = False

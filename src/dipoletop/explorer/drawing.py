@@ -11,14 +11,15 @@ import numpy as np
 
 from .._base.tolerances import MAX_STEPS
 from .._maps.basin import Basin
-from .._maps.grids import Grid
+from .._maps.grids import Grid, Points
 from .._maps.sweep import prepared_sweep
 from .._runs.classification import UNCHECKED, Value
 from .._runs.run_settings import RunSettings
 from ..equations.levels import Level
+from .edges import FINER, finer_basin, starts_at_edges
 from .pictures import Picture, picture_of
 from .scenes import Scene
-from .views import Cells, View, cells_of, finest_step
+from .views import FINEST, Cells, View, cells_of, finest_step
 
 QUICK = 0.06
 """Seconds that the starts of a first picture may take."""
@@ -34,8 +35,13 @@ PIECE = 0.1
 """Seconds of a piece of work, after which other pages have their turn."""
 REST = 0.1
 """Seconds without a change after which a picture is refined."""
+EPSILON = 2.0**-52
 FEWEST = 16
 """Starts on a side of the coarsest picture, and of a first one whose cost is unknown."""
+ENOUGH = 256
+"""Largest size of a picture whose edges are made finer; larger ones have more than screens show."""
+AT_ONCE = 2048
+"""Starts at edges in a piece of work: always as many, since every other number is traced anew."""
 
 
 class Drawing:
@@ -43,28 +49,34 @@ class Drawing:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._prepared: dict[Any, Callable[[Grid, float], Basin]] = {}
+        self._prepared: dict[Any, Callable[[Any, float], Basin]] = {}
         self._preparing = threading.Lock()
         self._cost: dict[Any, float] = {}
         """Seconds for each start, by level and by requested value."""
 
-    def sweep(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
-        """Return the basin over a grid at a level.
+    def sweep(
+        self,
+        level: Level | None,
+        over: Grid | Points,
+        rtol: float,
+        value: Value,
+        max_steps: int = MAX_STEPS,
+    ) -> Basin:
+        """Return the basin over a grid, or over points, at a level.
 
         Raises:
             ValueError: as by `sweep`.
         """
-        key = level, grid.dims, value
+        given = over.axes if isinstance(over, Grid) else over.columns
+        key = level, type(over), tuple(given), value, max_steps
         with self._preparing:
             if key not in self._prepared:
-                budget = FEW_STEPS if value == UNCHECKED else MAX_STEPS
-                settings = RunSettings(value=value, max_steps=budget)
-                problem = self._scene.problem_at(level)
-                prepared = prepared_sweep(problem, grid, settings)
-                first = Grid(**{name: values[:1] for name, values in grid.axes.items()})
+                settings = RunSettings(value=value, max_steps=max_steps)
+                prepared = prepared_sweep(self._scene.problem_at(level), over, settings)
+                first = type(over)(**{name: values[:1] for name, values in given.items()})
                 prepared(first, rtol)  # compiles, so that later runs show their cost
                 self._prepared[key] = prepared
-        return self._prepared[key](grid, rtol)
+        return self._prepared[key](over, rtol)
 
     def pictures(
         self, view: View, show: Callable[[Picture], None], fail: Callable[[Exception], None]
@@ -96,9 +108,31 @@ class Drawing:
                     row = rows.stop
                     yield 0.0
                 basins.append(_joined(parts, cells.grid))
-            show(picture_of(view, basins, cells.folded, view.size, True))
+            picture = picture_of(view, basins, cells.folded, view.size, True)
+            show(picture)
+            if view.size <= ENOUGH and finest_step(view) > FINER * FINEST * EPSILON:
+                yield time.monotonic() + REST
+                yield from self._finer(picture, cells.folded, show)
         except Exception as error:  # the thread works for other pages, too
             fail(error)
+
+    def _finer(
+        self, picture: Picture, folded: bool, show: Callable[[Picture], None]
+    ) -> Iterator[float]:
+        """Compute the edges of a finished picture finer than its pixels, piece by piece."""
+        view, basins = picture.view, []
+        finer = cells_of(self._scene, view, FINER * view.size)
+        for level, basin in zip(_levels(view), picture.basins, strict=True):
+            index, found = starts_at_edges(basin), []
+            if index.size > finer.count / 2:  # edges everywhere
+                return
+            for part in np.resize(index, (-(-index.size // AT_ONCE), AT_ONCE)):
+                yield 0.0
+                points = Points(**finer.grid.points(part))
+                found.append(self.sweep(level, points, view.rtol, UNCHECKED))
+            basins.append(finer_basin(basin, finer.grid, index, found))
+        fine = picture_of(view, basins, folded, view.size, True)
+        show(fine._replace(basins=picture.basins, has_fine_edges=True))
 
     def _quick(self, view: View, size: int) -> Picture:
         """Return a picture computed with a loose tolerance, without error estimates.
@@ -112,7 +146,7 @@ class Drawing:
         return picture_of(view, basins, cells.folded, size, False)
 
     def _timed(self, level: Level | None, grid: Grid, rtol: float, value: Value) -> Basin:
-        basin = self.sweep(level, grid, rtol, value)
+        basin = self.sweep(level, grid, rtol, value, FEW_STEPS if value == UNCHECKED else MAX_STEPS)
         key, cost = (level, value), max(basin.seconds - OVERHEAD, 0.0) / basin.outcome.size
         self._cost[key] = (self._cost.get(key, cost) + cost) / 2
         return basin

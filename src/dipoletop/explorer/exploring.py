@@ -106,7 +106,8 @@ class Explorer:
     def _opened(self, view: View) -> Any:
         import panel as pn
 
-        from .page import Page, Workshop
+        from .page import Page
+        from .workshop import Workshop
 
         if self._workshop is None:
             self._workshop = Workshop(self._scene, Drawing(self._scene))

@@ -13,20 +13,28 @@ from bokeh.models import (
     AdaptiveTicker,
     ColumnDataSource,
     CustomJS,
+    CustomJSHover,
     CustomJSTickFormatter,
     FixedTicker,
+    HoverTool,
     Range1d,
 )
 from bokeh.plotting import figure
 
+from ..plots.map_layout import CLASSES, classes_of
 from .pictures import Picture
 from .views import Range, View
 
 HEIGHT = 440
 TOOLS = "pan,wheel_zoom,box_zoom,zoom_in,zoom_out,reset,save"
 TICKS = Path(__file__).with_name("ticks.js").read_text(encoding="utf-8")
+HOVER = Path(__file__).with_name("hover.js").read_text(encoding="utf-8")
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser reports which picture it has, so that it is sent no more than it can draw."""
+PLACE, ENDS = ("x", "y", "dw", "dh"), ("classes", "omega_inf")
+START = """
+const shown = (axis, x) => `${axis.axis_label} = ${Number(x.toPrecision(4))}`.replace("-", "−")
+return `${shown(across, special_vars.x)}, ${shown(up, special_vars.y)}`"""
 NO_ECHO = """
 const manager = Bokeh.Models.get("panel.models.comm_manager.CommManager").prototype
 manager.send_change ??= manager._document_changed
@@ -56,10 +64,12 @@ class Maps:
         x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
         self.figures = [_figure(number, x, y) for number in range(2)]
         self._sources = [_source(number) for number in range(2)]
+        self._ends = [_ends_source(number) for number in range(2)]
         self._chosen = ColumnDataSource({"x": [], "y": []}, name="chosen")
         self._path = ColumnDataSource({"x": [], "y": []}, name="path")
         for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
-            plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
+            image = plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
+            plot.add_tools(_hover(plot, image, self._ends[number]))
             for colour, width in (("white", 3), ("black", 1)):
                 plot.line("x", "y", source=self._path, line_color=colour, line_width=width)
             for colour, width in (("white", 5), ("black", 2)):
@@ -121,12 +131,26 @@ class Maps:
         (x0, x1), (y0, y1) = (picture.view.ranges[n] for n in (picture.view.x, picture.view.y))
         place = {"x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}
         about = {"fixed": picture.view.fixed, "size": picture.size, "final": picture.is_final}
+        about["fine_edges"] = picture.has_fine_edges
         identity = {"serial": [serial], "about": [json.dumps(about)]}  # read in the browser
         sources = self._sources[: len(picture.images)]
         # The first map is sent last: once the browser has it, it has both.
         for source, image in reversed(list(zip(sources, picture.images, strict=True))):
             pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
             source.data = {"image": [pixels], **place, **identity}
+        self._tell_ends(picture, place)
+
+    def _tell_ends(self, picture: Picture, place: dict[str, list[float]]) -> None:
+        """Give the browser how the starts of a finished picture end; nothing for a coarse one."""
+        if picture.has_fine_edges:
+            return  # it has been told
+        for ends, plane in zip(self._ends, picture.planes, strict=False):
+            if picture.is_final:
+                omega_inf = np.asarray(plane.columns["omega_inf"], np.float32)
+                found = {"classes": [classes_of(plane).view(np.uint8)], "omega_inf": [omega_inf]}
+                ends.data = place | found
+            elif ends.data["x"]:
+                ends.data = {name: [] for name in ends.data}
 
 
 def _figure(number: int, x: Range1d, y: Range1d) -> Any:
@@ -146,8 +170,25 @@ def _figure(number: int, x: Range1d, y: Range1d) -> Any:
 
 
 def _source(number: int) -> Any:
-    columns = "image", "x", "y", "dw", "dh", "serial", "about"
+    columns = "image", *PLACE, "serial", "about"
     return ColumnDataSource({name: [] for name in columns}, name=f"picture-{number}")
+
+
+def _ends_source(number: int) -> Any:
+    """Return a source for class and ω∞ of every start of a finished picture."""
+    return ColumnDataSource({name: [] for name in (*PLACE, *ENDS)}, name=f"ends-{number}")
+
+
+def _hover(plot: Any, image: Any, ends: Any) -> Any:
+    """Return a tool that names the start under the pointer, and tells how it ends."""
+    names = [name for name, _ in CLASSES.values()]
+    axes = {"across": plot.xaxis[0], "up": plot.yaxis[0]}
+    lines: Any = {
+        "$x": CustomJSHover(args=axes, code=START),
+        "$y": CustomJSHover(args={"ends": ends, "names": names}, code=HOVER),
+    }
+    text = "<div>$x{custom}</div><div>$y{custom}</div>"
+    return HoverTool(renderers=[image], tooltips=text, formatters=lines, visible=False)
 
 
 def _label(axes: Any, name: str, symbol: str, width: float) -> None:

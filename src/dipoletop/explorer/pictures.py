@@ -41,6 +41,8 @@ class Picture(NamedTuple):
     planes: tuple[Plane, ...]
     differs: float | None
     """The share of starts whose outcomes differ between two levels."""
+    has_fine_edges: bool = False
+    """Whether pixels at an edge are divided; images and planes are finer than the basins then."""
 
 
 def picture_of(

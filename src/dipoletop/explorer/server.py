@@ -9,11 +9,13 @@ from typing import Any
 
 import panel as pn
 from bokeh.server.util import create_hosts_allowlist
+from bokeh.themes import DARK_MINIMAL
 from panel.io.server import get_server
 
 from .._base.checks import instance, names_of
 from .._base.refusals import refuse
 from .._base.tolerances import whole
+from .texts import DARK, THEME
 
 LOOPBACK = "127.0.0.1"
 TITLE = "dipoletop explore"
@@ -21,8 +23,13 @@ SIGNALS = signal.SIGINT, signal.SIGTERM
 HEAD = """{% block preamble %}
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <script>window.addEventListener("popstate", () => window.location.reload())</script>
+{% if is_dark %}<style>
+:root { --dt-text: #ddd; --dt-faint: #aaa; --dt-warning: #f0a070; --dt-paper: #2d2d2d; }
+html, body { background: #20262b; color: #ddd; }
+</style>{% endif %}
 {% endblock %}"""
-"""For the page: its width on a phone; and the view of an address to which the user goes back."""
+"""For the page: its width on a phone, the view of an address to which the user goes back, and the
+colours of a dark page."""
 STOPPED = "The server has stopped: this page no longer follows what you do."
 BLOCKED = {1719, 1720, 1723, 2049, 3659, 4045, 4190, 5060, 5061, 6000, 6566, 6679, 6697, 10080}
 BLOCKED |= set(range(6665, 6670))
@@ -87,15 +94,25 @@ def made_server(
 
     def page() -> Any:
         document: Any = pn.state.curdoc
+        config: Any = pn.config
+        query = {name: [_text(x) for x in values] for name, values in _query().items()}
+        is_dark = query.pop(THEME, []) == [DARK]
+        config.theme = DARK if is_dark else "default"
+        if is_dark:
+            document.theme = DARK_MINIMAL
         document.template = HEAD
-        pn.config.notifications = True
-        pn.config.disconnect_notification = STOPPED
-        query = pn.state.session_args or {}
-        return session({name: [_text(x) for x in values] for name, values in query.items()})
+        document.template_variables["is_dark"] = is_dark
+        config.notifications = True
+        config.disconnect_notification = STOPPED
+        return session(query)
 
     return get_server(
         page, port=port, address=address, websocket_origin=allowed, title=TITLE, show=False
     )
+
+
+def _query() -> dict[str, list[bytes]]:
+    return pn.state.session_args or {}
 
 
 def _origin(origin: str) -> str:

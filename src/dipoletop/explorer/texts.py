@@ -3,6 +3,9 @@
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
+
+import numpy as np
 
 from .._base.numerals import as_text
 from .._base.summaries import with_error
@@ -14,12 +17,18 @@ from .scenes import Scene
 from .starts import ShownMotion, StartVerdict
 from .views import View
 
+CSS = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+"""The style of these texts."""
+THEME, DARK = "theme", "dark"
+"""The name in an address, and the value, that ask for a dark page."""
 HEAD = """
 <h1 class="dt-head">How a rotating dipole ends</h1>
 <p class="dt-help">Every point of the map is a start of the body. From a black one it stops; a
 colour is the rotation ω∞ that it keeps. Click a start to see its motion; scroll to zoom, drag to
 move: the map is computed again there.</p>
 """
+SHAPES = 5
+"""Number of bodies drawn along the slider of δ."""
 LAWS = {
     Regime.RESOLVED: "integrated",
     Regime.SLOW_FLOW: "predicted by the average over free rotation",
@@ -27,6 +36,29 @@ LAWS = {
     Regime.UNFOLDED: "predicted by the limit of small amplitudes",
     Regime.EXACT: "exact",
 }
+
+
+def scale(name: str, low: float, high: float) -> str:
+    """Return the ends of a slider; between them, for δ, bodies of these shapes (figure 1)."""
+    places = [low, *(np.linspace(low, high, SHAPES)[1:-1] if name == "delta" else ()), high]
+    marks = [outline(float(place)) if name == "delta" else "" for place in places]
+    ends = [shown(low), *("" for _ in places[1:-1]), shown(high)]
+    cells = (f"<span>{mark}{end}</span>" for mark, end in zip(marks, ends, strict=True))
+    return f'<div class="dt-ends">{"".join(cells)}</div>'
+
+
+def outline(delta: float) -> str:
+    """Return the outline of a homogeneous spheroid with δ = 1 − I₃/I₁, its symmetry axis upright.
+
+    I₃/I₁ = 2a²/(a² + c²), so that the half-axes have the ratio c/a = √((1 + δ)/(1 − δ)).
+    """
+    along, across = math.sqrt(max(1 + delta, 0.0)), math.sqrt(max(1 - delta, 0.0))
+    most = max(along, across)
+    along, across = (max(8 * half / most, 0.8) for half in (along, across))
+    return (
+        '<svg viewBox="-9 -9 18 18" role="img" aria-label="shape">'
+        f'<ellipse rx="{across:.2f}" ry="{along:.2f}"/></svg>'
+    )
 
 
 def legend(picture: Picture) -> str:

@@ -36,6 +36,10 @@ EXAMPLES: dict[str, tuple[str, dict[str, float]]] = {
         "delta=0.85&w_perp=0.05&w3=-0.2..0.2",
         {PHI: 1.4, W3: 0.02},
     ),
+    "A thin tongue of stops, a million times larger": (
+        "phi=1.549997..1.550003&w3=0.00240237..0.00240357&rtol=1e-10",
+        {PHI: 1.55, W3: 0.00240297},
+    ),
     "As slow as real particles": ("x=phi&y=theta&amplitude=1e-20", {PHI: 0.4, "theta": 1.2}),
 }
 """The query of an address and a start, by what there is to see; of the transverse top."""

@@ -71,18 +71,21 @@ def show_cells(
     xs: Float[np.ndarray, "X"],
     ys: Float[np.ndarray, "Y"],
     colours: UInt8[np.ndarray, "Y X 4"],
+    **given: Any,
 ) -> None:
     """Draw coloured cells: an image if both axes are evenly spaced, else a mesh.
 
     An axis whose logarithms are evenly spaced becomes logarithmic.
     """
+    given = {"rasterized": True} | given
     x_spacing, y_spacing = spacing(xs), spacing(ys)
     x_edges, y_edges = cell_edges(xs, x_spacing), cell_edges(ys, y_spacing)
     if x_spacing == y_spacing == "even":
         extent = (*x_edges[[0, -1]].tolist(), *y_edges[[0, -1]].tolist())
-        ax.imshow(colours, origin="lower", extent=extent, aspect="auto", rasterized=True)
+        style: dict[str, Any] = {"origin": "lower", "extent": extent, "aspect": "auto"}
+        ax.imshow(colours, **style | given)
         return
-    ax.pcolormesh(x_edges, y_edges, colours, rasterized=True)
+    ax.pcolormesh(x_edges, y_edges, colours, **given)
     if x_spacing == "log":
         ax.set_xscale("log")
     if y_spacing == "log":

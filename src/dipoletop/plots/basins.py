@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogFormatter
 from matplotlib.transforms import ScaledTranslation
 
 from .._base.checks import flag, instance
@@ -43,6 +45,15 @@ DEEP = 0.05
 """Half the width of a region that is marked, over that of the map."""
 
 
+class _Look(NamedTuple):
+    """How starts are coloured."""
+
+    shade: str | None
+    cmap: str | Colormap | None
+    image: dict[str, Any]
+    """Keywords of the image."""
+
+
 @overload
 def basin(
     basin: Basin,
@@ -54,6 +65,8 @@ def basin(
     y: str | None = ...,
     at: Mapping[str, Any] | None = ...,
     panels: None = ...,
+    cmap: str | Colormap | None = ...,
+    **image: Any,
 ) -> Axes: ...
 
 
@@ -67,6 +80,8 @@ def basin(
     y: str | None = ...,
     at: Mapping[str, Any] | None = ...,
     panels: str,
+    cmap: str | Colormap | None = ...,
+    **image: Any,
 ) -> np.ndarray: ...
 
 
@@ -80,6 +95,8 @@ def basin(
     y: str | None = None,
     at: Mapping[str, Any] | None = None,
     panels: str | None = None,
+    cmap: str | Colormap | None = None,
+    **image: Any,
 ) -> Axes | np.ndarray:
     """Draw a map of the outcomes over two axes of a grid.
 
@@ -103,6 +120,9 @@ def basin(
         y: the vertical axis; None means the other one.
         at: name = value for axes that are fixed, at the nearest value of the grid.
         panels: an axis with a panel for each value, at most twelve, in the same colours.
+        cmap: the colours of the shading, those of residual rotation if both outcomes are shaded.
+        image: keywords of `Axes.imshow` (`Axes.pcolormesh` if an axis is not evenly spaced), such
+            as `alpha` or `zorder`.
 
     Returns:
         The axes; the title shows the level of the equation and the certified share. With
@@ -114,18 +134,18 @@ def basin(
     """
     basin, unfold = part_at(basin, at), flag("unfold", unfold)
     if panels is not None:
-        return _panels(basin, panels, shade, unfold, (x, y), ax)
+        return _panels(basin, panels, _Look(shade, cmap, image), unfold, (x, y), ax)
     given = None if ax is None else axes_or_new(ax)  # checked before all else
     plane = plane_of(basin, shade, unfold, (x, y))
     ax = given or axes_or_new(None, 5.4)
-    _draw_all([ax], [plane], shade)
+    _draw_all([ax], [plane], _Look(shade, cmap, image))
     return ax
 
 
 def _panels(
     basin: Basin,
     over: str,
-    shade: str | None,
+    look: "_Look",
     unfold: bool,
     axes: tuple[str | None, str | None],
     ax: Axes | None,
@@ -139,7 +159,7 @@ def _panels(
         must = f"be an axis of at most {MOST} values (`Basin.isel` chooses)"
         refuse("panels", must, f"has {len(values)}")
     parts = (basin.isel(**{over: k}) for k in range(len(values)))
-    planes = [plane_of(part, shade, unfold, axes) for part in parts]
+    planes = [plane_of(part, look.shade, unfold, axes) for part in parts]
     columns = min(len(values), COLUMNS)
     rows = math.ceil(len(values) / columns)
     size = 5.4 * columns + 1, 5.2 * rows
@@ -147,7 +167,7 @@ def _panels(
     drawn, empty = grid.ravel()[: len(values)], grid.ravel()[len(values) :]
     for unused in empty:
         unused.axis("off")
-    _draw_all(list(drawn), planes, shade)
+    _draw_all(list(drawn), planes, look)
     return drawn
 
 
@@ -160,6 +180,8 @@ def compare(
     unfold: bool = True,
     x: str | None = None,
     y: str | None = None,
+    cmap: str | Colormap | None = None,
+    **image: Any,
 ) -> Figure:
     """Draw two maps side by side in the same colours, hatched where the outcome differs.
 
@@ -171,6 +193,8 @@ def compare(
         unfold: whether to extend a symmetry cell, as in `plots.basin`.
         x: the horizontal axis; None means φ if there is one, else the last.
         y: the vertical axis; None means the other one.
+        cmap: the colours of the shading, as in `plots.basin`.
+        image: keywords of `Axes.imshow`, as in `plots.basin`.
 
     Returns:
         The figure; its title shows the share of the starts with different outcomes.
@@ -194,7 +218,7 @@ def compare(
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
     outcomes = [plane.columns["outcome"] for plane in planes]
     differs = (outcomes[0] != outcomes[1]) & np.all(np.not_equal(outcomes, MISSING["int8"]), axis=0)
-    _draw_all(list(pair), planes, shade, {"outcome differs": differs})
+    _draw_all(list(pair), planes, _Look(shade, cmap, image), {"outcome differs": differs})
     pair[1].set_ylabel("")
     return pair[0].figure
 
@@ -208,7 +232,7 @@ def _check_same_grid(first: Basin, second: Basin) -> None:
             refuse("second", "be over the same grid as `first`", f"has other values of {name}")
 
 
-def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
+def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None, **mesh: Any) -> Axes:
     """Draw the share of residual rotations over two axes, averaged over all other axes.
 
     Args:
@@ -216,6 +240,7 @@ def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
         x: the horizontal axis.
         y: the vertical axis.
         ax: matplotlib axes to draw on; None makes a figure.
+        mesh: keywords of `Axes.pcolormesh`, such as `cmap`.
 
     Returns:
         The axes; the share is among the starts whose outcome is known.
@@ -236,7 +261,8 @@ def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
     if basin.dims.index(x) < basin.dims.index(y):
         share = share.T
     ax = axes_or_new(ax, 5.4)
-    picture = ax.pcolormesh(basin.coords[x], basin.coords[y], share, vmin=0, vmax=1, cmap="cividis")
+    style: dict[str, Any] = {"vmin": 0, "vmax": 1, "cmap": "cividis"}
+    picture = ax.pcolormesh(basin.coords[x], basin.coords[y], share, **style | mesh)
     ax.figure.colorbar(picture, ax=ax, label="share of residual rotations")
     name_axis(ax.xaxis, x)
     name_axis(ax.yaxis, y)
@@ -252,16 +278,16 @@ def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None) -> Axes:
 def _draw_all(
     axes: list[Axes],
     planes: list[Plane],
-    shade: str | None,
+    look: "_Look",
     hatched: Mapping[str, Bool[np.ndarray, "Y X"]] | None = None,
 ) -> None:
     """Draw maps in the same colours, with common colour bars."""
-    shades = shades_of(planes, shade)
+    shades = shades_of(planes, look.shade, look.cmap)
     for ax, plane in zip(axes, planes, strict=True):
         marks = dict(hatched or {})
-        if shade == CERTIFIED:
+        if look.shade == CERTIFIED:
             marks["not certified"] = ~plane.columns[CERTIFIED].astype(bool)
-        _draw(ax, plane, shades, marks)
+        _draw(ax, plane, shades, marks, look.image)
     draw_colourbars(shades, axes)
 
 
@@ -270,13 +296,14 @@ def _draw(
     plane: Plane,
     shades: list[Shade],
     hatched: dict[str, Bool[np.ndarray, "Y X"]],
+    given: dict[str, Any],
 ) -> None:
     """Draw the coloured cells, the hatched regions with their names, axes, title and legend."""
     classes = classes_of(plane)
     colours = legend_colours(plane, classes, shades)
     handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
     xs, image = _close_circle(plane, coloured(plane, classes, shades))
-    show_cells(ax, xs, plane.ys, image)
+    show_cells(ax, xs, plane.ys, image, **given)
     if any(shade.column == "omega_inf" for shade in shades):
         _mark_signs(ax, plane)
     missing = classes == len(CLASSES)
@@ -339,4 +366,7 @@ def draw_colourbars(shades: list[Shade], axes: list[Axes]) -> None:
     for shade in shades:
         colours = ScalarMappable(shade.norm, shade.colours)
         extend = "neither" if shade.column in ("omega_inf", "probability") else "both"
-        axes[0].figure.colorbar(colours, ax=axes, label=shade.label, pad=0.02, extend=extend)
+        bar: dict[str, Any] = {"label": shade.label, "pad": 0.02, "extend": extend}
+        drawn = axes[0].figure.colorbar(colours, ax=axes, **bar)
+        if shade.column == "steps":  # whole numbers, not powers
+            drawn.ax.yaxis.set(major_formatter=LogFormatter(), minor_formatter=LogFormatter())

@@ -1,10 +1,14 @@
 """Continuations: shares of residual rotation, and growth rates, against δ or |ω₀|."""
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.axes import Axes
+from matplotlib.cbook import normalize_kwargs
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from .._base.checks import instance
 from .._base.types import Outcome
@@ -13,7 +17,7 @@ from .axes import axes_or_new, spacing
 from .style import HATCH, MM, STYLE, SYMBOLS, WIDE, capitalised, level_line
 
 
-def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
+def continuation(continuation: Continuation, *, ax: Axes | None = None, **line: Any) -> Axes:
     """Plot shares of residual rotation against the parameter, with 95 % bands and thresholds.
 
     The hatched range, from the share of residual rotation to the share that does not stop, shows
@@ -22,6 +26,7 @@ def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
     Args:
         continuation: a continuation in delta or in amplitude.
         ax: matplotlib axes to draw on; None makes a figure.
+        line: keywords of `Axes.plot` for all curves.
 
     Returns:
         The axes; the title shows the number of starts and the fixed parameter.
@@ -30,7 +35,7 @@ def continuation(continuation: Continuation, *, ax: Axes | None = None) -> Axes:
         ValueError: an argument that is not a continuation, or not axes.
     """
     instance("continuation", continuation, Continuation)
-    return _draw_shares(continuation, axes_or_new(ax))
+    return _draw_shares(continuation, axes_or_new(ax), **normalize_kwargs(line, Line2D))
 
 
 def diagram(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> Figure:
@@ -63,15 +68,17 @@ def diagram(continuation: Continuation, w: ArrayLike = DEFAULT_W) -> Figure:
     return figure
 
 
-def _draw_shares(continuation: Continuation, ax: Axes) -> Axes:
+def _draw_shares(continuation: Continuation, ax: Axes, **given: Any) -> Axes:
     """Draw the curves, bands, hatching, thresholds, title and legend of `continuation`."""
     x, residual = continuation.values, continuation.fractions(Outcome.RESIDUAL)
     most = 1 - continuation.fractions(Outcome.STOP).share
     for k, (level, basin) in enumerate(zip(continuation.levels, continuation.basins, strict=True)):
         share, low, high = residual.share[k], residual.low[k], residual.high[k]
-        line, known = level_line(level), most[k] - share <= high - low
+        line: dict[str, Any] = {"label": capitalised(basin.level)}
+        line |= normalize_kwargs(level_line(level), Line2D) | given
+        known = most[k] - share <= high - low
         colour = line["color"]
-        ax.plot(x, np.where(known, share, np.nan), label=capitalised(basin.level), **line)
+        ax.plot(x, np.where(known, share, np.nan), **line)
         ax.fill_between(x, low, high, where=known, color=colour, alpha=0.3, lw=0)
         ax.fill_between(x, share, most[k], fc="none", ec=colour, hatch=HATCH, lw=0)
     (fixed,) = {"delta", "amplitude"} - {continuation.parameter}

@@ -1,5 +1,7 @@
 """Histograms of the values of a sweep: from the starts of a basin, or from the bins of a tally."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -22,7 +24,12 @@ COLOURS = {outcome: CLASSES[outcome, Stop.NONE][1] for outcome in SHOWN}
 
 
 def histogram(
-    found: Basin | Tally, column: str = "omega_inf", *, bins: int = 60, ax: Axes | None = None
+    found: Basin | Tally,
+    column: str = "omega_inf",
+    *,
+    bins: int = 60,
+    ax: Axes | None = None,
+    **patch: Any,
 ) -> Axes:
     """Draw a histogram of ω∞, its error or its derivatives, or of the times or steps of runs.
 
@@ -34,6 +41,7 @@ def histogram(
         column: "omega_inf", "time", "steps", "omega_inf_error", "d_omega_inf_d_delta", ….
         bins: number of bins; of equal width, or equal ratio for errors, times and steps.
         ax: matplotlib axes to draw on; None makes a figure.
+        patch: keywords of `Axes.stairs`, such as `color` or `alpha`.
 
     Returns:
         The axes; the title shows the level and the share of each outcome.
@@ -51,7 +59,8 @@ def histogram(
     below = np.zeros(len(edges) - 1)
     for name, count in counts.items():
         colour = COLOURS[Outcome.STOP] if name == SHOWN[Outcome.STOP] else COLOURS[Outcome.RESIDUAL]
-        ax.stairs(below + count, edges, baseline=below, fill=True, color=colour, label=name)
+        style: dict[str, Any] = {"baseline": below, "fill": True, "color": colour, "label": name}
+        ax.stairs(below + count, edges, **style | patch)
         below = below + count
     if scale_of(column) == "log" and edges[0] > 0:
         ax.set_xscale("log")

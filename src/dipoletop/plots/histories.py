@@ -229,7 +229,7 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     low, middle, high = curves.ratios.tolist()
     if high - low < 1e-12:
         ax.set(ylim=(0.5, 1.5), yticks=[1.0])
-        names, gaps = {low: "sphere"}, np.zeros(2)
+        names, gaps, span = {low: "sphere"}, np.zeros(2), 1.0
     else:
         span, margin = np.log(high), 0.06
         if high > 4:
@@ -246,15 +246,16 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     twin = ax.secondary_yaxis("right")
     twin.set_yticks(list(names), list(names.values()))
     twin.minorticks_off()
-    # Names of neighbouring lines are moved apart.
-    upper = gaps[1] < gaps[0] if len(names) == 3 else False
-    sides = {
-        "about $J_3$": "top",
-        "about $J_1$": "bottom",
-        "separatrix": "top" if upper else "bottom",
-    }
+    # Each name is at its line; those of neighbouring lines are moved apart.
+    beside = gaps < 0.12 * span if len(names) == 3 else np.zeros(2, bool)
     for label in twin.get_yticklabels():
-        label.set(va=sides.get(label.get_text(), "center"))
+        name = label.get_text()
+        if name == "separatrix" and beside.any():
+            label.set(va="top" if beside[1] else "bottom")
+        elif (name, True) in (("about $J_3$", beside[0]), ("about $J_1$", beside[1])):
+            label.set(va="top" if name == "about $J_3$" else "bottom")
+        else:
+            label.set(va="center")
 
 
 def _title(predictions: Prediction) -> str:

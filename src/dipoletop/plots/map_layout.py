@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from matplotlib.colors import to_rgb
+from matplotlib import colormaps
+from matplotlib.colors import Colormap, to_rgb
 
 from .._base.checks import instance
 from .._base.numerals import as_text
@@ -146,15 +147,27 @@ def fixed_values(basin: Basin) -> list[str]:
     ]
 
 
-def shades_of(planes: list[Plane], shading: str | None) -> list[Shade]:
-    """Return the shading of every outcome that occurs, with colour scales common to all planes."""
+def shades_of(
+    planes: list[Plane], shading: str | None, cmap: str | Colormap | None = None
+) -> list[Shade]:
+    """Return the shading of every outcome that occurs, with colour scales common to all planes.
+
+    `cmap` replaces the colours of the first one.
+    """
     if shading is None:
         return []
     found, columns = {}, [plane.columns for plane in planes]
     for outcome in (Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED):
         values = np.concatenate([c[shading][c["outcome"] == outcome] for c in columns])
         found[outcome] = values[np.isfinite(values)].astype(float)
-    return shades_by(shading, found)
+    shades = shades_by(shading, found)
+    if cmap is None:
+        return shades
+    instance("cmap", cmap, str | Colormap, "be a colour map of matplotlib, its name, or None")
+    if isinstance(cmap, str) and cmap not in colormaps:
+        refuse("cmap", "be the name of a colour map of matplotlib", f"is {cmap!r}")
+    colours = colormaps[cmap] if isinstance(cmap, str) else cmap
+    return [shade._replace(colours=colours) for shade in shades[:1]] + shades[1:]
 
 
 def classes_of(plane: Plane) -> Int[np.ndarray, "Y X"]:

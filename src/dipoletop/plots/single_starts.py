@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.cbook import normalize_kwargs
+from matplotlib.colors import Colormap
 from matplotlib.lines import Line2D
 
 from .._base.checks import instance
@@ -34,6 +36,7 @@ def line(
     *,
     ax: Axes | None = None,
     at: Mapping[str, Any] | None = None,
+    **dots: Any,
 ) -> Axes:
     """Plot a column of a sweep against its only axis, in the colours of the outcomes.
 
@@ -42,6 +45,7 @@ def line(
         column: ω∞, or another column of numbers: "time", "steps", "d_omega_inf_d_delta", ….
         ax: matplotlib axes to draw on; None makes a figure.
         at: name = value for axes that are fixed, at the nearest value of the grid.
+        dots: keywords of `Axes.plot`, such as `marker`, `markersize` or `alpha`.
 
     Returns:
         The axes; starts without a known value are short marks on the horizontal axis.
@@ -69,7 +73,8 @@ def line(
         if not members.any():
             continue
         known = members & np.isfinite(values)
-        ax.plot(xs[known], values[known], "o", ms=3, color=colour)
+        style = {"linestyle": "", "marker": "o", "markersize": 3, "color": colour}
+        ax.plot(xs[known], values[known], **style | normalize_kwargs(dots, Line2D))
         unknown = members & ~np.isfinite(values)
         marks = {"color": colour, "transform": ax.get_xaxis_transform(), "clip_on": False}
         ax.plot(xs[unknown], np.zeros(unknown.sum()), "|", ms=9, **marks)
@@ -92,6 +97,8 @@ def starts(
     *,
     ax: Axes | None = None,
     shade: str | None = "omega_inf",
+    cmap: str | Colormap | None = None,
+    **dots: Any,
 ) -> Axes:
     """Draw single starts as dots over two quantities, in the colours of a map.
 
@@ -104,6 +111,8 @@ def starts(
         y: the vertical quantity.
         ax: matplotlib axes to draw on; None makes a figure.
         shade: the column that shades the outcomes; see `plots.basin`.
+        cmap: the colours of the shading, as in `plots.basin`.
+        dots: keywords of `Axes.scatter`, such as `s`, `marker` or `alpha`.
 
     Returns:
         The axes; the title shows the level of the equation and the certified share.
@@ -121,14 +130,15 @@ def starts(
         if name not in known:
             refuse(argument, f"be among {', '.join(known)}", f"is {name!r}")
     shown = _flat(basin, shade)
-    classes, shades = classes_of(shown), shades_of([shown], shade)
+    classes, shades = classes_of(shown), shades_of([shown], shade, cmap)
     colours = coloured(shown, classes, shades)[0] / 255
     ax = axes_or_new(ax, 5.0)
     faces = colours.copy()
     if shade == CERTIFIED:
         faces[~basin.certified] = 0.0
     style: dict[str, Any] = {"s": np.clip(2e4 / basin.shape[0], 2, 30), "linewidths": 0.8}
-    ax.scatter(known[x], known[y], facecolors=faces, edgecolors=colours, **style)
+    style |= {"facecolors": faces, "edgecolors": colours}
+    ax.scatter(known[x], known[y], **style | dots)
     entries = legend_colours(shown, classes, shades).items()
     handles = [Line2D([], [], ls="", marker="o", color=c, label=name) for name, c in entries]
     if shade == CERTIFIED:

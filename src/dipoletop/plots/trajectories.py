@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.cbook import normalize_kwargs
 from matplotlib.lines import Line2D
 
 from .._base.checks import instance
@@ -33,6 +34,7 @@ def trajectory(
     *,
     ax: Axes | None = None,
     curves: Sequence[str] = tuple(CURVES),
+    **line: Any,
 ) -> Axes:
     """Plot ω₁, ω₂, ω₃ and |ω| against τ on a logarithmic scale, linear near τ = 0.
 
@@ -48,6 +50,7 @@ def trajectory(
             with different dashes.
         ax: matplotlib axes to draw on; None makes a figure.
         curves: the curves to draw, among "size", "w1", "w2", "w3".
+        line: keywords of `Axes.plot` for all curves, such as `linewidth`, `alpha` or `color`.
 
     Returns:
         The axes; the title shows the level of the equation, the shape and the first |ω|.
@@ -71,7 +74,7 @@ def trajectory(
     ax = axes_or_new(ax)
     ax.axhline(0.0, color="0.8", linewidth=0.8)
     for run, dashes in zip(runs.values(), RUNS, strict=False):
-        _draw(ax, run, wanted, None if not several else dashes)
+        _draw(ax, run, wanted, None if not several else dashes, normalize_kwargs(line, Line2D))
     _asymptotes(ax, runs)
     _time_axis(ax, list(runs.values()))
     ax.set_ylabel(r"$\omega = \tau_0\Omega$ (dimensionless)")
@@ -96,7 +99,7 @@ def _title(runs: list[Trajectory]) -> str:
     return "\n".join(f"{'; '.join(each)}: {start}" for start, each in levels.items())
 
 
-def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
+def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any, given: dict[str, Any]) -> None:
     """Draw the curves of one run; `dashes` is None if it is the only one."""
     times, omega = _smooth(run)
     values = dict(zip(CURVES, [np.sqrt(np.sum(omega**2, axis=1)), *omega.T], strict=True))
@@ -104,10 +107,10 @@ def _draw(ax: Axes, run: Trajectory, wanted: list[str], dashes: Any) -> None:
         label, colour = CURVES[name]
         style: dict[str, Any] = {"color": colour, "linestyle": dashes or DASHES[name]}
         style["linewidth"] = 1.8 if name == "size" else 1.3
-        label = label if dashes is None else f"_{label}"
-        ax.plot(times, values[name], label=label, **style)
+        style |= {"label": label if dashes is None else f"_{label}"} | given
+        ax.plot(times, values[name], **style)
         if len(times) == len(run.ts) < SMOOTH / 4:  # it is not interpolated
-            ax.plot(times, values[name], ".", ms=4, color=colour)
+            ax.plot(times, values[name], ".", ms=4, color=style["color"])
 
 
 def _smooth(run: Trajectory) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t 3"]]:
