@@ -1,4 +1,4 @@
-"""The site in a browser: links and pictures lead somewhere, and nothing overflows on a phone.
+"""The site in a browser: links, pictures, its search, and that nothing overflows on a phone.
 
     python tests/browse.py build/site
 
@@ -32,6 +32,8 @@ OPTIONS = (
 )
 LISTINGS = ("_modules/", "genindex", "py-modindex", "search.html")
 """Pages that Sphinx makes from others: their links are checked, but no browser opens them."""
+SOUGHT = {"float64": "questions.html", "units": "questions.html", "explorer": "explorer.html"}
+"""Words for which the search must find a page."""
 BROKEN_PICTURES = """() => [...document.images]
     .filter(x => !x.complete || x.naturalWidth === 0).map(x => x.getAttribute("src"))"""
 BAD_FORMULAS = """() => [...document.querySelectorAll("article .math")]
@@ -108,6 +110,17 @@ def faults(page: Page, address: str, name: str) -> Iterator[str]:
             yield f"{name} is wider than {width} pixels: {', '.join(wider)}"
 
 
+def not_found(page: Page, address: str) -> Iterator[str]:
+    """The words for which the search of the site does not find their page."""
+    for word, wanted in SOUGHT.items():
+        page.goto(f"{address}/search.html?q={word}")
+        page.wait_for_selector("#search-results p.search-summary")
+        page.wait_for_timeout(500)  # results come one by one
+        links = page.eval_on_selector_all("#search-results a", "x => x.map(a => a.href)")
+        if not any(wanted in link for link in links):
+            yield f"the search for {word} does not find {wanted}"
+
+
 def is_bad(message: object) -> bool:
     """Whether a message of the console is an error."""
     return getattr(message, "type", "") == "error"
@@ -141,6 +154,7 @@ def seen(site: Path, names: list[str]) -> Iterator[str]:
             page = context.new_page()
             yield from faults(page, address, name)
             page.close()
+        yield from not_found(context.new_page(), address)
         browser.close()
     server.shutdown()
 

@@ -25,6 +25,7 @@ def test_both_senses_of_rotation_are_lettered():
     assert found["+"][0] < xs[14]
     assert found["−"][0] > xs[17]
     assert not plots.basin(made(outcome, np.abs(values))).texts
+    assert all(text.get_clip_on() and not text.get_in_layout() for text in ax.texts)
 
 
 def test_a_map_of_a_cell_shows_the_whole_plane_and_closes_the_circle():
@@ -60,9 +61,7 @@ def test_keywords_reach_the_image_and_a_colour_map_the_shading():
     assert mesh.get_alpha() == 0.4
     figure = plots.compare(every_class(), every_class(), alpha=0.3)
     assert [ax.images[0].get_alpha() for ax in figure.axes[:2]] == [0.3, 0.3]
-    with pytest.raises(
-        ValueError, match=r"`cmap` must be the name of a colour map .*'no'"
-    ):
+    with pytest.raises(ValueError, match=r"`cmap` must be the name of a colour map .*'no'"):
         plots.basin(every_class(), cmap="no")
 
 

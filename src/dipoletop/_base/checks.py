@@ -10,17 +10,22 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 from jaxtyping import Real as RealOrInteger
+from typing_extensions import TypeAliasType
 
 from .forks import refuse_orphan
 from .quantities import Quantity, WrongUnitError, plain
 from .refusals import described, refuse
 from .structure import of_structure, state_of
 
-NumberLike = (
-    float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""] | Quantity
+# Aliases with a name of their own, which `help` prints in place of what they stand for.
+NumberLike = TypeAliasType(
+    "NumberLike",
+    float | int | np.floating | np.integer | RealOrInteger[np.ndarray | Array, ""] | Quantity,
 )
 """A real number as an argument."""
-ArrayLike = Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."] | Quantity
+ArrayLike = TypeAliasType(
+    "ArrayLike", Sequence[Any] | RealOrInteger[np.ndarray | Array, "..."] | Quantity
+)
 """Real numbers as an argument: an array of JAX or of NumPy, or nested sequences."""
 
 

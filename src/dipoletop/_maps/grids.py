@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
+from typing_extensions import TypeAliasType
 
 from .._base.checks import finite, positive, real, shape_of
 from .._base.quantities import Quantity
@@ -22,7 +23,7 @@ BLOCK = 1 << 32  # starts of a sample that one number of 32 bits can index
 MOST_STARTS = BLOCK**2 // 2 - 1
 GENERATOR = "threefry2x32"
 """The generator of random numbers, whatever the default of JAX is."""
-Numbers = ArrayLike | Sequence[Any] | Quantity
+Numbers = TypeAliasType("Numbers", ArrayLike | Sequence[Any] | Quantity)
 """Numbers as an array, or as nested lists."""
 
 

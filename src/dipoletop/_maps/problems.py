@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
 from .._base.checks import check_equation, instance, real
 from .._base.compiling import CompiledPrograms
@@ -26,7 +27,7 @@ from ..equations.tangent import Tangent
 from .columns import check_arguments
 from .grids import Grid, Points, PointValues, Sample
 
-Problem = Callable[..., tuple[Equation, Float[Array, "3"]]]
+Problem = TypeAliasType("Problem", Callable[..., tuple[Equation, Float[Array, "3"]]])
 """A function from the named values of one point to the equation and the start ω₀."""
 StartBlock = tuple[Equation, Float[Array, "3 N"] | Float[np.ndarray, "3 N"]]
 """Equations and starts of N points; every array has a trailing lane axis."""

@@ -7,8 +7,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike
 
+from .._base.checks import ArrayLike, NumberLike
 from .._base.refusals import refuse
 from .._base.tolerances import MAX_STEPS, check_settings, tolerance
 from .._runs.classification import Value
@@ -29,8 +29,8 @@ def sweep(
     problem: Problem,
     over: Grid | Points | Sample,
     *,
-    rtol: ArrayLike = 1e-8,
-    atol: ArrayLike | None = None,
+    rtol: NumberLike = 1e-8,
+    atol: NumberLike | ArrayLike | None = None,
     max_steps: int = MAX_STEPS,
     value: Value = True,
     derivatives: str | Sequence[str] = (),
@@ -203,7 +203,7 @@ def prepared_sweep(
     over: Grid | Points,
     settings: RunSettings,
     derivatives: tuple[str, ...] = (),
-) -> Callable[[Grid | Points, ArrayLike], Basin]:
+) -> Callable[[Grid | Points, NumberLike], Basin]:
     """Prepare a sweep once for all values of the same names.
 
     Tracing the problem and choosing an engine take longer than running some ten thousand starts. So
@@ -223,7 +223,7 @@ def prepared_sweep(
         devices, threads = plan.devices[:1], len(plan.devices)
         plan = replace(plan, devices=devices, cut=lambda x: Tiling(x, x), threads=threads)
 
-    def basin_over(over: Grid | Points, rtol: ArrayLike) -> Basin:
+    def basin_over(over: Grid | Points, rtol: NumberLike) -> Basin:
         began = time.perf_counter()
         blocks = replace(plan.blocks, over=over)
         settings = plan.settings._replace(rtol=tolerance("rtol", rtol, xp=np))
@@ -247,7 +247,7 @@ class PointSweeps:
 
     def __init__(self, problem: Problem, settings: Mapping[str, Any]) -> None:
         self.problem, self.settings = problem, dict(settings)
-        self._prepared: dict[Any, Callable[[Points, ArrayLike], Basin]] = {}
+        self._prepared: dict[Any, Callable[[Points, NumberLike], Basin]] = {}
 
     def __call__(self, points: Points, derivatives: tuple[str, ...] = ()) -> Basin:
         """Return the basin over points, as from `sweep`."""

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import TypeAliasType
 
 from .._base.checks import concrete
 from .._base.refusals import refuse
@@ -28,7 +29,7 @@ from .._engines.interface import EndStates
 from ..equations.tangent import Tangent
 
 UNCHECKED = "unchecked"
-Value = bool | Literal["unchecked"]
+Value = TypeAliasType("Value", bool | Literal["unchecked"])
 """Whether ω∞ is wanted: with an estimate of its error (True), without (UNCHECKED), or not."""
 
 

@@ -21,6 +21,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from typing_extensions import TypeAliasType
 
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
@@ -41,7 +42,7 @@ from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
 from ..equations.tangent import Tangent
 from .classification import Classification
 
-SlowFlow = bool | Literal["auto"]
+SlowFlow = TypeAliasType("SlowFlow", bool | Literal["auto"])
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
 wherever the first state does not decide (True), or not at all (False)."""
 

@@ -334,6 +334,7 @@ def _mark_signs(ax: Axes, plane: Plane) -> None:
         row, column = np.unravel_index(np.argmax(depth), depth.shape)
         around = [withStroke(linewidth=2.5, foreground="black")]
         style: dict[str, Any] = {"ha": "center", "va": "center", "path_effects": around}
+        style |= {"clip_on": True, "in_layout": False}  # if only a part is shown
         ax.text(plane.xs[column], plane.ys[row], sign, color="white", size=15, **style)
 
 
