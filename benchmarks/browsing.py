@@ -47,7 +47,7 @@ def served(*options: str):
     finally:
         process.terminate()
         try:
-            process.communicate(timeout=20)
+            process.communicate(timeout=60)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -87,6 +87,7 @@ class Visit:
     def of(cls, chromium: Any, url: str, width: int = 1400, height: int = 900) -> "Visit":
         """Open a page, with a profile of its own."""
         page = chromium.new_context(viewport={"width": width, "height": height}).new_page()
+        page.set_default_timeout(1000 * PATIENCE)
         visit = cls(page)
         page.on("pageerror", lambda error: visit.complaints.append(str(error)))
         page.on("console", visit._console)

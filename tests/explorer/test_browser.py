@@ -5,7 +5,6 @@ import http.client
 import json
 import re
 import signal
-import time
 import urllib.parse
 import urllib.request
 from dataclasses import replace
@@ -89,7 +88,7 @@ def test_exact_values_are_taken_and_bad_ones_refused(visit):
 
 def test_a_click_shows_the_start(visit):
     x, y = visit.place(0.05, 0.9)  # far from the dipole's plane of rotation, fast: it stops
-    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "that of the first start", 120)
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "that of the first start")
     visit.page.mouse.click(x, y)
 
     def place():
@@ -117,17 +116,17 @@ def test_a_click_shows_the_start(visit):
 
 def test_a_page_opens_with_a_start_whose_body_turns(visit):
     """That of figure 2a; its path on the map ends where ω lies along the dipole."""
-    visit.until(lambda: data(visit, "path", "x"), "the path", 120)
+    visit.until(lambda: data(visit, "path", "x"), "the path")
     chosen = data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
     assert chosen == pytest.approx((np.pi / 30, 0.2))
     assert data(visit, "path", "y")[0] == pytest.approx(0.2)
     assert data(visit, "path", "y")[-1] == pytest.approx(0.0, abs=1e-3)
     first = visit.until(lambda: data(visit, "arrows", "x1"), "the body")
-    visit.until(lambda: data(visit, "arrows", "x1") != first, "a motion", 10)
+    visit.until(lambda: data(visit, "arrows", "x1") != first, "a motion")
 
 
 def test_the_chosen_start_and_the_address_follow_the_view(visit):
-    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives", 120)
+    visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives")
     before = visit.page.url
     box = visit.page.locator(".dt-value-delta input")
     box.fill("-0.1")
@@ -135,7 +134,7 @@ def test_the_chosen_start_and_the_address_follow_the_view(visit):
     visit.final(delta=-0.1)
     visit.until(lambda: "δ = −0.1, ω⊥ = 0.2, ω₃ = 0.2" in visit.text(), "the start")
     verdict = dt.classify(dt.TransverseSemi(-0.1), dt.cylindrical(0.2, 0.2, np.pi / 30))
-    visit.until(lambda: f"{float(verdict.omega_inf):.9f}"[:8] in visit.text(), "its end", 30)
+    visit.until(lambda: f"{float(verdict.omega_inf):.9f}"[:8] in visit.text(), "its end")
     visit.until(lambda: "delta=-0.1" in visit.page.url, "the address")
     with visit.page.expect_event("load"):  # the page opens anew at the earlier address
         visit.page.go_back()
@@ -164,7 +163,7 @@ def test_a_slider_plays_there_and_back(visit):
     first = visit.value("delta")
     play = visit.page.locator(".dt-play-delta button")
     play.click()
-    visit.until(lambda: visit.value("delta") > first + 0.05, "a motion", 30)
+    visit.until(lambda: visit.value("delta") > first + 0.05, "a motion")
     play.click()
     value = visit.value("delta")
     visit.final(delta=value)
@@ -176,12 +175,12 @@ def test_the_pointer_shows_how_a_start_ends(visit):
     about = visit.final(fine=True)
     columns = dt.sweep(TOP.problem_at(dt.Level.SEMI), dt.Grid(**_point(about, 0.403, 0.602)))
     visit.page.mouse.move(*visit.place(0.403, 0.602))
-    text = visit.until(lambda: _with(visit, "ω∞ = −"), "the end of a start", 30)
+    text = visit.until(lambda: _with(visit, "ω∞ = −"), "the end of a start")
     told = float(re.search(r"residual rotation, ω∞ = −([\d.]+)", text)[1])
     assert told == pytest.approx(-columns.omega_inf.item(), abs=0.005)
     assert "φ = 2.53" in text
     visit.page.mouse.move(*visit.place(0.403, 0.98))
-    visit.until(lambda: "ω₃ = 0.576 stop, rotating" in " ".join(visit.text().split()), "a stop", 30)
+    visit.until(lambda: "ω₃ = 0.576 stop, rotating" in " ".join(visit.text().split()), "a stop")
 
 
 def _point(about, x, y):
@@ -206,6 +205,7 @@ def test_a_dark_page_stays_dark(chromium, server):
 def test_a_phone_sees_a_page_of_its_width(chromium, server):
     size = {"viewport": {"width": 390, "height": 844}, "is_mobile": True}
     page = chromium.new_context(**size).new_page()
+    page.set_default_timeout(1000 * browsing.PATIENCE)
     page.goto(f"{server[0]}?size=64")
     page.locator(".dt-slider-delta").wait_for()
     assert page.evaluate("document.documentElement.scrollWidth") == 390
@@ -218,8 +218,8 @@ def test_a_page_says_that_its_server_has_stopped(chromium):
         visit = browsing.Visit.of(chromium, url)
         visit.until(visit.about, "a picture")
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=10) == 0
-        visit.until(lambda: "The server has stopped" in visit.page.content(), "the note", 20)
+        assert process.wait(timeout=60) == 0
+        visit.until(lambda: "The server has stopped" in visit.page.content(), "the note")
         visit.close()
 
 
@@ -317,14 +317,11 @@ def test_a_second_user_is_served_while_the_first_one_computes(chromium, server):
     slow = "?size=1024&level=order-4&level=order-3&phi=0.1..3&w3=0.01..0.6&rtol=1e-11"
     first = browsing.Visit.of(chromium, url + slow)
     first.until(first.about, "a coarse picture")
-    began = time.monotonic()
     second = browsing.Visit.of(chromium, f"{url}?size=64&delta=-0.31")
     second.final(delta=-0.31)
-    took = time.monotonic() - began
     assert not first.about()["final"]
     second.drag("delta", 20)
     second.final(delta=second.value("delta"))
-    assert took < 15
     assert first.complaints == second.complaints == []
     first.close()
     second.close()
@@ -333,10 +330,10 @@ def test_a_second_user_is_served_while_the_first_one_computes(chromium, server):
 def handshake(url, origin):
     """The status of a websocket that a page of some origin opens."""
     place = urllib.parse.urlparse(url)
-    with urllib.request.urlopen(url, timeout=20) as page:
+    with urllib.request.urlopen(url, timeout=60) as page:
         html = page.read().decode()
     token = json.loads(html.split('"token":')[1].split(",")[0].split("}")[0])
-    connection = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
+    connection = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
     headers = {
         "Connection": "Upgrade",
         "Upgrade": "websocket",
@@ -364,6 +361,6 @@ def test_interrupting_ends_the_server_quietly():
     with browsing.served("--size", "64") as (url, process):
         assert handshake(url, url.rstrip("/")) == 101
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=20)
+        _, said = process.communicate(timeout=60)
         assert process.returncode == 0
         assert "Traceback" not in said

@@ -46,7 +46,7 @@ def laboratory(folder):
     process = subprocess.Popen(command, env=environment, **quiet)
     url = f"http://127.0.0.1:{port}"
     try:
-        end = time.monotonic() + 60
+        end = time.monotonic() + 180
         while True:
             try:
                 urllib.request.urlopen(f"{url}/api").close()
@@ -57,7 +57,7 @@ def laboratory(folder):
         yield url
     finally:
         process.terminate()
-        process.wait(30)
+        process.wait(60)
 
 
 @pytest.mark.system
@@ -65,6 +65,7 @@ def test_the_explorer_lives_in_jupyterlab(chromium, tmp_path):
     (tmp_path / "map.ipynb").write_text(json.dumps(notebook()))
     with laboratory(tmp_path) as url:
         page = chromium.new_context(viewport={"width": 1400, "height": 1000}).new_page()
+        page.set_default_timeout(1000 * browsing.PATIENCE)
         visit = browsing.Visit(page)
         page.on("pageerror", lambda error: visit.complaints.append(str(error)))
         page.goto(f"{url}/lab/tree/map.ipynb")

@@ -124,7 +124,7 @@ print(BlockBuilder(reduced, dt.Grid(w3=[0.1], phi=0.2)).program_digests()["verdi
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_what_would_wait_for_ever_is_refused():
     run = subprocess.run(
-        [sys.executable, "-c", ALONE], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", ALONE], capture_output=True, text=True, timeout=300, check=False
     )
     assert run.returncode == 0, run.stderr
     *lines, verdict = run.stdout.splitlines()

@@ -36,7 +36,7 @@ from dipoletop._base.parallel import pool
 assert pool(2).submit(int).result() == 0
 child = os.fork()
 if not child:
-    os._exit(pool(2).submit(int).result(timeout=30))
+    os._exit(pool(2).submit(int).result(timeout=120))
 assert os.waitpid(child, 0)[1] == 0
 """
 
@@ -160,4 +160,4 @@ def test_every_device_works_and_finds_the_same_bits(runs, engine):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_forked_process_has_threads_of_its_own():
-    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=300)

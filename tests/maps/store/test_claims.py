@@ -61,7 +61,7 @@ def rest(one):
     """The lines that a process prints until its end; `communicate` loses what is read ahead."""
     lines = one.stdout.read().splitlines()
     one.stdout.close()
-    one.wait(timeout=120)
+    one.wait(timeout=300)
     return lines
 
 
