@@ -26,11 +26,16 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = {
-    "delta": Quantity("δ", "δ = 1 − I₃/I₁.", -0.2, -1.0, 0.9, -1.0, math.nextafter(1.0, 0.0)),
+    "delta": Quantity(
+        "δ",
+        "δ = 1 − I₃/I₁: −1 of a disc, 0 of a sphere, 1 of a rod.",
+        *(-0.2, -1.0, 0.9),
+        *(-1.0, math.nextafter(1.0, 0.0)),
+    ),
     "w_perp": Quantity("ω⊥", "ω⊥, across the symmetry axis.", 0.2, 0.0, 0.5, 0.0),
     "w3": Quantity("ω₃", "ω₃, along the symmetry axis.", 0.2, 0.0, 0.6),
     "phi": Quantity("φ", "φ, from the dipole to ω⊥.", math.pi / 30, 0.0, math.pi),
-    "amplitude": Quantity("|ω|", "|ω|.", 0.2, 0.02, 0.5, 0.0),
+    "amplitude": Quantity("|ω|", "|ω|, the size of ω.", 0.2, 0.02, 0.5, 0.0),
     "theta": Quantity(
         "ϑ", "Angle from the symmetry axis to ω.", math.pi / 4, 0.0, math.pi / 2, 0.0, math.pi
     ),

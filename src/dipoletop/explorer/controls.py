@@ -30,7 +30,7 @@ HELP = {
     "accurate one without runaways.",
     "compare": "A second map at another level; starts that end differently are hatched in both.",
     "rtol": "The relative error of every step. Only starts next to a boundary depend on it.",
-    "size": "Starts along each axis of the finished map; its edges are computed three times finer.",
+    "size": "Starts along each axis; up to 256, the edges of regions are three times finer.",
 }
 """What each control is for."""
 
