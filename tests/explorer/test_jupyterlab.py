@@ -72,12 +72,12 @@ def test_the_explorer_lives_in_jupyterlab(chromium, tmp_path):
         page.locator(".jp-CodeCell .cm-content").first.click()
         page.get_by_text("Python 3 (ipykernel) | Idle").wait_for()
         page.keyboard.press("Shift+Enter")
-        visit.final(delta=-0.2)
+        visit.final(fine=True, delta=-0.2)
         before = visit.pixels()
         visit.drag("delta", 40)
         delta = visit.value("delta")
         assert delta > 0.1
-        visit.final(delta=delta)
+        visit.final(fine=True, delta=delta)
         assert np.mean(np.any(before != visit.pixels(), axis=2)) > 0.05
         page.mouse.click(*visit.place(0.5, 0.5))
         visit.until(lambda: "certified for" in visit.text(), "the verdict of the start")
