@@ -34,7 +34,14 @@ DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 PLACE, ENDS = ("x", "y", "dw", "dh"), ("classes", "omega_inf")
 START = """
 const shown = (axis, x) => `${axis.axis_label} = ${Number(x.toPrecision(4))}`.replace("-", "−")
-return `${shown(across, special_vars.x)}, ${shown(up, special_vars.y)}`"""
+const middle = (at, low, width, count) =>
+  low + (Math.floor((at - low)/width*count) + 0.5)*width/count
+let [atX, atY] = [special_vars.x, special_vars.y]
+if (ends.data.x.length) {  // the start that is told of: the middle of its pixel
+  const {x, y, dw, dh, omega_inf} = ends.data, [rows, columns] = omega_inf[0].shape
+  atX = middle(atX, x[0], dw[0], columns), atY = middle(atY, y[0], dh[0], rows)
+}
+return `${shown(across, atX)}, ${shown(up, atY)}`"""
 NO_ECHO = """
 const manager = Bokeh.Models.get("panel.models.comm_manager.CommManager").prototype
 manager.send_change ??= manager._document_changed
@@ -182,7 +189,7 @@ def _ends_source(number: int) -> Any:
 def _hover(plot: Any, image: Any, ends: Any) -> Any:
     """Return a tool that names the start under the pointer, and tells how it ends."""
     names = [name for name, _ in CLASSES.values()]
-    axes = {"across": plot.xaxis[0], "up": plot.yaxis[0]}
+    axes = {"across": plot.xaxis[0], "up": plot.yaxis[0], "ends": ends}
     lines: Any = {
         "$x": CustomJSHover(args=axes, code=START),
         "$y": CustomJSHover(args={"ends": ends, "names": names}, code=HOVER),
