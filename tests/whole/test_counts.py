@@ -44,19 +44,19 @@ PROGRAMS = {
 }
 # Operations of the right-hand sides, and of a step of 8 lanes until the value is known.
 OPERATIONS = {
-    "transverse 1": 45,  # 36
-    "transverse 2": 153,  # 122
-    "transverse 3": 424,  # 339
-    "transverse 4": 1140,  # 912
-    "transverse semi": 54,  # 43
-    "transverse full": 89,  # 71
-    "general 1": 1060,  # 848
-    "general 2": 2250,  # 1801
-    "general 3": 4580,  # 3664
-    "general semi": 1250,  # 1002
-    "general full": 631,  # 505
-    "step, transverse 1": 1370,  # 1099
-    "step, transverse semi": 1790,  # 1432
+    "transverse 1": 39,  # 31
+    "transverse 2": 124,  # 99
+    "transverse 3": 350,  # 280
+    "transverse 4": 976,  # 781
+    "transverse semi": 48,  # 38
+    "transverse full": 54,  # 43
+    "general 1": 380,  # 304
+    "general 2": 916,  # 733
+    "general 3": 2146,  # 1717
+    "general semi": 458,  # 366
+    "general full": 260,  # 208
+    "step, transverse 1": 1376,  # 1101
+    "step, transverse semi": 1740,  # 1392
 }
 # Vector instructions of the native engine, as they are written.
 INSTRUCTIONS = {

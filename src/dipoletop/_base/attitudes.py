@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .checks import finite, where_valid
-from .linalg import cross, dot, scale
+from .linalg import components, cross, dot, scale
 from .types import Vector
 
 Quaternion = Float[Array, "4 *#lanes"]
@@ -41,8 +41,9 @@ def unit_quaternion(name: str, value: Any) -> Float[Array, "4"]:
 
 def normalised(q: Quaternion) -> Quaternion:
     """Return q/|q|."""
-    norm = jnp.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return jnp.stack([part / norm for part in q])
+    parts = components(q)
+    norm = jnp.sqrt(sum(part**2 for part in parts))
+    return jnp.stack([part / norm for part in parts])
 
 
 def product(p: Quaternion, q: Quaternion) -> Quaternion:

@@ -8,6 +8,7 @@ library calls on 3×3 matrices.
 import functools
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -15,9 +16,14 @@ from .checks import namespace
 from .types import Matrix, Real, Vector
 
 
-def largest(components: Array) -> Real:
+def components(a: Any) -> Any:
+    """Return the entries of a vector, or the rows of a matrix: one operation in a trace."""
+    return jnp.unstack(a) if isinstance(a, jax.Array) else a
+
+
+def largest(a: Array) -> Real:
     """Return the largest component, by a chain of `maximum`; XLA:CPU does not vectorise `max`."""
-    return functools.reduce(jnp.maximum, list(components))
+    return functools.reduce(jnp.maximum, components(a))
 
 
 def length(a: Vector) -> Real:
@@ -25,30 +31,29 @@ def length(a: Vector) -> Real:
     sizes = jnp.abs(a)
     most = largest(sizes)
     unit = jnp.where(most > 0, most, 1.0)
-    squares = (sizes[0] / unit) ** 2 + (sizes[1] / unit) ** 2 + (sizes[2] / unit) ** 2
-    return most * jnp.sqrt(squares)
+    x, y, z = components(sizes)
+    return most * jnp.sqrt((x / unit) ** 2 + (y / unit) ** 2 + (z / unit) ** 2)
 
 
 def scale(s: Real, a: Vector) -> Vector:
     """Return s a."""
-    return jnp.stack([s * a[0], s * a[1], s * a[2]])
+    return jnp.stack([s * x for x in components(a)])
 
 
 def dot(a: Vector, b: Vector) -> Real:
     """Return a·b."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return _dot(components(a), components(b))
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a×b."""
-    return jnp.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    return jnp.stack(_cross(components(a), components(b)))
 
 
 def matvec(m: Matrix, a: Vector) -> Vector:
     """Return m a."""
-    return jnp.stack([dot(m[0], a), dot(m[1], a), dot(m[2], a)])
+    a = components(a)
+    return jnp.stack([_dot(components(row), a) for row in components(m)])
 
 
 def trace(m: Matrix) -> Real:
@@ -58,15 +63,32 @@ def trace(m: Matrix) -> Real:
 
 def solve(m: Matrix, b: Vector) -> Vector:
     """Return the solution x of m x = b, by Cramer's rule (the written-out adjugate)."""
-    r0, r1, r2 = cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])
-    det = dot(m[0], r0)
-    return jnp.stack([(r0[i] * b[0] + r1[i] * b[1] + r2[i] * b[2]) / det for i in range(3)])
+    rows, det = _adjugate(m)
+    b = components(b)
+    return jnp.stack([_dot(column, b) / det for column in zip(*rows, strict=True)])
 
 
 def inverse(m: Matrix) -> Matrix:
     """Return the inverse of m."""
-    rows = jnp.stack([cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])])
-    return jnp.swapaxes(rows, 0, 1) / dot(m[0], rows[0])[None, None]
+    rows, det = _adjugate(m)
+    return jnp.stack([jnp.stack(column) for column in zip(*rows, strict=True)]) / det[None, None]
+
+
+def _dot(a: Any, b: Any) -> Any:
+    (a1, a2, a3), (b1, b2, b3) = a, b
+    return a1 * b1 + a2 * b2 + a3 * b3
+
+
+def _cross(a: Any, b: Any) -> list[Any]:
+    (a1, a2, a3), (b1, b2, b3) = a, b
+    return [a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1]
+
+
+def _adjugate(m: Matrix) -> tuple[list[list[Any]], Any]:
+    """Return the rows of the transposed adjugate of m, and the determinant."""
+    r1, r2, r3 = (components(row) for row in components(m))
+    rows = [_cross(r2, r3), _cross(r3, r1), _cross(r1, r2)]
+    return rows, _dot(r1, rows[0])
 
 
 def diagonal(*entries: Any) -> Any:

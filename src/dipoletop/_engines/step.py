@@ -35,7 +35,7 @@ from .interface import Limits
 from .step_sizes import error_ratio, first_step, root
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # factors of the step size, as in diffrax
-LARGE, WIDE = 500, 10  # operations and components of a rate above which the stages form a loop
+LARGE, WIDE = 290, 10  # operations and components of a rate above which the stages form a loop
 
 
 class LaneState(eqx.Module):

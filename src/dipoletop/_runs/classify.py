@@ -1,4 +1,4 @@
-"""The outcome of one run: by an engine if the start is known, else (in a trace) by diffrax."""
+"""The outcome of one run: by an engine if the start is known, else within the trace."""
 
 from typing import Any, NoReturn
 
@@ -20,15 +20,14 @@ from .._base.checks import (
     known_start,
 )
 from .._base.compiling import compiled_soon
-from .._base.integration import integrated
 from .._base.parallel import worker_devices
 from .._base.refusals import refuse
-from .._base.stopping import BROKEN, FINISHED, Until, decided, sound
+from .._base.stopping import RUNNING, Until
 from .._base.tolerances import MAX_STEPS, Tolerances, budget, step_tolerances
 from .._base.types import DecidingEquation, Equation, State
 from .._engines.branch_engine import end_on_branch
 from .._engines.interface import EndStates, Limits
-from .._engines.step_sizes import Controller, ending_at_jumps
+from .._engines.step import advance, begin
 from ..equations._common import error_scale_of, is_full, omega_scale_of, physical
 from .blocks import Place, classify_block
 from .classification import Classification, Value, classification_of, stopping_rule
@@ -149,7 +148,7 @@ def classify_with_tangents(
     max_steps: int | np.integer,
     value: Value = True,
 ) -> Classification:
-    """Classify one start by diffrax, with the derivatives of the state that ended the run.
+    """Classify one start within a trace, with the derivatives of the state that ended the run.
 
     Nothing is predicted.
     """
@@ -188,7 +187,7 @@ def _classify(
         if from_omega and is_full(equation):
             ends = end_on_branch(equation, y0, limits, until)
         else:
-            ends = _end_by_steps(equation, y0, limits, max_steps, until)
+            ends = _end_by_steps(equation, y0, limits, until)
         return classification_of(equation, ends, tolerances)
 
     if value is True and until != "time":
@@ -197,23 +196,21 @@ def _classify(
     return without_error_estimates(run(start, tolerances, jnp.asarray(True)), value, jnp)
 
 
-def _end_by_steps(
-    equation: DecidingEquation, y0: State, limits: Limits, max_steps: int, until: Until
-) -> EndStates:
-    """Return the end state of a run by diffrax."""
+def _end_by_steps(equation: DecidingEquation, y0: State, limits: Limits, until: Until) -> EndStates:
+    """Return the end state of a run, by the steps of the engines in a block of one lane."""
+    arrays, rest = eqx.partition((equation, y0, limits.atol, limits.t1), eqx.is_inexact_array)
+    lane, y, atol, t1 = eqx.combine(jax.tree.map(lambda x: x[..., None], arrays), rest)
+    limits = limits._replace(atol=atol, t1=t1)
+    solver = diffrax.Dopri8()
+    begun = begin(lane, y, limits, solver.order(None), until)
+    moving, rest = eqx.partition(begun, eqx.is_array)
 
-    def ended(t: Any, y: State, args: Any, **_: Any) -> Bool[Array, ""]:
-        broken = ~sound(t, y, equation(t, y, None))
-        return broken | decided(equation, y, limits.tolerances, until)
+    def step(moving: Any) -> Any:
+        state = eqx.combine(moving, rest)
+        state = advance(state, limits.rtol, limits.max_steps, solver, until)
+        return eqx.filter(state, eqx.is_array)
 
-    # A start that is decided or broken needs no integration.
-    t1 = jnp.where(ended(jnp.zeros(()), y0, None), 0.0, limits.t1)
-    controller = Controller(*limits.tolerances, error_scale_of(equation))
-    controller = ending_at_jumps(controller, equation)
-    event = diffrax.Event(ended)
-    run = integrated(equation, (0.0, t1), y0, controller, max_steps, event=event)
-    y, time = run.ys[-1], run.ts[-1]
-    finished = sound(time, y, equation(time, y, None))
-    if until == "time":
-        y = y * jnp.nan  # off the branch no verdict holds
-    return EndStates(y, time, run.stats["num_steps"], jnp.where(finished, FINISHED, BROKEN))
+    last = jax.lax.while_loop(lambda moving: moving.status[0] == RUNNING, step, moving)
+    ended = EndStates(last.y[:, 0], last.t[0], last.steps[0], last.status[0])
+    # Off the branch no verdict holds.
+    return ended._replace(y=ended.y * jnp.nan) if until == "time" else ended

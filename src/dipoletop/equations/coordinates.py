@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .._base.checks import finite, on_host, where_valid
 from .._base.compiling import compiled_soon
+from .._base.linalg import components
 from .._base.refusals import refuse
 from .._base.types import Real, Vector
 
@@ -66,5 +67,5 @@ def from_cylindrical(w_perp: Real, w3: Real, phi: Real) -> Vector:
 
 def to_cylindrical(omega: Vector) -> Vector:
     """Compute (ω⊥, ω₃, φ) of a Cartesian ω."""
-    w1, w2, w3 = omega
+    w1, w2, w3 = components(omega)
     return jnp.stack([jnp.hypot(w1, w2), w3, jnp.arctan2(w2, w1)])

@@ -13,6 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._base.linalg import components, dot
 from .._base.types import Outcome, Real, Stop, Vector, Verdict
 from ._common import LongitudinalTop, OfFull, OfOmega, OfOrder, first_and_second
 from .levels import Level
@@ -24,12 +25,14 @@ SLOW = 0.1  # |ω|² up to which orders 2–4 are taken to follow the physical b
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
     """Return ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
+    p1, p2, _ = components(rate)
+    s1, s2, _ = components(second)
     square = w1**2 + w2**2 + w3**2
     return jnp.stack(
         [
-            second[0] + delta * w2 * w3 - square * w1 - 2 * w3 * rate[1],
-            second[1] - delta * w1 * w3 - square * w2 + 2 * w3 * rate[0],
+            s1 + delta * w2 * w3 - square * w1 - 2 * w3 * p2,
+            s2 - delta * w1 * w3 - square * w2 + 2 * w3 * p1,
             jnp.zeros_like(w3),
         ]
     )
@@ -37,11 +40,12 @@ def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
 
 def _settled(w: Vector, certain: Bool[Array, "*lanes"], proven: bool) -> Verdict:
     """Return the verdict ω → (0, 0, ω₃) where it is certain, else undecided."""
-    rotating = w[2] != 0
+    w3 = components(w)[2]
+    rotating = w3 != 0
     outcome = jnp.where(rotating, int(Outcome.RESIDUAL), int(Outcome.STOP))
     return Verdict(
         jnp.where(certain, outcome, int(Outcome.UNDECIDED)).astype("int32"),
-        jnp.where(certain, w[2], jnp.nan),
+        jnp.where(certain, w3, jnp.nan),
         certain & proven,
         jnp.where(certain & ~rotating, int(Stop.AXIS), int(Stop.NONE)).astype("int32"),
     )
@@ -73,13 +77,13 @@ class LongitudinalReduced(OfOrder, LongitudinalTop):
         if self.order > 1:
             lower = LongitudinalReduced(d, self.order - 1)
             return _balance(d, y, *first_and_second(lambda w: lower(t, w), y))
-        w1, w2, w3 = y
+        w1, w2, w3 = components(y)
         drag = w1**2 + w2**2 + ((1 - d) * w3) ** 2
         return jnp.stack([d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2, jnp.zeros_like(w3)])
 
     def verdict(self, y: Vector) -> Verdict:
         """Return RESIDUAL: certified at order 1; at orders 2–4 uncertified, where |ω|² ≤ 0.1."""
-        square = y[0] ** 2 + y[1] ** 2 + y[2] ** 2
+        square = dot(y, y)
         certain = jnp.isfinite(square) if self.order == 1 else square <= SLOW
         verdict = _settled(y, certain, self.order == 1)
         return verdict._replace(equation=LongitudinalReduced)
@@ -102,7 +106,7 @@ class LongitudinalSemi(OfOmega, LongitudinalTop):
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
-        w1, w2, w3 = y
+        w1, w2, w3 = components(y)
         drag = w1**2 + w2**2 + (1 + d**2) * w3**2
         r1, r2 = d * w2 * w3 - drag * w1, -d * w1 * w3 - drag * w2
         coupling = 2 * w3

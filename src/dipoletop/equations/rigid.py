@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.linalg import cross, dot, inverse, matvec, scale, solve, trace
+from .._base.linalg import components, cross, dot, inverse, matvec, scale, solve, trace
 from .._base.types import Real, Vector, Verdict
 from ..bodies import Body
 from ..radiation import angular_momentum, gyroscopic_torque, radiation_torque
@@ -41,13 +41,13 @@ def semi_reduced_rate(body: Body, omega: Vector, second: Vector, load: Vector) -
     """Solve {I − [d]×(Ω dᵀ + 2(d·Ω))}Ω̇ = T(Ω, 0, Ω̈) − load for Ω̇, with Ω̈ of a lower order."""
     d, inertia = body.dipole, body.inertia
     along, across = dot(d, omega), cross(d, omega)
-    twice = scale(2 * along, d)
-    rows = (
-        [0, -twice[2], twice[1]],
-        [twice[2], 0, -twice[0]],
-        [-twice[1], twice[0], 0],
-    )
-    matrix = [[inertia[i, j] - (across[i] * d[j] + rows[i][j]) for j in range(3)] for i in range(3)]
+    x, y, z = components(scale(2 * along, d))
+    turned = [[0, -z, y], [z, 0, -x], [-y, x, 0]]  # [2(d·Ω)d]×
+    rows = zip(components(inertia), components(across), turned, strict=True)
+    matrix = [
+        [j - (lever * n + t) for j, n, t in zip(components(row), components(d), more, strict=True)]
+        for row, lever, more in rows
+    ]
     known = radiation_torque(body, omega, jnp.zeros_like(omega), second)
     return solve(jnp.stack([jnp.stack(row) for row in matrix]), known - load)
 

@@ -15,6 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._base.linalg import components
 from .._base.types import Real, Vector, Verdict
 from ._common import OfFull, OfOmega, OfOrder, TransverseTop, first_and_second, reciprocal
 from ._verdicts import transverse as regions
@@ -26,14 +27,15 @@ FullState = Float[Array, "5 *lanes"]
 
 def _balance(delta: Real, w: Vector, rate: Vector, second: Vector) -> Vector:
     """Return ω′ from the balance of torques, with given ω′ and ω″ on its right-hand side."""
-    w1, w2, w3 = w
-    p1, p2, p3 = rate
+    w1, w2, w3 = components(w)
+    p1, p2, p3 = components(rate)
+    _, s2, s3 = components(second)
     square = w1**2 + w2**2 + w3**2
     return jnp.stack(
         [
             delta * w2 * w3,
-            second[1] - delta * w1 * w3 - square * w2 - p1 * w3 - 2 * w1 * p3,
-            (second[2] - square * w3 + p1 * w2 + 2 * w1 * p2) * reciprocal(1 - delta),
+            s2 - delta * w1 * w3 - square * w2 - p1 * w3 - 2 * w1 * p3,
+            (s3 - square * w3 + p1 * w2 + 2 * w1 * p2) * reciprocal(1 - delta),
         ]
     )
 
@@ -44,7 +46,7 @@ def _reduced(delta: Real, w: Vector, order: int) -> Vector:
         rate, second = first_and_second(lambda w: _reduced(delta, w, order - 1), w)
         return _balance(delta, w, rate, second)
     # Factors of δ alone are grouped, so that all stages of a step share them.
-    d, (w1, w2, w3) = delta, w
+    d, (w1, w2, w3) = delta, components(w)
     precession = d * w3
     drag = w1**2 + w2**2 + (1 + d + d**2) * w3**2
     inverse = reciprocal(1 - d)
@@ -104,7 +106,7 @@ class TransverseSemi(OfOmega, TransverseTop):
     def __call__(self, t: Any, y: Vector, args: Any = None) -> Vector:
         """Return dω/dτ, shape (3,) or (3, B)."""
         d = self.delta
-        w1, w2, w3 = y
+        w1, w2, w3 = components(y)
         square = w1**2 + w2**2 + w3**2
         r2 = -d * w1 * w3 - (square + d * (1 + d) * w3**2) * w2
         r3 = (d * w2**2 - square) * w3
@@ -135,11 +137,12 @@ class TransverseFull(OfFull, TransverseTop):
 
     def __call__(self, t: Any, y: FullState, args: Any = None) -> FullState:
         """Return dy/dτ, shape (5,) or (5, B)."""
-        w, p2, p3 = y[:3], y[3], y[4]
-        zero = jnp.zeros_like(w)
-        rate = jnp.stack([self.delta * w[1] * w[2], p2, p3])
-        balance = _balance(self.delta, w, rate, zero)  # ω′ − (0, ω₂″, ω₃″/(1−δ))
-        return jnp.stack([rate[0], p2, p3, p2 - balance[1], (1 - self.delta) * (p3 - balance[2])])
+        _, w2, w3, p2, p3 = components(y)
+        p1 = self.delta * w2 * w3
+        rate = jnp.stack([p1, p2, p3])
+        # ω′ − (0, ω₂″, ω₃″/(1−δ))
+        _, r2, r3 = components(_balance(self.delta, y[:3], rate, jnp.zeros_like(rate)))
+        return jnp.stack([p1, p2, p3, p2 - r2, (1 - self.delta) * (p3 - r3)])
 
     def verdict(self, y: FullState) -> Verdict:
         """Return the verdict on a state of the physical branch, uncertified."""

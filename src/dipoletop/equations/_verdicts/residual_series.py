@@ -22,6 +22,7 @@ too small by less than a factor 2.
 import jax.numpy as jnp
 
 from ..._base.guards import safe_divisor
+from ..._base.linalg import components
 from ..._base.types import Real, Vector
 from ..levels import Level
 from .residual_line import linear_part, quadratic_form, rescaled, solve_lyapunov
@@ -35,7 +36,7 @@ Series = tuple[Real, Real, Real]
 
 def line_coordinates(w: Vector) -> tuple[Real, Real, Real]:
     """Compute T, Z and v = ω₁²."""
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     divisor = safe_divisor(w1)
     return w2 / divisor, w3 / divisor**2, w1**2
 
@@ -52,7 +53,7 @@ def first_order(d: Real, w: Vector) -> Series:
     q3 = -(3 * d * c + b * v * (m + 1 / (1 - d)) + 2 * d * q2) / (1 + 3 * beta)
     q4 = -(2 * c * v / (1 - d) + d * q3) / (4 * beta)
     quartic = t**3 * q1 + z * (t**2 * q2 + z * (t * q3 + z * q4))
-    omega_inf = w[0] * (1 + z * (t * b + z * c + quartic))
+    omega_inf = components(w)[0] * (1 + z * (t * b + z * c + quartic))
     quadratic = jnp.abs(b * t * z) + jnp.abs(c) * z**2
     size = t**2 / (2 + beta) + d**2 * z**2 / (beta * (1 + beta / 8))
     size = size + v * z**2 / (1.5 * (1 + 2 * d))
@@ -74,7 +75,7 @@ def semi_reduced(d: Real, w: Vector) -> Series:
     ]
     q = _solve_tridiagonal(d, b, right_side)
     quartic = t**4 * q[0] + z * (t**3 * q[1] + z * (t**2 * q[2] + z * (t * q[3] + z * q[4])))
-    omega_inf = w[0] * (1 + k * q2 + quartic)
+    omega_inf = components(w)[0] * (1 + k * q2 + quartic)
     size = (t**2 + (v + d**2) * z**2) * (1 + 2 * jnp.abs(d) * v)
     return omega_inf, 2.5 * _quadratic_size(d, t, z, v) * size**2, _slope_error(size, z)
 
@@ -91,7 +92,7 @@ def higher_order(d: Real, w: Vector, q2: Real) -> Series:
     """Return ω∞ and its errors at a level whose Q₂ is `q2`, with the semi-reduced Q₄."""
     t, z, v = line_coordinates(w)
     omega_inf, error, slope = semi_reduced(d, w)
-    omega_inf = omega_inf + w[0] * (q2 - quadratic_term(d, w, Level.SEMI))
+    omega_inf = omega_inf + components(w)[0] * (q2 - quadratic_term(d, w, Level.SEMI))
     size = t**2 + (v + d**2) * z**2
     gap = LEVEL_GAP * v / (1 - d) ** 2 * size
     slope = slope + SLOPE * gap * jnp.sqrt(size) * (1 + jnp.abs(z))
@@ -102,7 +103,7 @@ def full(w: Vector, q2: Real) -> Series:
     """Return ω∞ and its errors on the physical branch at any amplitude: Q₂ only."""
     t, z, v = line_coordinates(w)
     size = t**2 + v * z**2 + z**2
-    return w[0] * (1 + q2), LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
+    return components(w)[0] * (1 + q2), LEVEL_GAP * size**2, SLOPE * size * jnp.sqrt(size)
 
 
 def _slope_error(size: Real, z: Real) -> Real:

@@ -30,6 +30,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..._base.guards import safe_divisor
+from ..._base.linalg import components, dot
 from ..._base.types import Flag, Outcome, Real, Stop, Vector, Verdict
 from ..levels import Level
 from . import residual_series
@@ -79,7 +80,7 @@ def _log_below(q: Real) -> Real:
 
 def _q_and_s(d: Real, w: Vector, u: Real) -> tuple[Real, Real]:
     """Return the pair q, S."""
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     q = 2 * jnp.abs(d * w3) / safe_divisor(u + (1 + d + d**2) * w3**2)
     return q, jnp.sign(w3) * 2 * w1 * w2 / safe_divisor(u)
 
@@ -116,7 +117,7 @@ def _on_axis(axis: Flag, d: Real, w: Vector, series: Series, plane: Flag | bool 
     Its derivatives are the derivatives of ω₁ where ω₁ is constant, at δ = 0 and in an invariant
     `plane` ω₃ = 0, and 0 on axis 3. On other axes there are none.
     """
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     constant = (d == 0) | plane
     off = jnp.where(plane, w3, jnp.where(d > STEEP_FROM, w1**2 + w1 * w2 + w2**2, 0.0))
     zero = w1 - jax.lax.stop_gradient(w1)  # not −0
@@ -151,14 +152,14 @@ def almost_every_start(delta: Real, w: Vector) -> Flag:
        χ(φ, z) smooth with F·∇χ > 2 around φ = π/2, increases at a positive rate for small u. A set
        of finite measure that is mapped into itself cannot grow: its measure is 0.
     """
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     return (delta > 0) & ((w1 != 0) | ((w2 != 0) & (w3 != 0)))
 
 
 def first_order(delta: Real, w: Vector) -> Verdict:
     """Return the verdict of order 1, (4.2)–(4.4): every region is proven, for any amplitude."""
     d = delta
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     u = w1**2 + w2**2
     finite = jnp.isfinite(u + jnp.abs(w3) + d)
     # Exact: ω₃ = 0 and δ = 0 keep ω₁; ω⊥ = 0 and ω₁ = ω₃ = 0 are axes of decaying spin.
@@ -195,7 +196,7 @@ def first_order(delta: Real, w: Vector) -> Verdict:
 def semi_reduced(delta: Real, w: Vector) -> Verdict:
     """Return the semi-reduced verdict: residual (proven for most δ), or stop (tested)."""
     d = delta
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     u = w1**2 + w2**2
     finite = jnp.isfinite(u + jnp.abs(w3) + d)
     # Exact: ω⊥ = 0 and ω₁ = ω₃ = 0 are axes of decaying spin; δ = 0 keeps ω₁.
@@ -239,7 +240,7 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
     rest of the series and for the finite amplitude. z_W is a fit from below, within 6e-6 for
     δ ≤ 0.999.
     """
-    w1, w2, w3 = w
+    w1, w2, w3 = components(w)
     u = w1**2 + w2**2
     x = 1 - d
     delta = jnp.where(d > WOBBLING_FROM, d, 0.9)  # any value at which the series is regular
@@ -274,9 +275,10 @@ def _near_line(d: Real, w: Vector, level: Level, decays: Flag) -> Verdict:
     """
     q2 = quadratic_term(d, w, level)
     small = _at_small_amplitude(d, w, q2)
-    w1 = safe_divisor(w[0])
-    distance = (w[1] / w1) ** 2 + (w[2] / (w1 * jnp.minimum(jnp.abs(w1), 1.0))) ** 2
-    near = (small.outcome == Outcome.UNDECIDED) & (w[0] != 0) & decays & (distance <= NEAR_LINE)
+    w1, w2, w3 = components(w)
+    divisor = safe_divisor(w1)
+    distance = (w2 / divisor) ** 2 + (w3 / (divisor * jnp.minimum(jnp.abs(divisor), 1.0))) ** 2
+    near = (small.outcome == Outcome.UNDECIDED) & (w1 != 0) & decays & (distance <= NEAR_LINE)
     outcome = jnp.where(near, Outcome.RESIDUAL, small.outcome)
     otherwise = small.omega_inf, small.error, small.slope
     pairs = zip(residual_series.full(w, q2), otherwise, strict=True)
@@ -289,11 +291,11 @@ def _at_small_amplitude(d: Real, w: Vector, q2: Real) -> Verdict:
 
     The levels agree there up to O(ω²), which the error of ω∞ includes.
     """
-    square = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
+    square = dot(w, w)
     small = square <= 0.1 * jnp.where(d <= 0.3, 1.0, jnp.minimum(1.0, (1 - d) ** 2))
     semi = semi_reduced(d, w)
     series = residual_series.higher_order(d, w, q2)
-    value, error, slope = _where_constant(jnp.asarray(semi.error == 0), w[0], series)
+    value, error, slope = _where_constant(jnp.asarray(semi.error == 0), components(w)[0], series)
     residual = small & (semi.outcome == Outcome.RESIDUAL)
     omega_inf = jnp.where(residual, value, jnp.where(small, semi.omega_inf, jnp.nan))
     return Verdict(
@@ -312,6 +314,7 @@ def of_level(delta: Real, w: Vector, level: Level) -> Verdict:
         return semi_reduced(delta, w)
     if level is Level.ORDER_1:
         return first_order(delta, w)
-    m11, m12, m21, m22 = linear_part(1 + 0 * delta, 1 - delta, jnp.abs(w[0]), level)
+    size = jnp.abs(components(w)[0])
+    m11, m12, m21, m22 = linear_part(1 + 0 * delta, 1 - delta, size, level)
     stable = (m11 + m22 < 0) & (m11 * m22 > m12 * m21)
-    return _near_line(delta, w, level, stable & (jnp.abs(w[0]) <= STRONGEST))
+    return _near_line(delta, w, level, stable & (size <= STRONGEST))
