@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._base.guards import safe_divisor, safe_sqrt
-from .._base.linalg import dot
+from .._base.linalg import components, dot
 from .._base.types import Real
 from .free_rotation import averages, period
 from .motion import Point, SlowMotion
@@ -88,7 +88,7 @@ def rounding_error(rotation: FreeRotation, log: Real) -> Real:
     side = rotation.side(high)
     x, rest = from_logit(z)
     rates, growths = averages(side.moments, x, rest)
-    j1, j2, j3 = rotation.moments
+    j1, j2, j3 = components(rotation.moments)
     gaps = jnp.stack([j2 - j1, j3 - j2])
     apart = j3 * jnp.max(jnp.where(gaps > 0, 1 / safe_divisor(gaps), 0.0))
     log = jnp.where(jnp.isfinite(log), jnp.abs(log), 0.0)

@@ -44,6 +44,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._base.linalg import components
 from .._base.types import Real
 
 AGM_STEPS = 9  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-30
@@ -51,7 +52,7 @@ AGM_STEPS = 9  # of the arithmetic-geometric mean: enough down to 1 − m = 1e-3
 
 def gaps_of(moments: Float[Array, "3 *#lanes"]) -> tuple[Real, Real, Real]:
     """Compute the differences a − c, b − c and a − b of the reciprocals a, b, c of moments."""
-    ja, jb, jc = moments
+    ja, jb, jc = components(moments)
     return (jc - ja) / (ja * jc), (jc - jb) / (jb * jc), (jb - ja) / (ja * jb)
 
 
@@ -73,7 +74,7 @@ def averages(
         x: (h − c)/Db, from 0 to 1.
         rest: 1 − x, to its own relative accuracy.
     """
-    a, b, c = p = tuple(1 / moment for moment in moments)
+    a, b, c = p = components(1 / moments)
     to_a, to_b, a_to_b, q, m, m1 = path(moments, x, rest)
     h = rest * c + x * b
     sn2, _ = elliptic_means(m, m1)
@@ -127,8 +128,8 @@ def _averages_of_top(
 
     whose zero is found to rounding of the moments, however near it is to an end.
     """
-    a, c = 1 / moments[0], 1 / moments[2]
-    zeta = moments[2] / moments[0]
+    ja, _, jc = components(moments)
+    a, c, zeta = 1 / ja, 1 / jc, jc / ja
     delta = 1 - zeta
     cubic = (2 - zeta) * (zeta + delta**2)  # 1 + δ³
     cube = a**3
@@ -139,7 +140,7 @@ def _averages_of_top(
 
 def mean_square_speed(moments: Float[Array, "3 *#lanes"], x: Real, rest: Real) -> Real:
     """Compute ⟨Ω²⟩/L² = h² + ⟨Var⟩; for the arguments see `averages`."""
-    _, jb, jc = moments
+    _, jb, jc = components(moments)
     _, to_b, _, q, m, m1 = path(moments, x, rest)
     sn2, _ = elliptic_means(m, m1)
     return (rest / jc + x / jb) ** 2 + x * to_b * (q * (1 - sn2) + rest * to_b * sn2)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._base.guards import rounding, safe_divisor, safe_sqrt
-from .._base.linalg import cross, dot, trace
+from .._base.linalg import components, cross, dot, trace
 from .._base.types import Real
 from .free_rotation import gaps_of
 from .slow_flow import Side
@@ -60,18 +60,19 @@ class FreeRotation(eqx.Module):
     @property
     def is_sphere(self) -> Bool[Array, ""]:
         """Whether all moments are equal."""
-        return self.moments[0] == self.moments[2]
+        j1, _, j3 = components(self.moments)
+        return j1 == j3
 
     @property
     def is_needle(self) -> Bool[Array, ""]:
         """Whether the two larger moments are equal, and the dipole is across the symmetry axis."""
-        j1, j2, j3 = self.moments
+        j1, j2, j3 = components(self.moments)
         return (j1 < j2) & (j2 == j3) & (self.dipole[0] == 0)
 
     @property
     def symmetry_axis(self) -> tuple[Bool[Array, ""], Int[Array, ""]]:
         """Whether just two moments are equal, and the index of the third axis."""
-        j1, j2, j3 = self.moments
+        j1, j2, j3 = components(self.moments)
         return (j1 == j2) != (j2 == j3), jnp.where(j1 == j2, 2, 0)
 
     @property
@@ -81,7 +82,7 @@ class FreeRotation(eqx.Module):
         L lies along a principal axis with a moment of its own; or across the symmetry axis of a
         body whose dipole lies along that axis, so that any two axes across it are alike.
         """
-        j1, j2, j3 = self.moments
+        j1, j2, j3 = components(self.moments)
         alone = jnp.stack([j1 < j2, (j1 < j2) & (j2 < j3), j2 < j3])
         on_axis = alone & (jnp.sum(self.momentum != 0) == 1) & (self.momentum != 0)
         has_axis, axis = self.symmetry_axis
@@ -128,8 +129,8 @@ class FreeRotation(eqx.Module):
     @property
     def place(self) -> tuple[Bool[Array, ""], Real]:
         """Whether L moves round the axis of J₁, and logit x of that motion."""
-        y1, y2, y3 = self.momentum**2 / jnp.sum(self.momentum**2)
-        p12, p23, p13 = self.gaps
+        y1, y2, y3 = components(self.momentum**2 / jnp.sum(self.momentum**2))
+        p13, p23, p12 = gaps_of(self.moments)
         above = p12 * y1 - p23 * y3  # h − p₂
         high = (above > 0) | (p23 == 0)
         inside = jnp.where(high, p13 * y3 + p12 * y2, p13 * y1 + p23 * y2)
@@ -210,7 +211,7 @@ def _reciprocal_gaps(moments: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
     """Make moments equal that differ by rounding only."""
-    j1, j2, j3 = moments
+    j1, j2, j3 = components(moments)
     j2 = jnp.where(j3 - j2 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j3, j2)
     j1 = jnp.where(j2 - j1 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j2, j1)
     return jnp.stack([j1, j2, j3])

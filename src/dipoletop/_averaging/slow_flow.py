@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
+from .._base.linalg import components
 from .._base.types import Real
 from .free_rotation import averages, period
 
@@ -55,7 +56,7 @@ class Side(eqx.Module):
 
     def shape(self, x: Real, rest: Real) -> Real:
         """Compute the shape h = 2E/L² of the rotation at x, with rest = 1 − x."""
-        _, jb, jc = self.moments
+        _, jb, jc = components(self.moments)
         return rest / jc + x / jb
 
     def growth(self, z: Real) -> Real:

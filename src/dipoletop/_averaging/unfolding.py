@@ -30,6 +30,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.bisection import root
 from .._base.guards import safe_divisor, safe_sqrt
+from .._base.linalg import components
 from .._base.types import Real
 from ..equations._common import planar_rates
 from .free_rotation import gaps_of
@@ -83,7 +84,7 @@ class Top(NamedTuple):
     @property
     def start(self) -> Float[Array, "3"]:
         """The state (φ, z, ln u/u₀)."""
-        w1, w2, w3 = self.omega
+        w1, w2, w3 = components(self.omega)
         z = w3 / (w1**2 + w2**2) * jnp.exp(-self.log_unit)
         return jnp.stack([jnp.arctan2(w2, w1), z, jnp.zeros_like(z)])
 
@@ -226,7 +227,7 @@ def entry_q(delta: Real, asymmetry: Real) -> Real:
 def asymmetry_at_entry(top: Top) -> Real:
     """Estimate η/u where a needle that turns fast comes to `entry_q`, with W of η = 0."""
     d = top.delta
-    w1, w2, w3 = top.omega
+    w1, w2, w3 = components(top.omega)
     log_perp = jnp.log(jnp.hypot(w1, w2)) + top.log_unit
     log_w3 = jnp.log(jnp.abs(jnp.where(w3 == 0, 1.0, w3))) + top.log_unit
     log_w = log_scale_of(d, log_perp, log_w3, jnp.zeros_like(d))
