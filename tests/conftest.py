@@ -1,4 +1,4 @@
-"""How every test runs: float64, strict promotion, and, unless it is slow, shapes and types checked.
+"""How every test runs: float64, strict promotion, and, in plain tests, shapes and types checked.
 
 Nothing here imports dipoletop at once: jaxtyping must see it first.
 """
@@ -57,8 +57,8 @@ def checked_modules():
 
 
 def pytest_configure(config):
-    """Check shapes and types, but not in the slow tests: checks take a fifth of their time."""
-    if config.option.markexpr != "slow":
+    """Check shapes and types, but not in the long tests: checks take a fifth of their time."""
+    if config.option.markexpr not in ("slow", "system"):
         install_import_hook(list(checked_modules()), "beartype.beartype")
     quick.set_compiler_options()
 

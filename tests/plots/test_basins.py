@@ -88,7 +88,7 @@ def test_every_class_has_its_colour_and_its_legend_entry():
     image = pixels(ax)
     for k, (label, colour) in enumerate(CLASSES.values()):
         np.testing.assert_array_equal(image[:, k + 1], np.tile(byte(colour), (3, 1)))
-        handle = ax.get_legend().legend_handles[k]
+        handle = ax.figure.legends[0].legend_handles[k]
         assert handle.get_facecolor() == to_rgba(colour)
         assert legend(ax)[k] == label
     assert len(legend(ax)) == len(CLASSES)
@@ -376,7 +376,6 @@ def test_compare_hatches_exactly_the_starts_that_differ():
     ys, xs = np.meshgrid(*one.coords.values(), indexing="ij")
     for ax in (left, right):
         assert "differs for 12 % of the starts" in ax.get_title()
-        assert legend(ax)[-1] == "outcome differs"
         marks = [c for c in ax.collections if isinstance(c, PathCollection)]
         assert {c.get_hatch() for c in marks} == {"///"}
         colours = {tuple(c.get_edgecolor()[0]) for c in marks}
@@ -385,8 +384,21 @@ def test_compare_hatches_exactly_the_starts_that_differ():
             points = np.stack([xs.ravel(), ys.ravel()], 1)
             inside = np.any([p.contains_points(points) for p in mark.get_paths()], axis=0)
             np.testing.assert_array_equal(inside, (first != second).ravel())
-    assert legend(right)[-2] == "undecided"
-    assert "undecided" not in legend(left)
+    assert legend(left)[-2:] == ["undecided", "outcome differs"]  # one legend for both
+
+
+def test_a_class_that_is_rare_in_one_of_two_maps_is_named_once():
+    rare = np.full((40, 40), S)
+    rare[0, 0] = U
+    figure = plots.compare(made(rare), made(np.full((40, 40), U)), shade=None)
+    assert legend(figure.axes[0]) == ["stop", "undecided", "outcome differs"]
+
+
+def test_given_axes_have_their_own_legend():
+    axes = plt.subplots(1, 2)[1]
+    figure = plots.compare(made(np.full((4, 4), R)), made(np.full((4, 4), S)), axes=axes)
+    assert not figure.legends
+    assert all(ax.get_legend() is not None for ax in axes)
 
 
 @pytest.mark.parametrize(("other", "share"), [(R, "0 %"), (S, "100 %")])

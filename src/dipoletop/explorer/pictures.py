@@ -52,12 +52,10 @@ def picture_of(
     axes = view.x, view.y
     planes = [plane_of(basin, "omega_inf", folded, axes) for basin in basins]
     shades = [_with_nice_scale(shade) for shade in shades_of(planes, "omega_inf")]
-    images, legend = [], {}
-    for plane in planes:
-        classes = classes_of(plane)
-        images.append(coloured(plane, classes, shades))
-        named = legend_colours(plane, classes, shades)
-        legend |= {_plain(name): to_hex(colour) for name, colour in named.items()}
+    classes = list(map(classes_of, planes))
+    images = [coloured(*pair, shades) for pair in zip(planes, classes, strict=True)]
+    named = legend_colours(planes, classes, shades)
+    legend = {_plain(name): to_hex(colour) for name, colour in named.items()}
     share = None
     if len(planes) == 2:
         differs = np.asarray(planes[0].columns["outcome"] != planes[1].columns["outcome"])

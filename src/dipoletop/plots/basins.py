@@ -138,7 +138,7 @@ def basin(
     given = None if ax is None else axes_or_new(ax)  # checked before all else
     plane = plane_of(basin, shade, unfold, (x, y))
     ax = given or axes_or_new(None, 5.4)
-    _draw_all([ax], [plane], _Look(shade, cmap, image))
+    put_legend([ax], _draw_all([ax], [plane], _Look(shade, cmap, image)), given is not None)
     return ax
 
 
@@ -167,7 +167,7 @@ def _panels(
     drawn, empty = grid.ravel()[: len(values)], grid.ravel()[len(values) :]
     for unused in empty:
         unused.axis("off")
-    _draw_all(list(drawn), planes, look)
+    put_legend(list(drawn), _draw_all(list(drawn), planes, look))
     return drawn
 
 
@@ -218,7 +218,9 @@ def compare(
         _, pair = plt.subplots(1, 2, figsize=(12.0, 5.6), layout="constrained", sharey=True)
     outcomes = [plane.columns["outcome"] for plane in planes]
     differs = (outcomes[0] != outcomes[1]) & np.all(np.not_equal(outcomes, MISSING["int8"]), axis=0)
-    _draw_all(list(pair), planes, _Look(shade, cmap, image), {"outcome differs": differs})
+    look = _Look(shade, cmap, image)
+    handles = _draw_all(list(pair), planes, look, {"outcome differs": differs})
+    put_legend(list(pair), handles, axes is not None)
     pair[1].set_ylabel("")
     return pair[0].figure
 
@@ -280,43 +282,39 @@ def _draw_all(
     planes: list[Plane],
     look: "_Look",
     hatched: Mapping[str, Bool[np.ndarray, "Y X"]] | None = None,
-) -> None:
-    """Draw maps in the same colours, with common colour bars."""
-    shades = shades_of(planes, look.shade, look.cmap)
-    for ax, plane in zip(axes, planes, strict=True):
+) -> list[Any]:
+    """Draw maps in the same colours, with common colour bars; return the handles of a legend."""
+    shades, classes = shades_of(planes, look.shade, look.cmap), list(map(classes_of, planes))
+    colours = legend_colours(planes, classes, shades)
+    handles: list[Any] = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
+    marked: dict[str, Any] = {}
+    for ax, plane, each in zip(axes, planes, classes, strict=True):
         marks = dict(hatched or {})
         if look.shade == CERTIFIED:
             marks["not certified"] = ~plane.columns[CERTIFIED].astype(bool)
-        _draw(ax, plane, shades, marks, look.image)
+        missing = each == len(CLASSES)
+        if missing.any():
+            marks = {name: cells & ~missing for name, cells in marks.items()}
+            marks[NOT_COMPUTED] = missing
+        _draw(ax, plane, coloured(plane, each, shades), look.image)
+        if any(shade.column == "omega_inf" for shade in shades):
+            _mark_signs(ax, plane)
+        for label, cells in marks.items():
+            xs, closed = _close_circle(plane, cells)
+            marked[label] = hatch(ax, xs, plane.ys, closed, label)
     draw_colourbars(shades, axes)
+    return [*handles, *marked.values()]
 
 
 def _draw(
-    ax: Axes,
-    plane: Plane,
-    shades: list[Shade],
-    hatched: dict[str, Bool[np.ndarray, "Y X"]],
-    given: dict[str, Any],
+    ax: Axes, plane: Plane, image: Shaped[np.ndarray, "Y X 4"], given: dict[str, Any]
 ) -> None:
-    """Draw the coloured cells, the hatched regions with their names, axes, title and legend."""
-    classes = classes_of(plane)
-    colours = legend_colours(plane, classes, shades)
-    handles = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
-    xs, image = _close_circle(plane, coloured(plane, classes, shades))
+    """Draw the coloured cells, the names of the axes and the title."""
+    xs, image = _close_circle(plane, image)
     show_cells(ax, xs, plane.ys, image, **given)
-    if any(shade.column == "omega_inf" for shade in shades):
-        _mark_signs(ax, plane)
-    missing = classes == len(CLASSES)
-    if missing.any():
-        hatched = {name: cells & ~missing for name, cells in hatched.items()}
-        hatched[NOT_COMPUTED] = missing
-    for label, cells in hatched.items():
-        xs, closed = _close_circle(plane, cells)
-        handles.append(hatch(ax, xs, plane.ys, closed, label))
     name_axis(ax.xaxis, plane.x)
     name_axis(ax.yaxis, plane.y)
     ax.set_title(plane.title, fontsize="medium")
-    put_legend_below(ax, handles)
 
 
 def _mark_signs(ax: Axes, plane: Plane) -> None:
@@ -338,17 +336,16 @@ def _mark_signs(ax: Axes, plane: Plane) -> None:
         ax.text(plane.xs[column], plane.ys[row], sign, color="white", size=15, **style)
 
 
-def put_legend_below(ax: Axes, handles: list[Any]) -> None:
-    """Put a legend half an inch below the axes, whatever their size: below their label."""
-    ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        bbox_transform=ax.transAxes + ScaledTranslation(0, -0.5, ax.figure.dpi_scale_trans),
-        ncols=min(3, len(handles)),
-        frameon=False,
-        fontsize="small",
-    )
+def put_legend(axes: list[Axes], handles: list[Any], given: bool = False) -> None:
+    """Put one legend below all axes of a figure, or below each of the `given` axes of a user."""
+    style: dict[str, Any] = {"handles": handles, "frameon": False, "ncols": min(3, len(handles))}
+    if not given:
+        axes[0].figure.legend(loc="outside lower center", **style)
+        return
+    for ax in axes:  # half an inch below the axes, whatever their size: below their label
+        below = ax.transAxes + ScaledTranslation(0, -0.5, ax.figure.dpi_scale_trans)
+        place: dict[str, Any] = {"bbox_to_anchor": (0.5, 0.0), "bbox_transform": below}
+        ax.legend(loc="upper center", fontsize="small", **place, **style)
 
 
 def _close_circle(

@@ -208,23 +208,24 @@ def _unknown(plane: Plane, shade: Shade) -> Bool[np.ndarray, "Y X"]:
 
 
 def legend_colours(
-    plane: Plane, classes: Int[np.ndarray, "Y X"], shades: list[Shade]
+    planes: list[Plane], classes: list[Int[np.ndarray, "Y X"]], shades: list[Shade]
 ) -> dict[str, Colour]:
     """Return the colour of every class that occurs, by its name, in the order of `CLASSES`."""
-    counts = np.bincount(classes.ravel(), minlength=len(CLASSES))[: len(CLASSES)].tolist()
+    every = np.concatenate([each.ravel() for each in classes])
+    counts = np.bincount(every, minlength=len(CLASSES))[: len(CLASSES)].tolist()
     shaded = {shade.outcome: shade for shade in shades}
     colours: dict[str, Colour] = {}
     for count, ((outcome, _), (label, colour)) in zip(counts, CLASSES.items(), strict=True):
         if count == 0:
             continue
-        if outcome == Outcome.UNDECIDED and _is_chance(plane):
+        if outcome == Outcome.UNDECIDED and all(map(_is_chance, planes)):
             label = CHANCE
         if outcome in shaded:
             shade = shaded[outcome]
             colours |= {name: shade.colours(place) for name, place in shade.legend.items()}
-            if shade.unknown and np.any(_unknown(plane, shade)):
+            if shade.unknown and any(np.any(_unknown(plane, shade)) for plane in planes):
                 colours[shade.unknown] = UNKNOWN
-        elif count < classes.size / 1000:  # too few to be seen in the picture
+        elif count < every.size / 1000:  # too few to be seen in the picture
             colours[f"{label} ({count} start{'s' if count > 1 else ''})"] = colour
         else:
             colours[label] = colour

@@ -15,7 +15,7 @@ from .._base.refusals import refuse
 from .._maps.basin import Basin
 from .._maps.columns import START, is_result
 from .axes import axes_or_new, name_axis, spacing
-from .basins import draw_colourbars, put_legend_below
+from .basins import draw_colourbars, put_legend
 from .column_shading import CERTIFIED, check_shade, scale_of
 from .map_layout import (
     CLASSES,
@@ -64,7 +64,7 @@ def line(
         refuse("basin", must, f"has {', '.join(basin.dims)} of lengths {basin.shape}")
     (x,) = long
     xs, values = basin.coords[x], np.asarray(basin.column(column), float).ravel()
-    ax = axes_or_new(ax)
+    is_given, ax = ax is not None, axes_or_new(ax)
     shown = _flat(basin)
     handles = []
     (classes,) = classes_of(shown)
@@ -86,7 +86,7 @@ def line(
     name_axis(ax.xaxis, x)
     ax.set_ylabel(symbol(column))
     ax.set_title(title_of(basin), fontsize="medium")
-    put_legend_below(ax, handles)
+    put_legend([ax], handles, is_given)
     return ax
 
 
@@ -132,14 +132,14 @@ def starts(
     shown = _flat(basin, shade)
     classes, shades = classes_of(shown), shades_of([shown], shade, cmap)
     colours = coloured(shown, classes, shades)[0] / 255
-    ax = axes_or_new(ax, 5.0)
+    is_given, ax = ax is not None, axes_or_new(ax, 5.0)
     faces = colours.copy()
     if shade == CERTIFIED:
         faces[~basin.certified] = 0.0
     style: dict[str, Any] = {"s": np.clip(2e4 / basin.shape[0], 2, 30), "linewidths": 0.8}
     style |= {"facecolors": faces, "edgecolors": colours}
     ax.scatter(known[x], known[y], **style | dots)
-    entries = legend_colours(shown, classes, shades).items()
+    entries = legend_colours([shown], [classes], shades).items()
     handles = [Line2D([], [], ls="", marker="o", color=c, label=name) for name, c in entries]
     if shade == CERTIFIED:
         ring: Any = {"mfc": "none", "mec": "0.3", "ls": ""}
@@ -147,7 +147,7 @@ def starts(
     name_axis(ax.xaxis, x)
     name_axis(ax.yaxis, y)
     ax.set_title(title_of(basin), fontsize="medium")
-    put_legend_below(ax, handles)
+    put_legend([ax], handles, is_given)
     draw_colourbars(shades, [ax])
     return ax
 
