@@ -34,6 +34,7 @@ def machine(function, table):
 
 FUNCTIONS = {
     "arithmetic": lambda x: jnp.stack([x[0] + x[1], x[1] - x[2], x[0] * x[2], -x[1] / x[2]]),
+    "parts": lambda x: jnp.concatenate([part[:1] * part for part in jnp.split(x, [1, 3])]),
     "powers": lambda x: jnp.stack([x[0] ** 7, x[1] ** -2, jnp.abs(x[2]) ** 1.5, x[3] ** 0]),
     "roots": lambda x: jnp.stack(
         [jnp.sqrt(jnp.abs(x[0])), jax.lax.rsqrt(x[1] ** 2), jnp.square(x[2]), jnp.cbrt(8.0) * x[3]]

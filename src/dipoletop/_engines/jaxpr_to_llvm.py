@@ -229,6 +229,9 @@ def _apply(eqn: Any, values: list[Value], w: VectorBuilder) -> list[Value]:
         return [constant_folding.MOVES[name](eqn.params, *values)]
     if name == "unstack":
         return list(np.moveaxis(values[0], eqn.params["axis"], 0))
+    if name == "split":  # of which JAX 0.10.0 makes `unstack`
+        ends = np.cumsum(eqn.params["sizes"])[:-1]
+        return np.split(values[0], ends, eqn.params["axis"])
     if name == "dot_general":
         return [_dot(eqn.params, values[0], values[1], w)]
     if name in ("argmax", "argmin"):

@@ -5,6 +5,7 @@ import signal
 import socket
 import webbrowser
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -20,14 +21,7 @@ from .texts import DARK, THEME
 LOOPBACK = "127.0.0.1"
 TITLE = "dipoletop explore"
 SIGNALS = signal.SIGINT, signal.SIGTERM
-HEAD = """{% block preamble %}
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<script>window.addEventListener("popstate", () => window.location.reload())</script>
-{% if is_dark %}<style>
-:root { --dt-text: #ddd; --dt-faint: #aaa; --dt-warning: #f0a070; --dt-paper: #2d2d2d; }
-html, body { background: #20262b; color: #ddd; }
-</style>{% endif %}
-{% endblock %}"""
+HEAD = Path(__file__).with_name("head.html").read_text(encoding="utf-8")
 """For the page: its width on a phone, the view of an address to which the user goes back, and the
 colours of a dark page."""
 STOPPED = "The server has stopped: this page no longer follows what you do."
@@ -95,7 +89,8 @@ def made_server(
     def page() -> Any:
         document: Any = pn.state.curdoc
         config: Any = pn.config
-        query = {name: [_text(x) for x in values] for name, values in _query().items()}
+        given: dict[str, list[bytes]] = pn.state.session_args or {}
+        query = {name: [x.decode("utf-8", "replace") for x in given[name]] for name in given}
         is_dark = query.pop(THEME, []) == [DARK]
         config.theme = DARK if is_dark else "default"
         if is_dark:
@@ -109,10 +104,6 @@ def made_server(
     return get_server(
         page, port=port, address=address, websocket_origin=allowed, title=TITLE, show=False
     )
-
-
-def _query() -> dict[str, list[bytes]]:
-    return pn.state.session_args or {}
 
 
 def _origin(origin: str) -> str:
@@ -129,10 +120,6 @@ def _origin(origin: str) -> str:
 def _host(address: str) -> str:
     """Return the name by which a browser on this machine reaches an address."""
     return "localhost" if address == "0.0.0.0" else address
-
-
-def _text(value: bytes | str) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def _free_port(address: str) -> int:
