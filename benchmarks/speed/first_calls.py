@@ -79,7 +79,7 @@ CALLS = {
     "classify_many": Call(lambda _: many(), 2.0),
     "sweep": Call(lambda _: swept(), 2.5),
     "residual_rotation": Call(lambda _: differentiated(), 6.0),
-    "predict": Call(lambda _: predicted(), 8.0),
+    "predict": Call(lambda _: predicted(), 6.0),
     "lines": Call(lambda _: dt.lines(dt.axisymmetric(-0.5), [0.0, 0.0, 2.0]), 2.0),
 }
 
