@@ -232,6 +232,12 @@ def test_sweep_and_bad_lanes():
     assert basin.outcome[1, -1] == dt.Outcome.FAILED  # no branch there
 
 
+def test_off_the_branch_no_verdict_holds():
+    full, state = dt.TransverseFull(-0.2), jnp.array([0.2, 1e-3, 1e-3, 0.0, 0.0])
+    assert full.verdict(state).outcome == dt.Outcome.RESIDUAL  # were it on the branch
+    assert dt.classify(full, state, max_steps=1).outcome == dt.Outcome.UNDECIDED
+
+
 @pytest.mark.slow
 def test_off_the_branch_a_top_runs_away():
     """The plane rotator (A.1) blows up as ω = √2/(τ₁ − τ) (A.5); the time is reported."""
