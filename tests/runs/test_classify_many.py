@@ -1,5 +1,6 @@
 """Many runs: exact cases, an independent integrator, batches, faults, refusals."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -153,6 +154,23 @@ class Mistaken(Settling):
 
     def __call__(self, t, y, args=None):
         return self.body.no_such_thing * y
+
+
+class Geared(Settling):
+    """Ω̇ = −gΩ with whole numbers g."""
+
+    gears: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -self.gears.astype(y.dtype) * y
+
+
+def test_whole_numbers_of_an_equation_have_lanes_in_a_trace_too():
+    geared = Geared(dt.Body(np.eye(3), [1.0, 0, 0]), jnp.array([1, 2, 3]))
+    start = jnp.array([0.5, 0.3, 0.2])
+    traced, known = eqx.filter_jit(dt.classify)(geared, start), dt.classify(geared, start)
+    assert traced.steps == known.steps > 0
+    np.testing.assert_allclose(traced.omega_inf, known.omega_inf, rtol=1e-8)
 
 
 def test_a_fault_of_an_equation_is_not_taken_for_a_batch():

@@ -198,7 +198,7 @@ def _classify(
 
 def _end_by_steps(equation: DecidingEquation, y0: State, limits: Limits, until: Until) -> EndStates:
     """Return the end state of a run, by the steps of the engines in a block of one lane."""
-    arrays, rest = eqx.partition((equation, y0, limits.atol, limits.t1), eqx.is_inexact_array)
+    arrays, rest = eqx.partition((equation, y0, limits.atol, limits.t1), eqx.is_array)
     lane, y, atol, t1 = eqx.combine(jax.tree.map(lambda x: x[..., None], arrays), rest)
     limits = limits._replace(atol=atol, t1=t1)
     solver = diffrax.Dopri8()
