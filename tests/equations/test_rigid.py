@@ -53,3 +53,21 @@ def test_general_body_against_finite_differences(order):
         body.inertia, free + radiation.radiation_torque(body, w, lower(w), second)
     )
     assert float(jnp.max(jnp.abs(found - rate(dt.Reduced(body, order=order), w)))) < 1e-8
+
+
+def test_the_semi_reduced_rate_balances_the_torques():
+    """IΩ̇ + N = T(Ω, Ω̇, Ω̈) with Ω̈ of free rotation, for dipoles along no axis, by NumPy."""
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        inertia = axes @ np.diag([1.0, 1.3, 1.8]) @ axes.T
+        d, omega = rng.normal(size=3), rng.normal(size=3)
+        body = dt.Body(inertia, d)
+        rate = np.asarray(dt.SemiReduced(body)(0.0, jnp.asarray(omega)))
+        load = np.cross(omega, inertia @ omega)
+        first = -np.linalg.solve(inertia, load)
+        turned = np.cross(first, inertia @ omega) + np.cross(omega, inertia @ first)
+        second = -np.linalg.solve(inertia, turned)
+        third = np.cross(d, omega @ omega * omega - second)
+        third += d @ rate * omega + 2 * (d @ omega) * rate
+        np.testing.assert_allclose(inertia @ rate + load, np.cross(d, third), atol=1e-12)
