@@ -16,10 +16,10 @@ from jaxtyping import Array, Float, Int
 
 from ._averaging.isotropic_ends import isotropic_ends
 from ._averaging.slow_flow import Side
-from ._base.bisection import bisect
 from ._base.checks import instance
 from ._base.pictured import Pictured
 from ._base.refusals import refuse
+from ._base.roots import bisect
 from ._base.summaries import span
 from ._base.tolerances import whole
 from ._base.types import RESIDUAL_FATES, Fate

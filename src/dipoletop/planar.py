@@ -22,10 +22,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._base.bisection import bisect
 from ._base.checks import finite, instance, or_nan
 from ._base.integration import integrated
 from ._base.refusals import refuse
+from ._base.roots import bisect
 from ._base.types import Real
 from .equations._common import planar_rates, shape_parameter
 from .equations._verdicts.transverse import WOBBLING_FROM

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import root
 from .._base.checks import concrete, or_nan
 from .._base.compiling import compiled_soon, special_numbers
 from .._base.guards import safe_divisor
+from .._base.roots import root
 from .._base.types import Real, Regime
 from .ends import turns_fast
 from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion

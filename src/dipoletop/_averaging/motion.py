@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._base.bisection import root
 from .._base.guards import safe_divisor
+from .._base.roots import root
 from .._base.types import Real
 from .slow_flow import Side
 from .stages import Piece, Stage, State, crosses_over, piece_of, stage_from

@@ -22,18 +22,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import root
 from .._base.chebyshev import chebyshev_sum, collocation_rule
 from .._base.guards import safe_divisor
 from .._base.linalg import components
+from .._base.roots import root
 from .._base.types import Real
 from .free_rotation import averages, period
 
 FARTHEST = 45.0  # |logit x| and |y| beyond which the rates are constant in double precision
-SPACING = 0.25  # of the grid in logit x on which zeros of F are looked for
-LINEAR = -20.0  # logit x up to which F is linear in x, so that it has one zero there at most
-GRID = np.append([-FARTHEST, -36.0, -28.0], np.arange(LINEAR, FARTHEST + SPACING, SPACING))
-MOST_FOLDS = 2  # extrema of F next to 0
+SIMPLE = 20.0
+"""|logit x| from which F has one zero at most. Near the axis F is linear in x; near the separatrix
+K F is a constant and a multiple of (1 − x)K, which is monotonic."""
+SPARSE, DENSE, MIDDLE = 0.5, 0.25, 8.0  # spacings beyond |logit x| = 8, and within
+FAR = np.array([28.0, 36.0, FARTHEST])
+GRID = np.concatenate(
+    [
+        -FAR[::-1],
+        np.arange(-SIMPLE, -MIDDLE, SPARSE),
+        np.arange(-MIDDLE, MIDDLE, DENSE),
+        np.arange(MIDDLE, SIMPLE + SPARSE, SPARSE),
+        FAR,
+    ]
+)
+"""Values of logit x at which zeros of F are looked for."""
+FOLD_ROUNDS = 8  # of parabolas to find an extremum
 HALVINGS = 55
 NODES = 8  # of the polynomial F/(x − x*) about a zero x*
 LONGEST = 5.0  # largest K of a `loss`: K is infinite on the separatrix, which is crossed only once
@@ -86,7 +98,7 @@ class Side(eqx.Module):
         may hide two zeros, filled up with the last value of the grid. The last result is whether
         F > 0 at z.
         """
-        growths = jax.lax.map(self.growth, jnp.append(jnp.asarray(GRID), z))
+        growths = jax.vmap(self.growth)(jnp.append(jnp.asarray(GRID), z))
         growth, here = growths[:-1], growths[-1]
         folds, extrema = self._folds(growth)
         points = jnp.append(jnp.asarray(GRID), folds)
@@ -101,7 +113,9 @@ class Side(eqx.Module):
         low = here < 0.5 * jnp.maximum(before, after)
         low &= (here <= previous) & (sign[2] == sign[1])
         low &= (here <= following) & (sign[2] == sign[3])
-        (index,) = jnp.nonzero(low, size=MOST_FOLDS, fill_value=-1)
+        # The first and the last one: more than one was never seen.
+        found, last = jnp.any(low), low.size - 1
+        index = jnp.stack([jnp.argmax(low), last - jnp.argmax(low[::-1])]) + 2
 
         def nearer(_: Any, at: tuple[Array, ...]) -> tuple[Array, ...]:
             _, _, place, step = at
@@ -109,13 +123,15 @@ class Side(eqx.Module):
             before, here, after = jax.vmap(jax.vmap(self.growth))(points)
             bend = before - 2 * here + after
             shift = (before - after) / (2 * safe_divisor(bend))
-            return place, here, place + step * jnp.clip(shift, -1.0, 1.0), step / 10
+            return place, here, place + step * jnp.clip(shift, -1.0, 1.0), step / 4
 
-        # Each round but the last leaves an error of the order of the step squared.
-        start = jnp.where(index < 0, FARTHEST, jnp.asarray(GRID)[index + 2])
-        first = start, start, start, jnp.asarray(SPACING)
-        place, extremum, _, _ = jax.lax.fori_loop(0, 5, nearer, first)
-        return jnp.where(index < 0, FARTHEST, place), extremum
+        # A parabola leaves an error of the order of the step squared, below a fourth of the step.
+        index = jnp.where(found, index, growth.size - 1)
+        start = jnp.asarray(GRID)[index]
+        first = start, growth[index], start, jnp.asarray(np.ediff1d(GRID, 0.0))[index]
+        rounds = jnp.where(found, FOLD_ROUNDS, 0)
+        place, extremum, _, _ = jax.lax.fori_loop(0, rounds, nearer, first)
+        return place, extremum
 
 
 class Bound(NamedTuple):

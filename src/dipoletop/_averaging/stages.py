@@ -22,9 +22,11 @@ from .._base.types import Real
 from .slow_flow import FARTHEST, Bound, Interval, Side, interval_of
 
 RTOL = 1e-13  # relative error of a panel
+COARSE = 1e-5
+"""The relative error of a panel where only its `loss` is wanted, to one digit."""
 ROUNDED = 1e-4  # error below which it may be that of rounding
 MOST_PANELS = 400
-FIRST_LENGTH = 0.5  # of a panel, in y
+FIRST_LENGTH, FIRST_COARSE = 0.5, 2.0  # of a panel, in y
 SHORTEST = 1e-10
 LOWEST = -1500.0  # ln L²/L₀² at which t exceeds any floating-point number by far
 NODES = 16  # of collocation between two knots
@@ -211,6 +213,10 @@ def stage_from(
     reach, end = (sign * jnp.maximum(sign * start, at) for at in (REACH, FARTHEST))
     # On the way to a stop there is no need to go on when t exceeds any number.
     stops_there = interval.limit(rises).is_zero | ~rises | (side.moments[0] == side.moments[1])
+    # A dipole off the extreme axes ends any rotation: nothing is kept of L, however it falls.
+    is_kept = (side.weights[1] == 0) & (side.weights[0] * side.weights[2] == 0)
+    is_fine = is_kept | timed
+    rtol = jnp.where(is_fine, RTOL, COARSE)
 
     def ended(now: _Progress) -> Bool[Array, ""]:
         return (now.count > 0) & ((now.y == end) | (stops_there & (now.state.log < LOWEST)))
@@ -226,9 +232,9 @@ def stage_from(
         row, error = panel(interval, now.y, length, now.state, timed)
         # Rounding leaves an error that does not fall with the length.
         only_rounding = (error > now.before / 4) | (error < 4 * now.rounding)
-        only_rounding &= (error > RTOL) & (error < ROUNDED)
-        accepted = (error <= RTOL) | only_rounding | (now.length < SHORTEST)
-        factor = 0.9 * (RTOL / jnp.maximum(error, 1e-30)) ** (1 / NODES)
+        only_rounding &= (error > rtol) & (error < ROUNDED)
+        accepted = (error <= rtol) | only_rounding | (now.length < SHORTEST)
+        factor = 0.9 * (rtol / jnp.maximum(error, 1e-30)) ** (1 / NODES)
         factor = jnp.clip(factor, jnp.where(accepted, 1.1, 0.3), jnp.where(accepted, 2.0, 0.7))
         factor = jnp.where(only_rounding, 2.0, factor)
         knot = jnp.where(ends_here, goal, now.y + length)
@@ -247,14 +253,15 @@ def stage_from(
             jnp.where(accepted, jnp.maximum(following, now.length), following),
             jnp.where(accepted, jnp.inf, error),
             jnp.where(only_rounding, error, jnp.where(accepted, 0.0, now.rounding)),
-            now.error + jnp.where(accepted, error, 0.0),
+            now.error + jnp.where(accepted & is_fine, error, 0.0),
             panels,
         )
 
     zero, infinite = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
     panels = Panels(*[jnp.full((MOST_PANELS, NODES), jnp.inf, start.dtype)] * 5) if timed else None
     count = jnp.zeros((), int)
-    first = start, initial, zero, count, zero + FIRST_LENGTH, infinite, zero, zero
+    length = jnp.where(is_fine, FIRST_LENGTH, FIRST_COARSE)
+    first = start, initial, zero, count, zero + length, infinite, zero, zero
     done = jax.lax.while_loop(unfinished, advance, _Progress(*first, panels))
     failed = moves & ~ended(done)
     found = done.y, done.state, done.loss, failed, done.error, done.count, done.panels
@@ -271,16 +278,17 @@ def panel(
     rule = collocation_rule(NODES)
     y = first + length * rule.nodes
     pace, r = jax.vmap(interval.pace)(y)
-    integrals, coefficients = jnp.asarray(rule.integrals), jnp.asarray(rule.coefficients)
+    integrals = jnp.asarray(rule.integrals if timed else rule.integrals[-1:])
+    last_coefficients = jnp.asarray(rule.coefficients[-2:])
     change = length * pace
     fall = r * change
     log = start.log - integrals @ fall
 
     def tail(values: Float[Array, "n"]) -> Real:
-        return jnp.sum(jnp.abs(coefficients[-2:] @ values))
+        return jnp.sum(jnp.abs(last_coefficients @ values))
 
     error = tail(fall) / jnp.maximum(1.0, jnp.max(jnp.abs(log - start.log)))
-    u = jnp.broadcast_to(start.u, y.shape)
+    u = jnp.broadcast_to(start.u, log.shape)
     if timed:
         # u = u₀ + ∫(1 − ru)ds, for (1 + |r ds|)u: ds may be large.
         scale = 1 / (1 + jnp.abs(fall))

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import root
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
+from .._base.roots import root
 from .._base.types import RESIDUAL_FATES, Fate, Real
 from .capture import LEVELS
 from .capture_times import clock_from

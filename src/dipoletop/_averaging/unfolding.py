@@ -28,9 +28,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import root
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.linalg import components
+from .._base.roots import root
 from .._base.types import Real
 from ..equations._common import planar_rates
 from .free_rotation import gaps_of

@@ -113,7 +113,7 @@ def _in_chunks(threads: int, function: Any, arguments: Any) -> Any:
     places = np.resize(np.arange(max(size, 1)), (count, CHUNK))
 
     def part(chosen: Any) -> Any:
-        return jax.device_get(function(*jax.tree.map(lambda x: x[chosen], arguments)))
+        return jax.tree.map(np.asarray, function(*jax.tree.map(lambda x: x[chosen], arguments)))
 
     several = threads > 1 and count > 1
     parts = list(pool(threads).map(part, places) if several else map(part, places))

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._base.bisection import bisect
 from .._base.compiling import compiled_soon
 from .._base.dependence import dependence
+from .._base.roots import bisect
 from .._base.structure import of_structure, state_of
 from ..equations._common import energy_flows, slow_start
 from .mesh import evaluate

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.bisection import bisect
 from .._base.guards import safe_divisor
 from .._base.linalg import running_sums
+from .._base.roots import bisect
 
 PANELS = 400
 POINTS, WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(16))

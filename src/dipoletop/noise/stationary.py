@@ -8,10 +8,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._base.bisection import root
 from .._base.checks import ArrayLike, NumberLike, finite, on_host, positive, shape_of, where_valid
 from .._base.compiling import compiled_soon
 from .._base.refusals import refuse
+from .._base.roots import root
 from .._base.types import Real
 
 NODES, FAR = 200, 45.0  # nodes of the quadrature, and the −ln f at its end

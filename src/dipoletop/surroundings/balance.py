@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.bisection import root
 from .._base.checks import concrete, finite, instance, on_host, shape_of, where_valid
 from .._base.compiling import compiled_soon
 from .._base.guards import safe_sqrt
@@ -18,6 +17,7 @@ from .._base.linalg import cross, dot, length, matvec, scale
 from .._base.pictured import Pictured
 from .._base.quantities import ANGULAR
 from .._base.refusals import refuse
+from .._base.roots import root
 from .._base.summaries import duration
 from .._base.types import Vector
 from ..particles import Particle
