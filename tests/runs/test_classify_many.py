@@ -1,5 +1,7 @@
 """Many runs: exact cases, an independent integrator, batches, faults, refusals."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -183,6 +185,32 @@ def test_a_fault_of_an_equation_is_not_taken_for_a_batch():
     ):
         with pytest.raises(AttributeError, match="no_such_thing"):
             call()
+
+
+class OneState(Settling):
+    """Ω̇ = −GΩ, written for one state only."""
+
+    matrix: jax.Array
+
+    def __call__(self, t, y, args=None):
+        return -self.matrix @ y
+
+
+def test_an_error_says_which_shapes_an_equation_must_take():
+    start = jnp.array([0.1, 0.2, 0.3])
+    one = OneState(dt.axisymmetric(0.5), jnp.eye(3))
+    lanes_last = jax.vmap(dt.axisymmetric, out_axes=-1)(jnp.ones(2) / 2)
+    for call, must in (
+        (lambda: dt.classify(one, start), r"^OneState .* of shape \(3, lanes\); .*in components"),
+        (lambda: jax.jit(lambda w: dt.classify(one, w))(start), r"^OneState .*in components"),
+        (
+            lambda: dt.classify_many(dt.SemiReduced(lanes_last), jnp.stack([start, start])),
+            r"^SemiReduced must .* have the axis of the batch in front",
+        ),
+    ):
+        with pytest.raises((TypeError, ValueError)) as caught:
+            call()
+        assert any(re.search(must, note) for note in caught.value.__notes__)
 
 
 @pytest.mark.parametrize("most", [2**31 - 1, np.int64(2**31 - 1), np.uint32(2**31 - 1)])

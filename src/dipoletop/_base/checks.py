@@ -253,12 +253,16 @@ def is_single(equation: Any) -> bool:
 
     try:
         y, change = eqx.filter_eval_shape(rate, equation)
-    except (TypeError, ValueError):  # as JAX raises where shapes do not fit
+    except (TypeError, ValueError) as error:  # as JAX raises where shapes do not fit
         # In a batch all arrays have the batch axis in front, and each equation fits one state.
         # Otherwise the fault is in the equation, and its author should see it.
         kinds = [x for x in jax.tree.leaves(equation) if isinstance(x, jax.ShapeDtypeStruct)]
         lengths = {kind.shape[:1] for kind in kinds}
         if len(lengths) != 1 or not _fits(eqx.filter_vmap(rate), equation):
+            error.add_note(
+                f"{type(equation).__name__} must give the rate of one state, or be a batch of "
+                "equations whose arrays all have the axis of the batch in front."
+            )
             raise
         return False
     return y.shape == change.shape

@@ -62,7 +62,7 @@ class LaneState(eqx.Module):
 def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Until) -> LaneState:
     """Return the runs at τ = 0 with rates and step sizes; some are finished or broken at once."""
     tolerances = limits.tolerances
-    f = equation(jnp.zeros_like(limits.t1), y0, None)
+    f = _first_rate(equation, jnp.zeros_like(limits.t1), y0)
     h = first_step(equation, error_scale_of(equation), y0, f, tolerances, order)
     able = sound(0 * h, y0, f) & jnp.isfinite(h)
     prepared = prepared_verdicts(equation)
@@ -73,6 +73,19 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
     none = zero.astype("int32")
     atol, t1 = jnp.asarray(limits.atol), jnp.asarray(limits.t1)
     return LaneState(y0, f, zero, zero, h, none, status, equation, atol, t1, prepared)
+
+
+def _first_rate(equation: Equation, t: Real, y0: State) -> State:
+    """Return the rates at τ = 0; an error of an equation that takes one state only says so."""
+    try:
+        return equation(t, y0, None)
+    except (TypeError, ValueError) as error:
+        error.add_note(
+            f"{type(equation).__name__} was called with many states at once, of shape "
+            f"({y0.shape[0]}, lanes); the axis of lanes is the last one of its arrays, too. "
+            "`matrix @ y` fits one state only: write such sums in components."
+        )
+        raise
 
 
 def advance(
