@@ -12,6 +12,17 @@ from dipoletop._base.types import Outcome
 RNG = np.random.default_rng(0)
 
 
+def test_a_top_with_its_dipole_along_its_axis_keeps_that_part_of_its_momentum():
+    moments = RNG.uniform(0.5, 1.0, (100, 3))
+    moments[:, 1] = moments[:, 0]
+    omegas = 1e-20 * RNG.normal(size=(100, 3))
+    ends = ends_of_many(moments[:, :, None] * np.eye(3), np.tile([0.0, 0, 1], (100, 1)), omegas)
+    momenta = moments * omegas
+    ratios = np.abs(momenta[:, 2]) / np.linalg.norm(momenta, axis=1)
+    np.testing.assert_allclose(ends.ratio, ratios, 1e-13)
+    np.testing.assert_allclose(ends.omega_inf, omegas[:, 2], 1e-13)
+
+
 @pytest.mark.slow
 def test_ends_are_those_of_single_motions():
     """Panels that are not as short as times need them, and stages computed apart."""

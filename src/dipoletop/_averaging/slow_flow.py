@@ -113,7 +113,7 @@ class Side(eqx.Module):
         low = here < 0.5 * jnp.maximum(before, after)
         low &= (here <= previous) & (sign[2] == sign[1])
         low &= (here <= following) & (sign[2] == sign[3])
-        # The first and the last one: more than one was never seen.
+        # Take the first and the last of them; more than one was never seen.
         found, last = jnp.any(low), low.size - 1
         index = jnp.stack([jnp.argmax(low), last - jnp.argmax(low[::-1])]) + 2
 

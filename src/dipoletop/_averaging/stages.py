@@ -6,6 +6,7 @@ du/ds = 1 − ru and is bounded, so neither t nor L² can over- or underflow.
 From one knot in y to the next, ln L² and u are polynomials through Chebyshev nodes (collocation).
 The knots are so near to each other that the last coefficients are negligible, or of the size of
 rounding. Where times are not wanted, as for many motions at once, only ln L² at the end is kept.
+For stops it is computed roughly then, since only the error depends on it.
 """
 
 from typing import Any, NamedTuple
@@ -91,7 +92,8 @@ class Stage(eqx.Module):
     failed: Bool[Array, "*n"]
     """Whether there are too many panels, or a rate is not a number."""
     error: Real
-    """The estimated error of ln L², relative to its change if that is large."""
+    """The estimated error of ln L², relative to its change if that is large; 0 for a stop
+    without times."""
     count: Int[Array, "*n"]
     """The number of panels; 0 only if this is no part of the motion."""
     panels: Panels | None
@@ -213,7 +215,7 @@ def stage_from(
     reach, end = (sign * jnp.maximum(sign * start, at) for at in (REACH, FARTHEST))
     # On the way to a stop there is no need to go on when t exceeds any number.
     stops_there = interval.limit(rises).is_zero | ~rises | (side.moments[0] == side.moments[1])
-    # A dipole off the extreme axes ends any rotation: nothing is kept of L, however it falls.
+    # Only a dipole along an extreme axis leaves a residual rotation. Without one L ends at 0.
     is_kept = (side.weights[1] == 0) & (side.weights[0] * side.weights[2] == 0)
     is_fine = is_kept | timed
     rtol = jnp.where(is_fine, RTOL, COARSE)
@@ -273,7 +275,8 @@ def panel(
 ) -> tuple[Panels, Real]:
     """Return the motion at Chebyshev nodes behind a knot, and its relative error.
 
-    The error is that of polynomials, by their last two coefficients.
+    The error is that of polynomials, by their last two coefficients. Without times ln L² is
+    computed at the last node only.
     """
     rule = collocation_rule(NODES)
     y = first + length * rule.nodes

@@ -76,7 +76,7 @@ def begin(equation: Equation, y0: State, limits: Limits, order: int, until: Unti
 
 
 def _first_rate(equation: Equation, t: Real, y0: State) -> State:
-    """Return the rates at τ = 0; an error of an equation that takes one state only says so."""
+    """Return the rates at τ = 0; explain the error of an equation that takes one state only."""
     try:
         return equation(t, y0, None)
     except (TypeError, ValueError) as error:
