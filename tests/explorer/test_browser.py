@@ -83,7 +83,7 @@ def test_exact_values_are_taken_and_bad_ones_refused(visit):
     box.fill("-0.123456789")
     box.press("Enter")
     visit.final(delta=-0.123456789)
-    assert "must lie" not in visit.text()
+    visit.until(lambda: "must lie" not in visit.text(), "the picture in place of the refusal")
 
 
 def test_a_click_shows_the_start(visit):

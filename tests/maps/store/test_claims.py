@@ -122,8 +122,10 @@ def test_a_hidden_folder_of_a_dead_process_is_removed(tmp_path):
         other.stdout.readline()
         dt.sweep(reduced, dt.Grid(w3=0.2, phi=0.1), store=tmp_path / "another.zarr")
         assert alive.exists()
+        assert not hidden.exists()
         other.communicate(b"\n")
-    assert not hidden.exists()
+    dt.sweep(reduced, dt.Grid(w3=0.2, phi=0.1), store=tmp_path / "another.zarr")
+    assert not alive.exists()  # a sweep that finds its store looks as well
 
 
 def test_tiles_that_others_keep_for_long_are_named(tmp_path, monkeypatch):

@@ -21,7 +21,7 @@ from ..columns import MISSING, BasinParts, column_spec
 from .arrays import METADATA, StoredArray, content_of, refuse_links
 from .claims import Claims
 from .errors import StoreDamaged, StoreMismatch
-from .folders import absolute_path, exists
+from .folders import absolute_path, exists, remove_left_folders
 from .headers import Header, header_digest, sweep_digest
 from .layout import CLAIMS, FORMAT, GROUP, RECORDS, STAGING, metadata_digest, tiling_of
 
@@ -188,6 +188,7 @@ class Tiles:
         with contextlib.suppress(OSError, ValueError):  # they do no harm
             refuse_links(self.folder, self.folder / STAGING)
             shutil.rmtree(self.folder / STAGING)
+        remove_left_folders(self.folder.parent)  # of processes that were about to make this store
 
     def forget(self, tile: int) -> None:
         """Mark a tile as not computed."""
