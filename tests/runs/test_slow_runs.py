@@ -10,12 +10,11 @@ import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
 from dipoletop._averaging.forecast import Forecast
 from dipoletop._averaging.untimed_ends import ends_of_many
-from dipoletop._runs import blocks
 from dipoletop._runs.slow_runs import (
+    Origins,
     SlowMotions,
     _stops,
-    least_errors_of_needles,
-    predictions,
+    errors_of_needles,
     slow_motions,
 )
 
@@ -83,7 +82,7 @@ def test_predictions_of_a_transverse_top_agree_with_integration():
 @pytest.mark.slow
 def test_the_estimate_of_steps_is_near_the_number(resolved):
     lanes = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), dt.Reduced(BODIES))
-    motions, ends, _ = predictions(lanes, starts(1e-3).T, 1)
+    motions, ends, _ = Origins.at_starts(lanes, starts(1e-3).T).predictions(1)
     factor = motions.steps(ends.ratio, 1e-8, False) / resolved.steps
     factor = factor[resolved.outcome == RESIDUAL]
     assert np.max(np.maximum(factor, 1 / factor)) < 4
@@ -182,7 +181,7 @@ def test_what_no_law_describes_is_not_predicted(monkeypatch):
     rng = np.random.default_rng(3)
     delta = rng.uniform(0.01, 0.9, 40)
     omegas = rng.normal(size=(3, 40)) * 10 ** rng.uniform(-3, 0, 40)
-    errors = least_errors_of_needles(delta, omegas)
+    errors = np.min(errors_of_needles(delta, omegas), axis=0)
     hopeless = errors > 0.5
     assert 5 < np.count_nonzero(hopeless) < 35
     tops = dt.TransverseSemi(jnp.asarray(delta[hopeless]))
@@ -190,11 +189,50 @@ def test_what_no_law_describes_is_not_predicted(monkeypatch):
     found = ends_of_many(motions.inertia, motions.dipole, motions.omega)
     np.testing.assert_allclose(errors[hopeless], found.error, rtol=1e-9)
 
-    monkeypatch.setattr(blocks, "predictions", None)
+    monkeypatch.setattr(Origins, "predictions", None)
     runs = dt.classify_many(tops, omegas[:, hopeless].T, value=False, max_steps=3)
     assert UNDECIDED in runs.outcome
     runs = dt.classify_many(tops, omegas[:, hopeless].T, slow_flow=True)  # integrates nothing
     assert np.all(runs.steps == 0)
+
+
+LATE = dt.TransverseSemi(jnp.array([0.052068353137389216, 0.007262780319462459]))
+LATE_STARTS = np.array(
+    [[0.00019736, -0.00087547, -0.05035519], [-0.00141275, 0.00813412, 0.15645821]]
+)
+"""Long runs of tops that brake too fast for a law at their starts, but not after some steps."""
+
+
+def test_a_long_run_is_predicted_from_where_a_law_holds():
+    """The first is known to be long before its budget is spent, the second is not."""
+    found = dt.classify_many(LATE, LATE_STARTS)
+    assert found.outcome.tolist() == [RESIDUAL, RESIDUAL]
+    assert found.regime.tolist() == [Regime.UNFOLDED, Regime.UNFOLDED]
+    assert found.steps.tolist() == [5_000, 50_000]
+    assert found.probability.tolist() == [1, 1]
+    assert not np.any(found.certified)
+    assert np.all(np.isnan(found.omega_inf))  # the integration may have changed the phase
+    alone = dt.classify_many(LATE, LATE_STARTS, slow_flow=False)
+    assert alone.outcome.tolist() == [UNDECIDED, UNDECIDED]
+    labels = dt.classify_many(LATE, LATE_STARTS, slow_flow=False, value=False, max_steps=100_000)
+    assert labels.outcome.tolist() == [RESIDUAL, RESIDUAL]
+    assert labels.certified[0]  # the second one is so slow that its squares underflow
+
+
+def test_sure_ends_of_tops_are_those_of_the_slow_flow():
+    """What is known without a computation equals what averages give."""
+    rng = np.random.default_rng(4)
+    delta = rng.uniform(0.01, 0.9, 60)
+    omegas = rng.normal(size=(3, 60)) * 10 ** rng.uniform(-6, -2, 60)
+    origins = Origins.at_starts(dt.TransverseSemi(jnp.asarray(delta)), omegas)
+    sure, others = origins._sure_ends()
+    assert 20 < np.count_nonzero(~others) < 60
+    motions = slow_motions(origins.equation, omegas)
+    found = ends_of_many(motions.inertia, motions.dipole, motions.omega)
+    for name in ("outcome", "probability", "regime", "omega_inf"):
+        here, there = (getattr(ends, name)[~others] for ends in (sure, found))
+        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(sure.error[~others], found.error[~others], atol=1e-4)
 
 
 def test_ways_to_stop():

@@ -216,21 +216,24 @@ def _sums(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(values)])
 
 
-def is_random(delta: Scalar, omega0: Float[Array, "3"]) -> Bool[Array, ""]:
-    """Return whether a start turns many times before its capture, so that chance decides."""
+def is_random(delta: Any, omega0: Any, xp: Any = jnp) -> Any:
+    """Return whether a start turns many times before its capture, so that chance decides.
+
+    `xp` is JAX, or NumPy for known values.
+    """
     w1, w2, w3 = omega0
-    d = jnp.where((delta > 0) & (delta < 1), delta, 0.5)
-    log_perp, log_w3 = _log_sizes(omega0)
-    log_entry = jnp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
+    d = xp.where((delta > 0) & (delta < 1), delta, 0.5)
+    log_perp, log_w3 = _log_sizes(omega0, xp)
+    log_entry = xp.log(ENTRY * (1 + 1.5 * d / (1 - d)) / (2 * d))
     turns = (w3 != 0) & ((w1 != 0) | (w2 != 0))
     return turns & (log_w3 - 2 * log_perp > log_entry)
 
 
-def _log_sizes(omega0: Float[Array, "3"]) -> tuple[Scalar, Scalar]:
+def _log_sizes(omega0: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Return ln ω⊥ and ln |ω₃|; 0 for a size of 0."""
     w1, w2, w3 = omega0
-    flat = jnp.where((w1 == 0) & (w2 == 0), 1.0, jnp.hypot(w1, w2))
-    return jnp.log(flat), jnp.log(jnp.where(w3 == 0, 1.0, jnp.abs(w3)))
+    flat = xp.where((w1 == 0) & (w2 == 0), 1.0, xp.hypot(w1, w2))
+    return xp.log(flat), xp.log(xp.where(w3 == 0, 1.0, xp.abs(w3)))
 
 
 def end_of_top(

@@ -49,6 +49,10 @@ class _Begin(NamedTuple):
     """Whether it begins on the side of the axis of J₁."""
     least_error: Real
     """The least error that the end can have."""
+    delta: Real
+    """The δ of a needle; 0 for others."""
+    by_chance: Bool[Array, "*n"]
+    """Whether the phase of a needle is random (`is_random`)."""
 
 
 @special_numbers()
@@ -74,20 +78,33 @@ def ends_of_many(
     starts = variables, np.ones(size)
     in_chunks = functools.partial(_in_chunks, threads)
     begin = in_chunks(_begin, starts)
-    unknown = Forecast(*np.full(10, np.nan))._replace(outcome=Outcome.UNDECIDED.value, regime=0)
-    shapes = Forecast(*[()] * 10)._replace(probability=(8,), ratio_quantiles=(5,))
-    ends = Forecast(*(np.full((size, *shape), x) for x, shape in zip(unknown, shapes, strict=True)))
     wanted = np.ones(size, bool) if wanted is None else wanted
-    ends = ends._replace(error=np.where(wanted, begin.least_error, np.inf))
-    lanes = np.flatnonzero(~(ends.error > LARGEST_ERROR))
-    if lanes.size:
-        some = jax.tree.map(lambda x: x[lanes], (begin, starts))
-        _put(ends, lanes, _followed(in_chunks, *some))
+    ends = unknown_ends(np.where(wanted, begin.least_error, np.inf))
+    follow = ~(ends.error > LARGEST_ERROR)
+    if (lanes := np.flatnonzero(follow & (begin.delta == 0))).size:
+        put_ends(ends, lanes, _followed(in_chunks, jax.tree.map(lambda x: x[lanes], begin)))
+    needle = follow & (begin.delta != 0)
+    for by_chance, ends_of in enumerate(_needle_ends):
+        if (lanes := np.flatnonzero(needle & (begin.by_chance == by_chance))).size:
+            shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
+            chances = jax.tree.map(lambda *x: np.stack(x), *map(_capture, shared))
+            some = jax.tree.map(lambda x, n=lanes: x[n], starts)
+            some += (jax.tree.map(lambda x, n=places: x[n], chances),)
+            put_ends(ends, lanes, in_chunks(ends_of, some))
     return ends
 
 
-def _followed(in_chunks: Any, begin: _Begin, starts: tuple[np.ndarray, np.ndarray]) -> Forecast:
-    """Return the ends of starts, by their motion on both sides, and by capture."""
+def unknown_ends(error: Float[np.ndarray, "N"]) -> Forecast:
+    """Return N ends of which nothing but the error is known."""
+    unknown = Forecast(*np.full(10, np.nan))._replace(outcome=Outcome.UNDECIDED.value, regime=0)
+    shapes = Forecast(*[()] * 10)._replace(probability=(8,), ratio_quantiles=(5,))
+    size = error.size
+    ends = Forecast(*(np.full((size, *shape), x) for x, shape in zip(unknown, shapes, strict=True)))
+    return ends._replace(error=error)
+
+
+def _followed(in_chunks: Any, begin: _Begin) -> Forecast:
+    """Return the ends of starts that are no needles, by their motion on both sides."""
     still: Any = State(*np.zeros((2, len(begin.z))))  # pyright: ignore[reportArgumentType]
     no = np.zeros(len(begin.z), bool)
     first = in_chunks(_stage, (begin.side, begin.z, still, ~no, no))
@@ -95,15 +112,8 @@ def _followed(in_chunks: Any, begin: _Begin, starts: tuple[np.ndarray, np.ndarra
     if (lanes := np.flatnonzero(crosses)).size:
         there = begin.side, begin.z, first.end, crosses, crosses
         there = jax.tree.map(lambda x: x[lanes], there)
-        _put(second, lanes, in_chunks(_stage, there))
-    ends, delta, by_chance = in_chunks(_slow_ends, (begin, first, second, crosses))
-    shared = _nearly(delta)
-    for value, random in np.unique(np.stack([shared, by_chance])[:, shared != 0], axis=1).T:
-        (lanes,) = np.nonzero((shared == value) & (by_chance == random))
-        chance = jax.tree.map(lambda x, n=lanes.size: np.stack([x] * n), _capture(value))
-        needles = jax.tree.map(lambda x, lanes=lanes: x[lanes], starts)
-        _put(ends, lanes, in_chunks(_needle_ends[bool(random)], (*needles, chance)))
-    return ends
+        put_ends(second, lanes, in_chunks(_stage, there))
+    return in_chunks(_slow_ends, (begin, first, second, crosses))
 
 
 def _in_chunks(threads: int, function: Any, arguments: Any) -> Any:
@@ -126,7 +136,7 @@ def _nearly(delta: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
     return np.round(delta / size, 12) * size
 
 
-def _put(ends: Any, lanes: Any, values: Any) -> None:
+def put_ends(ends: Any, lanes: Any, values: Any) -> None:
     """Replace the numbers of some starts."""
     for array, value in zip(*map(jax.tree.leaves, (ends, values)), strict=True):
         array[lanes] = value
@@ -146,26 +156,23 @@ def _begin(variables: Variables, strength: Real) -> _Begin:
     error, phase = start_error(apart, units.weakness), error_of_phase(apart, units.weakness)
     error = jnp.where(apart.is_needle, jnp.minimum(error, phase), error)
     error = jnp.where(rotation.is_sphere | rotation.spin_axis[0], units.weakness**2, error)
-    return _Begin(rotation, units, apart.side(high), z, high, error)
+    delta, omega = needle_start(apart, units.weakness)
+    delta, by_chance = jnp.where(apart.is_needle, delta, 0.0), is_random(delta, omega)
+    return _Begin(rotation, units, apart.side(high), z, high, error, delta, by_chance)
 
 
 _stage = _of_lanes(functools.partial(stage_from, timed=False))
 
 
 @_of_lanes
-def _slow_ends(
-    begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, ""]
-) -> tuple[Forecast, Real, Bool[Array, ""]]:
-    """Return the end by the slow flow, and δ and `is_random` of a needle; δ is 0 for others."""
-    rotation, units, _, _, high, _ = begin
+def _slow_ends(begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, ""]) -> Forecast:
+    """Return the end by the slow flow."""
+    rotation, units, high = begin.rotation, begin.units, begin.high
     apart = ordinary(rotation)
     stages = jax.tree.map(lambda *x: jnp.stack(x), first, second)
     motion = SlowMotion(high, stages, crosses)
     averaging = estimated_error(apart, motion, units.weakness)
-    numbers = numbers_of(rotation, units, slow_end(apart, motion), averaging)
-    delta, omega = needle_start(apart, units.weakness)
-    needle = jnp.where(apart.is_needle, delta, 0.0), is_random(delta, omega)
-    return fields_of(numbers), *needle
+    return fields_of(numbers_of(rotation, units, slow_end(apart, motion), averaging))
 
 
 def _needle_end(by_chance: bool, variables: Variables, strength: Real, chance: Capture) -> Forecast:
@@ -178,6 +185,7 @@ def _needle_end(by_chance: bool, variables: Variables, strength: Real, chance: C
 _needle_ends: list[Any] = [
     _of_lanes(functools.partial(_needle_end, by_chance)) for by_chance in (False, True)
 ]
+"""The functions for a known and for a random phase."""
 
 
 def _capture(delta: float) -> Capture:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._base.compiling import special_numbers
 from .._base.parallel import Device
@@ -20,17 +20,10 @@ from .._engines.interface import Engine, Limits, Queue
 from ..equations._common import physical
 from .classification import Classification, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
-from .label_doubt import CERTAIN, finish_of, made_twice
+from .label_doubt import CERTAIN, Ended, finish_of, made_twice
 from .memory_limits import Lanes, in_fitting_parts, part_of, put_back
 from .run_settings import RunSettings
-from .slow_runs import (
-    awaits_slow_flow,
-    first_budget,
-    is_open,
-    may_be_predicted,
-    predictions,
-    why_unpredictable,
-)
+from .slow_runs import Origins, first_budget, is_open, why_unpredictable
 
 LOOSE = 1e-4  # relative tolerance of the first pass
 BRIEF = 100  # largest number of steps in the first pass: all longer runs would be in doubt
@@ -67,28 +60,53 @@ def _classified(
     """Return the classifications of all N runs at once, each by the law that is chosen for it."""
     block = RunBlock(physical(equation), omegas, settings, place)
     if settings.slow_flow is False or why_unpredictable(equation):
-        return block.classified(limits)
+        return block.classified(limits).runs
     every, label_only, t1 = settings.slow_flow is True, settings.value is False, limits.t1
-    possible = may_be_predicted(equation, omegas)
-    slow = awaits_slow_flow(equation, omegas, limits, every, label_only) & (possible | every)
+    slow, size = np.ones(omegas.shape[1], bool), omegas.shape[1]
+    if not every:
+        slow = Origins.at_starts(equation, omegas).are_slow(limits, label_only)
     rest = limits._replace(t1=np.where(slow, 0.0, t1).astype(t1.dtype)) if slow.any() else limits
     rest = rest._replace(max_steps=first_budget(equation, limits))
-    runs = block.classified(rest)
+    ended = block.classified(rest)
     # Also to be predicted are runs that turn out to be long.
-    slow |= runs.steps >= rest.max_steps
-    unknown = is_open(runs, label_only) & (t1 > 0) & slow
-    lanes = np.flatnonzero(unknown & possible)
+    slow = np.asarray((t1 > 0) & (slow | (ended.runs.steps >= rest.max_steps)))
+    runs, again = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
+    if again.size:
+        equation, omegas = part_of((equation, omegas), again, size)
+        ended, slow = block.some_classified(again, limits), np.ones(again.size, bool)
+        more, _ = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
+        runs = put_back(runs, again, more)
+    return runs
+
+
+def _filled_in(
+    equation: Any,
+    omegas: Any,
+    ended: Ended,
+    slow: Bool[np.ndarray, "N"],
+    limits: Limits,
+    settings: RunSettings,
+    threads: int,
+) -> tuple[Classification, Lanes]:
+    """Predict what slow runs leave open; return also which of them their budget would decide."""
+    every, label_only, size = settings.slow_flow is True, settings.value is False, slow.size
+    lanes = np.flatnonzero(slow & is_open(ended.runs, label_only))
     if not lanes.size:
-        return runs
-    found = predictions(*part_of((equation, omegas), lanes, slow.size), place.threads)
-    if not every:  # the predicted L∞ shows which runs are not long after all
-        steps = np.asarray(runs.steps[lanes])
-        long = found.exceed_budget(limits, label_only, steps > 0)
-        again = lanes[~long & (steps < limits.max_steps)]
-        if again.size:
-            runs = put_back(runs, again, block.some_classified(again, limits))
-    filled = found.filled_in(part_of(runs, lanes, slow.size), label_only)
-    return put_back(runs, lanes, filled)
+        return ended.runs, lanes
+    equation, omegas, ended_here = part_of((equation, omegas, ended), lanes, size)
+    runs, steps = ended_here.runs, np.asarray(ended_here.runs.steps)
+    origins = Origins.of_runs(equation, omegas, ended_here.omega, steps)
+    spent = np.full(lanes.size, every) | (steps >= limits.max_steps)
+    predicted = (spent | origins.are_slow(limits, label_only)) & origins.may_have_law
+    long, hopeful = spent, np.flatnonzero(predicted)
+    if hopeful.size:
+        found = part_of(origins, hopeful, lanes.size).predictions(threads)
+        filled = found.filled_in(part_of(runs, hopeful, lanes.size), label_only)
+        runs = put_back(runs, hopeful, filled)
+        # The predicted L∞ shows which runs are not long after all.
+        left = origins.left(limits)[hopeful]
+        long[hopeful] |= found.need_more_than(left, limits, label_only)
+    return put_back(ended.runs, lanes, runs), lanes[~long]
 
 
 @dataclass(frozen=True)
@@ -107,31 +125,37 @@ class RunBlock:
     settings: RunSettings
     place: Place
 
-    def classified(self, limits: Limits) -> Classification:
-        """Return the classifications of all runs; of a run with t1 ≤ 0 by its first state."""
+    def classified(self, limits: Limits) -> Ended:
+        """Return how all runs end; a run with t1 ≤ 0 by its first state."""
         value = self.settings.value
         if value is False and self.settings.in_two_passes:
             return self._outcomes(limits)
-        runs, _, around = self.run(limits)
+        ended = self.run(limits)
+        if value is False:
+            return ended
         if value is True:
-            return with_error_estimates(runs, self.run_around, (self.omegas, around), limits)
-        return runs if value is False else without_error_estimates(runs, value, np)
+            around: Any = self.omegas, ended.around
+            runs = with_error_estimates(ended.runs, self.run_around, around, limits)
+        else:
+            runs = without_error_estimates(ended.runs, value, np)
+        return ended._replace(runs=runs)
 
-    def _outcomes(self, limits: Limits) -> Classification:
-        """Return the classifications of runs whose outcome alone is wanted.
+    def _outcomes(self, limits: Limits) -> Ended:
+        """Return how runs end whose outcome alone is wanted.
 
         There are two passes, unless the second one would cost as much without the first.
         """
         factor = LOOSE / float(limits.rtol)
         if factor <= 1 or self.place.engine.compiles_for_size or not made_twice(self.equation):
-            return self.run(limits).runs
+            return self.run(limits)
         brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
-        runs, doubt, _ = self.run(brief)
+        ended = self.run(brief)
+        doubt: Any = ended.doubt
         lanes = np.flatnonzero((doubt >= CERTAIN) & (np.asarray(limits.t1) > 0))
-        return put_back(runs, lanes, self.run_some(lanes, limits)) if lanes.size else runs
+        return put_back(ended, lanes, self.run_some(lanes, limits)) if lanes.size else ended
 
-    def some_classified(self, lanes: Lanes, limits: Limits) -> Classification:
-        """Return the classifications of some runs.
+    def some_classified(self, lanes: Lanes, limits: Limits) -> Ended:
+        """Return how some runs end.
 
         If a new number of runs would need a compilation, all are passed and the others rest.
         """
@@ -147,20 +171,20 @@ class RunBlock:
         equation, omegas, limits = parts
         return replace(self, equation=equation, omegas=omegas), limits
 
-    def run(self, limits: Limits) -> Any:
-        """Make all runs; return `Ended` in NumPy."""
+    def run(self, limits: Limits) -> Ended:
+        """Make all runs; the result is in NumPy."""
         value, (engine, device, threads) = self.settings.value, self.place
         queue = Queue(self.equation, self.omegas, limits, stopping_rule(self.equation, value))
         # All arrays in one transfer.
         return jax.device_get(engine.classify(finish_of(value), queue, device, threads))
 
-    def run_some(self, lanes: Lanes, limits: Limits) -> Classification:
+    def run_some(self, lanes: Lanes, limits: Limits) -> Ended:
         """Make some of the runs, as in `some_classified`."""
         size = self.omegas.shape[1]
         if self.place.engine.compiles_for_size:
-            return part_of(self.run(_only(lanes, limits, size)).runs, lanes, size)
+            return part_of(self.run(_only(lanes, limits, size)), lanes, size)
         block, limits = self.part(lanes, limits)
-        return block.run(limits).runs
+        return block.run(limits)
 
     def run_around(
         self, lanes: Lanes, limits: Limits, starts: Float[np.ndarray, "k 3 some"]
@@ -172,7 +196,7 @@ class RunBlock:
             for moved in starts:
                 omegas = np.array(self.omegas)
                 omegas[:, lanes] = moved
-                each.append(replace(self, omegas=omegas).run_some(lanes, limits))
+                each.append(replace(self, omegas=omegas).run_some(lanes, limits).runs)
             return jax.tree.map(lambda *x: np.stack(x), *each)
         equation, limits = part_of((self.equation, limits), np.tile(lanes, len(starts)), size)
         omegas = np.swapaxes(starts, 0, 1).reshape(3, -1)

@@ -48,6 +48,8 @@ class Ended(NamedTuple):
     """The results of runs that have ended."""
 
     runs: Classification
+    omega: Float[Array, "3 *n"] | Float[np.ndarray, "3 *n"]
+    """The angular velocities at which they ended."""
     doubt: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
     """Doubt of each label (module docstring); only for `value=False`; inf without a label."""
     around: Vicinity | None = None
@@ -63,8 +65,8 @@ def ended_with_value(
     equation: DecidingEquation, omegas: Vector, ends: EndStates, tolerances: Tolerances
 ) -> Ended:
     """Return the classification with ω∞, and the vicinity of the starts."""
-    around = vicinity(equation, omegas)
-    return Ended(classification_of(equation, ends, tolerances), around=around)
+    runs, last = classification_of(equation, ends, tolerances), equation.omega(jnp.asarray(ends.y))
+    return Ended(runs, last, around=vicinity(equation, omegas))
 
 
 def ended_with_label(
@@ -73,9 +75,9 @@ def ended_with_label(
     """Return the classification, with ω∞ only if it is constant, and the doubt of the label."""
     runs = classification_of(equation, ends, tolerances)
     labels = without_error_estimates(runs, False, jnp)
+    omega = equation.omega(jnp.asarray(ends.y))
     if not made_twice(equation):
-        return Ended(labels)
-    omega = jnp.asarray(ends.y)
+        return Ended(labels, omega)
     square, first = (w[0] ** 2 + w[1] ** 2 + w[2] ** 2 for w in (omega, omegas))
     bounded = _is_bounded(equation)
     steps = runs.steps.astype(square.dtype)
@@ -83,7 +85,7 @@ def ended_with_label(
     error = tolerances.rtol + tolerances.atol / safe_divisor(jnp.sqrt(square))
     unknown = runs.outcome <= Outcome.UNDECIDED
     unknown |= bounded & _is_shaky(equation, omega, error, runs)
-    return Ended(labels, jnp.where(unknown, jnp.inf, doubt))
+    return Ended(labels, omega, jnp.where(unknown, jnp.inf, doubt))
 
 
 def _is_shaky(equation: Any, omega: Vector, error: Real, runs: Classification) -> Flag:

@@ -6,6 +6,10 @@ the first state, and averages over free rotation (`_averaging`) predict what it 
 The length of a run depends on L∞, which the averages give. So a run of a body whose length is not
 clear is begun, and averages are computed when it has taken a part of its budget.
 
+A law holds only while little is radiated in a period. A run that brakes too fast for it at ω₀ is
+predicted from the state that it has reached. That gives its outcome but not ω∞, which depends on
+the phase: the error of the integration until then is not estimated.
+
 The number of steps of a run is estimated from the phase of the precession about the dipole until
 the motion is aligned with it. With the dipole on the axis c of a body (others a, b), angles to it
 fall as exp(−κL∞²|f′|t), f′ = −[J_c(J_a+J_b) − (J_a−J_b)²]/(2J_a²J_b²J_c), and the precession has
@@ -23,9 +27,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from typing_extensions import TypeAliasType
 
+from .._averaging.capture import is_random
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
-from .._averaging.untimed_ends import ends_of_many
+from .._averaging.untimed_ends import ends_of_many, put_ends, unknown_ends
 from .._base.refusals import refuse
 from .._base.types import (
     PREDICTED_FATES,
@@ -39,6 +44,8 @@ from .._base.types import (
 from .._engines.interface import Limits
 from ..equations._common import is_full
 from ..equations._families import LONGITUDINAL, RIGID, TRANSVERSE
+from ..equations._verdicts.transverse import has_boundary_at_rest
+from ..equations.levels import Level
 from ..equations.tangent import Tangent
 from .classification import Classification
 
@@ -54,7 +61,9 @@ LEAST_RATIO = 0.03
 """The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
 found when they have taken many steps. If it were smaller, more runs would be predicted in vain:
 that costs as much as a few of them, and seconds of compilation the first time."""
-PATIENCE = 0.3  # part of the budget after which a run of a body turns out to be long
+PATIENCE, PATIENCE_WITH_TOPS = 0.3, 0.1
+"""Parts of the budget after which it is estimated anew how long a run of a body or top will be."""
+FEW = 1000  # steps that cost about as much as a prediction
 ROUNDING = ROUNDINGS * float(np.finfo(float).eps)
 MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
 EQUAL = 0.05  # relative difference of moments up to which the formula of needles is also used
@@ -168,44 +177,121 @@ def _is_consistent(equation: Any) -> bool:
     return getattr(equation, "order", None) != 1
 
 
-def _long_runs(
-    equation: Any, omegas: Any, budget: float, rtol: float, label_only: bool
-) -> Bool[np.ndarray, "N"]:
-    """Return which runs exceed a budget of steps, by the estimate with the assumed L∞."""
-    if type(equation) not in TRANSVERSE:
-        steps = slow_motions(equation, omegas).steps(LEAST_RATIO, rtol, label_only)
-        return steps > budget
-    # The same formula for moments 1, 1 and 1 − δ, where most terms vanish: only needles are slow.
-    delta, (w1, w2, w3) = np.asarray(equation.delta), np.asarray(omegas)
-    if not _is_consistent(equation):  # their law is not known, so a prediction is not possible
-        return np.zeros_like(w1, bool)
-    budget = budget / WINDOWS if is_full(equation) else budget
-    with np.errstate(all="ignore"):
-        phase = _phase_of_needle(1 - delta, w3, w1**2 + w2**2)
-    return (delta > 0) & (phase > budget / _steps_per_radian(rtol, label_only)[1])
+class Origins(NamedTuple):
+    """The states from which laws may describe N runs, where they may be predicted from."""
+
+    equation: Any
+    """A predictable equation, with a trailing axis of N lanes."""
+    omegas: Any
+    """The angular velocities, shape (3, N)."""
+    passed: Int[np.ndarray, "N"]
+    """The steps before that."""
+    begun: Bool[np.ndarray, "N"]
+    """Whether the run has taken steps."""
+
+    @classmethod
+    def at_starts(cls, equation: Any, omegas: Any) -> "Origins":
+        """Return the origins of runs that have not begun."""
+        size = omegas.shape[1]
+        return cls(equation, omegas, np.zeros(size, int), np.zeros(size, bool))
+
+    @classmethod
+    def of_runs(
+        cls, equation: Any, omegas: Any, reached: Any, steps: Int[np.ndarray, "N"]
+    ) -> "Origins":
+        """Return the origins of runs from ω₀ that have reached ω after some steps.
+
+        They are ω₀, unless a rotation brakes too fast there, which it does not later.
+        """
+        holds = cls.at_starts(equation, omegas).may_have_law
+        place = np.where(holds, np.asarray(omegas), np.asarray(reached))
+        return cls(equation, place, np.where(holds, 0, steps), np.asarray(steps) > 0)
+
+    @property
+    def may_have_law(self) -> Bool[np.ndarray, "N"]:
+        """Whether a law may hold; none does where the rotation brakes too fast.
+
+        The criterion is the error that `ends_of_many` finds. It has a closed form for transverse
+        tops; of other bodies all may have a law.
+        """
+        if type(self.equation) not in TRANSVERSE:
+            return np.ones(self.omegas.shape[1], bool)
+        delta = np.asarray(self.equation.delta)
+        errors = errors_of_needles(delta, np.asarray(self.omegas))
+        return (delta <= 0) | ~(errors > LARGEST_ERROR).all(axis=0)
+
+    def left(self, limits: Limits) -> Float[np.ndarray, "N"]:
+        """Return the estimated number of steps to come above which a run is predicted.
+
+        A run that has begun is predicted only if it surely exceeds its budget.
+        """
+        left = int(limits.max_steps) - self.passed
+        return np.where(self.begun, left / MARGIN, MARGIN * left)
+
+    def are_slow(self, limits: Limits, label_only: bool) -> Bool[np.ndarray, "N"]:
+        """Return which runs exceed their budget, by the estimate with the assumed L∞.
+
+        Of bodies that have begun all are taken, since a prediction gives their L∞.
+        """
+        equation, left, rtol = self.equation, self.left(limits), float(limits.rtol)
+        if type(equation) not in TRANSVERSE:
+            steps = slow_motions(equation, self.omegas).steps(LEAST_RATIO, rtol, label_only)
+            return self.begun | (steps > left)
+        # The same formula for moments 1, 1 and 1 − δ, where most terms vanish: needles are slow.
+        delta, (w1, w2, w3) = np.asarray(equation.delta), np.asarray(self.omegas)
+        if not _is_consistent(equation):  # their law is not known
+            return np.zeros(w1.size, bool)
+        left = left / WINDOWS if is_full(equation) else left
+        with np.errstate(all="ignore"):
+            phase = _phase_of_needle(1 - delta, w3, w1**2 + w2**2)
+        slow = (delta > 0) & (phase > left / _steps_per_radian(rtol, label_only)[1])
+        return slow & self.may_have_law if slow.any() else slow
+
+    def predictions(self, threads: int) -> "Predictions":
+        """Return the predicted ends."""
+        motions = slow_motions(self.equation, self.omegas)
+        ends, others = self._sure_ends()
+        if (some := np.flatnonzero(others)).size:
+            body = motions.inertia[some], motions.dipole[some], motions.omega[some]
+            wanted = motions.has_law[some]
+            put_ends(ends, some, ends_of_many(*body, wanted=wanted, threads=threads))
+        known = (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
+        # The error of the integration until then is not estimated.
+        unknown = (self.passed > 0) & (ends.outcome != Outcome.STOP)
+        ends = ends._replace(omega_inf=np.where(unknown, np.nan, ends.omega_inf))
+        return Predictions(motions, ends, known)
+
+    def _sure_ends(self) -> tuple[Forecast, Bool[np.ndarray, "N"]]:
+        """Return the ends of tops that need no computation, and which are the others.
+
+        Below δ_c2 almost every needle becomes residual; its sense is a matter of chance.
+        """
+        size = self.omegas.shape[1]
+        if type(self.equation) not in TRANSVERSE:
+            return unknown_ends(np.full(size, np.inf)), np.ones(size, bool)
+        delta, omegas = np.asarray(self.equation.delta), np.asarray(self.omegas)
+        errors = np.where(delta > 0, errors_of_needles(delta, omegas), np.inf)
+        random = is_random(delta, omegas, np) & (errors[0] <= LARGEST_ERROR)
+        error = np.where(random, *errors)
+        sure = random | ((self.passed > 0) & (error <= LARGEST_ERROR))
+        sure &= (
+            _is_consistent(self.equation) & (delta > 0) & ~has_boundary_at_rest(delta, Level.SEMI)
+        )
+        ends, lanes = unknown_ends(error), np.flatnonzero(sure)
+        ends.outcome[lanes], ends.regime[lanes] = Outcome.RESIDUAL, Regime.UNFOLDED
+        ends.probability[lanes] = np.eye(len(PREDICTED_FATES))[RESIDUAL_FATES].sum(0) / 2
+        return ends, ~sure
 
 
-def may_be_predicted(equation: Any, omegas: Any) -> Bool[np.ndarray, "N"]:
-    """Return which runs a law may describe; no law does where the rotation brakes too fast.
-
-    The criterion is the error that `ends_of_many` finds at the start. It has a closed form for
-    transverse tops; other bodies may all be predicted.
-    """
-    if type(equation) not in TRANSVERSE:
-        return np.ones(omegas.shape[1], bool)
-    errors = least_errors_of_needles(np.asarray(equation.delta), np.asarray(omegas))
-    return (np.asarray(equation.delta) <= 0) | ~(errors > LARGEST_ERROR)
-
-
-def least_errors_of_needles(
+def errors_of_needles(
     delta: Float[np.ndarray, "N"], omegas: Float[np.ndarray, "3 N"]
-) -> Float[np.ndarray, "N"]:
-    """Return the least error of a prediction of transverse tops, 0 < δ < 1.
+) -> Float[np.ndarray, "2 N"]:
+    """Return the errors of predictions of transverse tops, 0 < δ < 1, at the start.
 
-    It is that of the averages at the start (`start_error`) or of a known phase (`error_of_phase`),
-    with the angle θ between L and the symmetry axis, c = cos θ, β = δ/(1 − δ): the lines 1 ± βc of
-    a dipole across that axis carry off L at the rate L³S, S = Σ(1 ± c)²(1 ± βc)³/4, and a period
-    lasts 2π/(βcL).
+    They are that of the averages (`start_error`) and of a known phase (`error_of_phase`), with the
+    angle θ between L and the symmetry axis, c = cos θ, β = δ/(1 − δ): the lines 1 ± βc of a dipole
+    across that axis carry off L at the rate L³S, S = Σ(1 ± c)²(1 ± βc)³/4, and a period lasts
+    2π/(βcL).
     """
     w1, w2, w3 = omegas
     axial, square = (1 - delta) * w3, w1**2 + w2**2
@@ -215,7 +301,7 @@ def least_errors_of_needles(
         rate = ((1 + c) ** 2 * (1 + beta * c) ** 3 + (1 - c) ** 2 * (1 - beta * c) ** 3) / 4
         of_averages = 2 * size * np.abs(rate) / (beta * c)
         of_phase = size + 2 * delta * np.abs(w3) ** 3 / square**2
-        return np.minimum(of_averages, of_phase)
+        return np.stack([of_averages, of_phase])
 
 
 def check_slow_flow(slow_flow: Any, equation: Any, why_not: str = "") -> None:
@@ -247,35 +333,13 @@ def why_unpredictable(equation: Any) -> str:
     return ""
 
 
-def awaits_slow_flow(
-    equation: Any, omegas: Any, limits: Limits, every: bool, label_only: bool
-) -> Bool[np.ndarray, "N"]:
-    """Return which runs the slow flow is to predict, if their first state does not decide.
-
-    Args:
-        equation: a predictable equation, with a trailing axis of N lanes.
-        omegas: the starts, shape (3, N).
-        limits: the limits of the runs.
-        every: whether all runs are to be predicted, rather than those that exceed their budget.
-        label_only: whether only the outcome is wanted.
-    """
-    if every:
-        return np.ones(omegas.shape[1], bool)
-    return _long_runs(equation, omegas, _budget(limits), float(limits.rtol), label_only)
-
-
 def first_budget(equation: Any, limits: Limits) -> Any:
-    """Return the number of steps after which averages tell whether a run goes on.
-
-    The length of the runs of tops does not depend on L∞, so that it is known from the beginning.
-    """
-    if type(equation) not in RIGID:
-        return limits.max_steps
-    return np.asarray(max(1, int(PATIENCE * int(limits.max_steps))))
-
-
-def _budget(limits: Limits) -> float:
-    return MARGIN * int(limits.max_steps)
+    """Return the number of steps after which it is estimated anew how long a run will be."""
+    part = PATIENCE if type(equation) in RIGID else 1.0
+    if type(equation) in TRANSVERSE and _is_consistent(equation):
+        part = PATIENCE_WITH_TOPS
+    steps = int(limits.max_steps)
+    return np.asarray(min(steps, max(FEW, int(part * steps))))
 
 
 class Predictions(NamedTuple):
@@ -286,13 +350,14 @@ class Predictions(NamedTuple):
     known: Bool[np.ndarray, "N"]
     """Whether a law holds, with an error that lets it decide."""
 
-    def exceed_budget(
-        self, limits: Limits, label_only: bool, begun: Bool[np.ndarray, "N"]
+    def need_more_than(
+        self, left: Float[np.ndarray, "N"], limits: Limits, label_only: bool
     ) -> Bool[np.ndarray, "N"]:
-        """Return which runs need more steps than the budget; of those begun, which surely do."""
-        steps = self.motions.steps(self.ends.ratio, float(limits.rtol), label_only)
-        budget = np.where(begun, int(limits.max_steps) / MARGIN, _budget(limits))
-        return self.known & (steps > budget)
+        """Return which runs need more steps than are left, if they reach the predicted L∞."""
+        # The steps of a needle do not depend on L∞, which may be unknown.
+        ratio = np.where(np.isnan(self.ends.ratio), 1.0, self.ends.ratio)
+        steps = self.motions.steps(ratio, float(limits.rtol), label_only)
+        return self.known & (steps > left)
 
     def filled_in(self, runs: Classification, label_only: bool) -> Classification:
         """Fill in unknown outcomes and ω∞, if a law is known. That certifies nothing."""
@@ -312,15 +377,6 @@ class Predictions(NamedTuple):
             regime=np.where(value, ends.regime, Regime.RESOLVED),
             probability=np.where(label, probability, implied_probability(runs.outcome)),
         )
-
-
-def predictions(equation: Any, omegas: Any, threads: int) -> Predictions:
-    """Return the predicted ends of N runs, whose axis is the last one."""
-    motions = slow_motions(equation, omegas)
-    body = motions.inertia, motions.dipole
-    ends = ends_of_many(*body, motions.omega, wanted=motions.has_law, threads=threads)
-    known = (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
-    return Predictions(motions, ends, known)
 
 
 def is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:

@@ -6,6 +6,7 @@ reads it and supplies the default. The classes hold members by the kind of state
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -96,6 +97,8 @@ def slow_start(equation: Any, omega0: Vector) -> State:
 
 def is_full(equation: Any) -> bool:
     """Return whether an equation has runaways, so that its physical branch has to be followed."""
+    if inspect.getattr_static(equation, "runaway_rate", None) is None:
+        return False
     # Traced, not computed: leaves may be shapes that stand for arrays.
     return eqx.filter_eval_shape(getattr, equation, "runaway_rate", None) is not None
 
