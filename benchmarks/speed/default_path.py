@@ -17,7 +17,7 @@ import dipoletop as dt
 from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure, pages
 
-RTOL = 1e-8
+RTOL, EXACT = 1e-8, 1e-12  # of the calls; of the run that their errors are measured by
 MAX_STEPS = 50_000  # of dipoletop by default; also of heyoka
 CALLS: dict[str, dict[str, Any]] = {
     "all defaults": {},
@@ -47,12 +47,14 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
     """A row for each call, and for heyoka if it is installed."""
     equation, omegas = given
     labels: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     steps: dict[str, float] = {}
 
     def ours(call: str) -> Callable[[], measure.Record]:
         def run() -> measure.Record:
             found, clocks = measure.timed(dt.classify_many, equation, omegas, **CALLS[call])
             labels[call], steps[call] = found.outcome, float(found.steps.mean())
+            values[call] = found.omega_inf
             return clocks
 
         return run
@@ -66,13 +68,23 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
         ends = Ends(equation, RTOL)
 
         def peer() -> measure.Record:
-            (found, _), clocks = measure.timed(ends.find, omegas, MAX_STEPS)
+            (found, values[PEER]), clocks = measure.timed(ends.find, omegas, MAX_STEPS)
             labels[PEER] = found
             return clocks
 
         cases[PEER] = peer
     measure.interleaved(cases, 1)  # everybody is measured warm
     records = measure.interleaved(cases, repeats)
+    exact = dt.classify_many(equation, omegas, rtol=EXACT, value="unchecked", slow_flow=False)
+    integrated = exact.steps > 0  # others have no error, or none that steps have caused
+
+    def errors(call: str) -> list[float] | None:
+        if call == "`value=False`":
+            return None
+        with np.errstate(all="ignore"):
+            error = np.abs(values[call] / exact.omega_inf - 1)[integrated]
+        return np.nanquantile(error, [0.5, 0.98]).tolist()
+
     costs = {call: measure.summary(runs)["processor_seconds"] for call, runs in records.items()}
     rows = []
     for call, cost in costs.items():
@@ -84,6 +96,7 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
                 "call": call,
                 "us": [1e6 * cost[kind] / len(omegas) for kind in ("min", "median")],
                 "peer": costs[PEER]["min"] / cost["min"] if PEER in costs else None,
+                "errors": errors(call),
                 "steps": steps.get(call),
                 "undecided": int(np.sum(labels[call] <= 0)),
                 "differ": int(np.sum((labels[call] != labels["all defaults"]) & known)),
@@ -92,8 +105,14 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
     return rows
 
 
+def slow_bodies(n: int) -> tuple[Any, np.ndarray]:
+    """Return the triaxial bodies, so slow that all of them are predicted."""
+    equation, omegas = bodies(n)
+    return equation, 1e-20 * omegas / np.linalg.norm(omegas, axis=1)[:, None]
+
+
 def surveys(points: int) -> list[dict[str, Any]]:
-    """A map in a store, and counts without one, of points × points starts."""
+    """A map in a store, counts without one, and predictions, of points × points starts."""
     grid = dt.symmetry_cell(points, points)
 
     def top(w3: Any, phi: Any) -> Any:
@@ -107,8 +126,16 @@ def surveys(points: int) -> list[dict[str, Any]]:
     def counted() -> measure.Record:
         return measure.timed(dt.tally, top, grid, progress=False)[1]
 
+    slow, omegas = slow_bodies(points**2)
+
+    def predicted() -> measure.Record:
+        return measure.timed(dt.classify_many, slow, omegas)[1]
+
+    of_tops = ", tops, δ = −0.2, ω⊥ = 0.2"
+    cases = {f"`sweep` with a store{of_tops}": stored, f"`tally`{of_tops}": counted}
+    cases["`classify_many`, triaxial bodies, ω = 1e-20: all are predicted"] = predicted
     rows = []
-    for name, case in {"`sweep` with a store": stored, "`tally`": counted}.items():
+    for name, case in cases.items():
         case()
         cost = measure.summary([case() for _ in range(3)])["processor_seconds"]
         us = [1e6 * cost[kind] / points**2 for kind in ("min", "median")]
