@@ -15,7 +15,9 @@ from stored_files import files
 @pytest.mark.system
 def test_a_cluster_computes_what_one_process_does(tmp_path):
     script = Path(__file__).with_name("cluster_sweeps.py")
-    settings = {**os.environ, "DIPOLETOP_CACHE": "off"}
+    # On a busy machine a tile may see more workers close than Dask allows.
+    patient = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "20"}
+    settings = {**os.environ, "DIPOLETOP_CACHE": "off", **patient}
     run = subprocess.run(
         [sys.executable, str(script), str(tmp_path)],
         capture_output=True,

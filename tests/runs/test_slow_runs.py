@@ -219,6 +219,20 @@ def test_a_long_run_is_predicted_from_where_a_law_holds():
     assert labels.certified[0]  # the second one is so slow that its squares underflow
 
 
+@pytest.mark.slow
+def test_a_body_that_brakes_fast_is_predicted_later():
+    """Its integration decides after some more steps than the budget has."""
+    body = dt.Body(jnp.diag(jnp.array([1.0, 1.54552325, 2.22889574])), jnp.array([1.0, 0.0, 0.0]))
+    equation, start = dt.SemiReduced(body), np.array([[0.06402891, 0.17605449, -0.46319728]])
+    found = dt.classify_many(equation, start, value=False)
+    assert found.outcome[0] == RESIDUAL
+    assert found.regime[0] == Regime.SLOW_FLOW
+    alone = dt.classify_many(equation, start, value=False, slow_flow=False)
+    assert alone.outcome[0] == UNDECIDED
+    whole = dt.classify_many(equation, start, value=False, slow_flow=False, max_steps=60_000)
+    assert whole.outcome[0] == RESIDUAL
+
+
 def test_sure_ends_of_tops_are_those_of_the_slow_flow():
     """What is known without a computation equals what averages give."""
     rng = np.random.default_rng(4)

@@ -73,12 +73,10 @@ def ends_of_many(
         wanted: which ends are wanted; the error of the others is infinite. None means all.
         threads: the number of threads.
     """
-    size = len(omega0)
-    variables = np.concatenate([np.reshape(inertia, (size, 9)), dipole, omega0], axis=1)
-    starts = variables, np.ones(size)
+    starts = _starts(inertia, dipole, omega0)
     in_chunks = functools.partial(_in_chunks, threads)
     begin = in_chunks(_begin, starts)
-    wanted = np.ones(size, bool) if wanted is None else wanted
+    wanted = np.ones(len(omega0), bool) if wanted is None else wanted
     ends = unknown_ends(np.where(wanted, begin.least_error, np.inf))
     follow = ~(ends.error > LARGEST_ERROR)
     if (lanes := np.flatnonzero(follow & (begin.delta == 0))).size:
@@ -92,6 +90,23 @@ def ends_of_many(
             some += (jax.tree.map(lambda x, n=places: x[n], chances),)
             put_ends(ends, lanes, in_chunks(ends_of, some))
     return ends
+
+
+@special_numbers()
+def least_errors(
+    inertia: Float[np.ndarray, "N 3 3"],
+    dipole: Float[np.ndarray, "N 3"],
+    omega0: Float[np.ndarray, "N 3"],
+) -> Float[np.ndarray, "N"]:
+    """Return the least errors that the ends of free rotations can have, for k = 1."""
+    return _in_chunks(1, _begin, _starts(inertia, dipole, omega0)).least_error
+
+
+def _starts(inertia: Any, dipole: Any, omega0: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return inertia, dipole and ω₀ in one vector, and k = 1, of each start."""
+    size = len(omega0)
+    variables = [np.reshape(inertia, (size, 9)), dipole, omega0]
+    return np.concatenate(variables, axis=1), np.ones(size)
 
 
 def unknown_ends(error: Float[np.ndarray, "N"]) -> Forecast:

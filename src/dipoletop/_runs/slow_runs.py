@@ -30,7 +30,7 @@ from typing_extensions import TypeAliasType
 from .._averaging.capture import is_random
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
 from .._averaging.principal_axes import ROUNDING as ROUNDINGS
-from .._averaging.untimed_ends import ends_of_many, put_ends, unknown_ends
+from .._averaging.untimed_ends import ends_of_many, least_errors, put_ends, unknown_ends
 from .._base.refusals import refuse
 from .._base.types import (
     PREDICTED_FATES,
@@ -201,11 +201,15 @@ class Origins(NamedTuple):
     ) -> "Origins":
         """Return the origins of runs from ω₀ that have reached ω after some steps.
 
-        They are ω₀, unless a rotation brakes too fast there, which it does not later.
+        They are ω₀, unless a rotation brakes too fast there for a law, which may hold later.
         """
-        holds = cls.at_starts(equation, omegas).may_have_law
+        holds, begun = cls.at_starts(equation, omegas).may_have_law, steps > 0
+        if type(equation) not in TRANSVERSE and begun.any():
+            inertia, dipole, omega, *_ = slow_motions(equation, omegas)
+            errors = least_errors(inertia[begun], dipole[begun], omega[begun])
+            holds[begun] = ~(errors > LARGEST_ERROR)
         place = np.where(holds, np.asarray(omegas), np.asarray(reached))
-        return cls(equation, place, np.where(holds, 0, steps), np.asarray(steps) > 0)
+        return cls(equation, place, np.where(holds, 0, steps), begun)
 
     @property
     def may_have_law(self) -> Bool[np.ndarray, "N"]:
