@@ -53,7 +53,7 @@ def verdict_on(equation: Any, y: State, prepared: Any = None) -> Verdict:
 def settled(verdict: Verdict, tolerances: Tolerances, margin: float) -> Bool[Array, "*lanes"]:
     """Return whether ω∞ = 0 or its estimated error is within `margin` times the tolerance."""
     rtol, atol = tolerances
-    size = jnp.abs(verdict.omega_inf)
+    size = jnp.abs(verdict.omega_inf) if verdict.size is None else verdict.size
     within = verdict.error * size <= margin * (rtol * size + atol)
     return within | (verdict.outcome != Outcome.RESIDUAL)
 

@@ -140,6 +140,8 @@ class Verdict(NamedTuple):
     """Estimated error of `omega_inf`, relative to it; 0 if ω∞ is a constant of the motion."""
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
+    size: Real | None = None
+    """About |ω∞|, where it costs less than `omega_inf`: every step needs it. None: |ω∞|."""
     equation: type | None = None
     """The class of equation for which the regions are proven. `certified` counts only if exactly
     this class is integrated, without another `__call__` or a torque added from outside."""

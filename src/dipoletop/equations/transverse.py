@@ -115,9 +115,13 @@ class TransverseSemi(OfOmega, TransverseTop):
         p3 = (r3 + 2 * w1 * r2) * inverse
         return jnp.stack([d * w2 * w3, p2, p3])
 
-    def verdict(self, y: Vector) -> Verdict:
+    def verdict(self, y: Vector, numbers: regions.ShapeNumbers | None = None) -> Verdict:
         """Return residual rotation, a rotating or a wobbling stop, by semi-reduced regions."""
-        return regions.semi_reduced(self.delta, y)._replace(equation=TransverseSemi)
+        return regions.semi_reduced(self.delta, y, numbers)._replace(equation=TransverseSemi)
+
+    def prepare(self) -> regions.ShapeNumbers:
+        """Return the numbers that verdicts need and that depend on δ alone."""
+        return regions.shape_numbers(self.delta)
 
 
 class TransverseFull(OfFull, TransverseTop):

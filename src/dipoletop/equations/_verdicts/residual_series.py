@@ -60,11 +60,10 @@ def first_order(d: Real, w: Vector) -> Series:
     return omega_inf, 35 * quadratic * size**2, _slope_error(size, z)
 
 
-def semi_reduced(d: Real, w: Vector) -> Series:
-    """Return ω∞ and its errors at the semi-reduced level, −1 < δ < 1."""
+def semi_reduced(d: Real, w: Vector, k: Real) -> Series:
+    """Return ω∞ and its errors at the semi-reduced level, −1 < δ < 1, with k = δ/(2+δ)."""
     t, z, v = line_coordinates(w)
     b, det = 2 * v - d * (1 - d), 1 - d + 4 * v
-    k = d / (2 + d)
     q2 = -(1 + 2 * d) * t**2 + (1 - d) * (1 + 2 * d) * t * z + (1 - d) * b * z**2 / 2
     right_side = [
         jnp.zeros_like(b),
@@ -77,7 +76,7 @@ def semi_reduced(d: Real, w: Vector) -> Series:
     quartic = t**4 * q[0] + z * (t**3 * q[1] + z * (t**2 * q[2] + z * (t * q[3] + z * q[4])))
     omega_inf = components(w)[0] * (1 + k * q2 + quartic)
     size = (t**2 + (v + d**2) * z**2) * (1 + 2 * jnp.abs(d) * v)
-    return omega_inf, 2.5 * _quadratic_size(d, t, z, v) * size**2, _slope_error(size, z)
+    return omega_inf, 2.5 * _quadratic_size(d, k, (t, z, v)) * size**2, _slope_error(size, z)
 
 
 def quadratic_term(d: Real, w: Vector, level: Level) -> Real:
@@ -91,12 +90,13 @@ def quadratic_term(d: Real, w: Vector, level: Level) -> Real:
 def higher_order(d: Real, w: Vector, q2: Real) -> Series:
     """Return ω∞ and its errors at a level whose Q₂ is `q2`, with the semi-reduced Q₄."""
     t, z, v = line_coordinates(w)
-    omega_inf, error, slope = semi_reduced(d, w)
+    k = d / (2 + d)
+    omega_inf, error, slope = semi_reduced(d, w, k)
     omega_inf = omega_inf + components(w)[0] * (q2 - quadratic_term(d, w, Level.SEMI))
     size = t**2 + (v + d**2) * z**2
     gap = LEVEL_GAP * v / (1 - d) ** 2 * size
     slope = slope + SLOPE * gap * jnp.sqrt(size) * (1 + jnp.abs(z))
-    return omega_inf, error + gap * _quadratic_size(d, t, z, v), slope
+    return omega_inf, error + gap * _quadratic_size(d, k, (t, z, v)), slope
 
 
 def full(w: Vector, q2: Real) -> Series:
@@ -111,11 +111,12 @@ def _slope_error(size: Real, z: Real) -> Real:
     return SLOPE * size**2 * jnp.sqrt(size) * (1 + jnp.abs(z))
 
 
-def _quadratic_size(d: Real, t: Real, z: Real, v: Real) -> Real:
-    """Return the sum of the sizes of the terms of Q₂ at the semi-reduced level."""
+def _quadratic_size(d: Real, k: Real, place: tuple[Real, Real, Real]) -> Real:
+    """Return the sum of the sizes of the terms of Q₂ at the semi-reduced level, at (T, Z, v)."""
+    t, z, v = place
     a = jnp.abs(d)
     along = (1 - d) * (2 * v + a * (1 - d)) * z**2 / 2
-    return a / (2 + d) * ((1 + a) * t**2 + (1 - d) * jnp.abs(t * z) + along)
+    return jnp.abs(k) * ((1 + a) * t**2 + (1 - d) * jnp.abs(t * z) + along)
 
 
 def _solve_tridiagonal(d: Real, b: Real, right_side: list[Real]) -> list[Real]:

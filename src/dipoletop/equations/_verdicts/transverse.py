@@ -23,7 +23,7 @@ Orders 2–4 and the full equation agree with the semi-reduced level up to O(ω�
 also used for them at small amplitude. Tested.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -193,9 +193,42 @@ def first_order(delta: Real, w: Vector) -> Verdict:
     return _decided(residual, stop, kind, stop | residual, series)
 
 
-def semi_reduced(delta: Real, w: Vector) -> Verdict:
-    """Return the semi-reduced verdict: residual (proven for most δ), or stop (tested)."""
+class ShapeNumbers(NamedTuple):
+    """The numbers in semi-reduced verdicts that depend on δ only."""
+
+    quadratic: Real
+    """δ/(2+δ), the factor of Q₂."""
+    bound: Real
+    """c(δ) of the region of residual rotation."""
+    lag: Real
+    """−3δ/(2(1−δ)), of the correction of the region of rotating stops."""
+    edge: tuple[Real, Real, Real, Real]
+    """c₀ … c₃ of the region of wobbling stops."""
+    margin: Real
+    """10/(1−δ), the margin of c₀ per u."""
+
+
+def shape_numbers(d: Real) -> ShapeNumbers:
+    """Return the numbers that depend on δ only."""
+    size = jnp.abs(safe_divisor(d))
+    bound = jnp.where(d < 0, jnp.minimum(1.75 / size**2, 17 / size), 3.3 / size)
+    delta = jnp.where(d > WOBBLING_FROM, d, 0.9)  # any value at which the series is regular
+    y = 1 - delta
+    c0 = (0.725869 + y * (-0.512807147 + y * (-0.243160085 - 0.135716127 * y))) / y
+    c0 = c0 * (1 - 3e-6)
+    c2 = -(1 + delta) / (2 * delta**2 * y * c0)
+    c3 = (4 * c2 + (2 + delta) / y * c0) / (3 * delta * c0)
+    lag = -3 * d / (2 * (1 - d))
+    return ShapeNumbers(d / (2 + d), bound, lag, (c0, -1 / delta, c2, c3), 10 / y)
+
+
+def semi_reduced(delta: Real, w: Vector, numbers: ShapeNumbers | None = None) -> Verdict:
+    """Return the semi-reduced verdict: residual (proven for most δ), or stop (tested).
+
+    `numbers` are the `shape_numbers` of δ, or None.
+    """
     d = delta
+    numbers = shape_numbers(d) if numbers is None else numbers
     w1, w2, w3 = components(w)
     u = w1**2 + w2**2
     finite = jnp.isfinite(u + jnp.abs(w3) + d)
@@ -204,35 +237,34 @@ def semi_reduced(delta: Real, w: Vector) -> Verdict:
     axis = (w1 == 0) & ((w2 == 0) | (w3 == 0) | constant)
     line = (w2 == 0) & (w3 == 0) & (w1 != 0)
 
-    residual = _residual_region(d, w) & (w1**2 >= jnp.finfo(u.dtype).tiny)
+    residual = _residual_region(d, w, numbers.bound) & (w1**2 >= jnp.finfo(u.dtype).tiny)
     proven = (w1**2 <= 10) & (((d >= -1) & (d <= -0.01)) | ((d >= 0.02) & (d <= 0.99)))
 
     q, s = _q_and_s(d, w, u)
     p = u / safe_divisor(u + (1 + d + d**2) * w3**2)
-    a = -3 * d / (2 * (1 - d))
+    a = numbers.lag
     measure = _log_below(q) + p * (1 + a - 2 * a * p) * s / safe_divisor(q)
     precesses = (q > s) & (q > 0) & (measure >= jnp.maximum(0.88, 1.15 - jnp.abs(d)))
     rotating = (d < 0) & (u > 0) & precesses
 
-    stop = (axis | rotating | _wobbling_region(d, w)) & finite
+    stop = (axis | rotating | _wobbling_region(d, w, numbers)) & finite
     residual = (residual | constant | line) & finite
     kind = jnp.where(axis, Stop.AXIS, jnp.where(d < 0, Stop.ROTATING, Stop.WOBBLING))
     certified = (stop & axis) | (residual & ~stop & (proven | constant | line))
-    series = _where_constant(constant | line, w1, residual_series.semi_reduced(d, w))
-    return _decided(residual, stop, kind, certified, _on_axis(axis, d, w, series))
+    series = residual_series.semi_reduced(d, w, numbers.quadratic)
+    series = _on_axis(axis, d, w, _where_constant(constant | line, w1, series))
+    return _decided(residual, stop, kind, certified, series)._replace(size=jnp.abs(w1))
 
 
-def _residual_region(d: Real, w: Vector) -> Flag:
+def _residual_region(d: Real, w: Vector, bound: Real) -> Flag:
     """Return whether D(T²+Z²) + [(1+2δ)T + (2v−δ(1−δ))Z]² + [(1−δ)Z − 2T]² ≤ c(δ)."""
     t, z, v = line_coordinates(w)
-    size = jnp.abs(safe_divisor(d))
-    bound = jnp.where(d < 0, jnp.minimum(1.75 / size**2, 17 / size), 3.3 / size)
     first = (1 + 2 * d) * t + (2 * v - d * (1 - d)) * z
     second = (1 - d) * z - 2 * t
     return (1 - d + 4 * v) * (t**2 + z**2) + first**2 + second**2 <= bound
 
 
-def _wobbling_region(d: Real, w: Vector) -> Flag:
+def _wobbling_region(d: Real, w: Vector, numbers: ShapeNumbers) -> Flag:
     """Return whether ω is inside the stable manifold of the saddle, near the section ω₁ = 0.
 
     The manifold crosses the section at z = ω₃/u = z_W(δ). Its Taylor series in the angle ε from
@@ -242,20 +274,14 @@ def _wobbling_region(d: Real, w: Vector) -> Flag:
     """
     w1, w2, w3 = components(w)
     u = w1**2 + w2**2
-    x = 1 - d
-    delta = jnp.where(d > WOBBLING_FROM, d, 0.9)  # any value at which the series is regular
-    y = 1 - delta
-    c0 = (0.725869 + y * (-0.512807147 + y * (-0.243160085 - 0.135716127 * y))) / y
-    c0 = c0 * (1 - 3e-6)
-    c2 = -(1 + delta) / (2 * delta**2 * y * c0)
-    c3 = (4 * c2 + (2 + delta) / y * c0) / (3 * delta * c0)
+    c0, c1, c2, c3 = numbers.edge
     z = w3 / safe_divisor(u)
     # The angle from the section, by the series of arcsin; by symmetry its sign is relative to z's.
     sine = -w1 * jnp.sign(w2) * jnp.where(z < 0, -1.0, 1.0) / jnp.sqrt(safe_divisor(u))
     s2 = sine**2
     e = sine * (1 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112 + s2 * 35 / 1152))))
-    edge = c0 * (1 - 0.005 - 10 * u / y - 0.3 * e**4) + e * (-1 / delta + e * (c2 + e * c3))
-    small = u <= 10 * x * (d - WOBBLING_FROM)
+    edge = c0 * (1 - 0.005 - numbers.margin * u - 0.3 * e**4) + e * (c1 + e * (c2 + e * c3))
+    small = u <= 10 * (1 - d) * (d - WOBBLING_FROM)
     return (d > WOBBLING_FROM) & (u > 0) & small & (w1**2 <= 0.31 * u) & (jnp.abs(z) <= edge)
 
 
