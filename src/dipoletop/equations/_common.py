@@ -97,7 +97,8 @@ def slow_start(equation: Any, omega0: Vector) -> State:
 
 def is_full(equation: Any) -> bool:
     """Return whether an equation has runaways, so that its physical branch has to be followed."""
-    if inspect.getattr_static(equation, "runaway_rate", None) is None:
+    passes_on = hasattr(type(equation), "__getattr__")  # the members of another equation
+    if not passes_on and inspect.getattr_static(equation, "runaway_rate", None) is None:
         return False
     # Traced, not computed: leaves may be shapes that stand for arrays.
     return eqx.filter_eval_shape(getattr, equation, "runaway_rate", None) is not None
