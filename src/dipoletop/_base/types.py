@@ -141,7 +141,7 @@ class Verdict(NamedTuple):
     slope: Real | float = 0.0
     """Estimated error of the derivatives of `omega_inf` with respect to state and parameters."""
     size: Real | None = None
-    """About |ω∞|, where it costs less than `omega_inf`: every step needs it. None: |ω∞|."""
+    """An approximation of |ω∞| that costs less, for the test after each step; None: |ω∞| itself."""
     equation: type | None = None
     """The class of equation for which the regions are proven. `certified` counts only if exactly
     this class is integrated, without another `__call__` or a torque added from outside."""

@@ -178,14 +178,14 @@ def _is_consistent(equation: Any) -> bool:
 
 
 class Origins(NamedTuple):
-    """The states from which laws may describe N runs, where they may be predicted from."""
+    """The states of N runs from which laws may predict their ends."""
 
     equation: Any
     """A predictable equation, with a trailing axis of N lanes."""
     omegas: Any
     """The angular velocities, shape (3, N)."""
     passed: Int[np.ndarray, "N"]
-    """The steps before that."""
+    """The steps taken before these states."""
     begun: Bool[np.ndarray, "N"]
     """Whether the run has taken steps."""
 
