@@ -10,13 +10,8 @@ import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
 from dipoletop._averaging.forecast import Forecast
 from dipoletop._averaging.untimed_ends import ends_of_many
-from dipoletop._runs.slow_runs import (
-    Origins,
-    SlowMotions,
-    _stops,
-    errors_of_needles,
-    slow_motions,
-)
+from dipoletop._runs.run_lengths import SlowMotions, slow_motions
+from dipoletop._runs.slow_runs import Origins, _stops, errors_of_needles
 
 RESIDUAL, STOP, UNDECIDED = Outcome.RESIDUAL, Outcome.STOP, Outcome.UNDECIDED
 MOMENTS = np.array([1.0, 1.3, 1.8])

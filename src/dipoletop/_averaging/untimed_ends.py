@@ -35,6 +35,7 @@ from .slow_flow import Side
 from .stages import Stage, State, crosses_over, stage_from
 
 CHUNK = 128  # starts computed at once; only one size, since each needs a compilation
+FEW = 8  # the same for needles of known phase: few are predicted, and one may be slow
 
 
 class _Begin(NamedTuple):
@@ -82,13 +83,13 @@ def ends_of_many(
     if (lanes := np.flatnonzero(follow & (begin.delta == 0))).size:
         put_ends(ends, lanes, _followed(in_chunks, jax.tree.map(lambda x: x[lanes], begin)))
     needle = follow & (begin.delta != 0)
-    for by_chance, ends_of in enumerate(_needle_ends):
+    for by_chance, (ends_of, chunk) in enumerate(zip(_needle_ends, (FEW, CHUNK), strict=True)):
         if (lanes := np.flatnonzero(needle & (begin.by_chance == by_chance))).size:
             shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
             chances = jax.tree.map(lambda *x: np.stack(x), *map(_capture, shared))
             some = jax.tree.map(lambda x, n=lanes: x[n], starts)
             some += (jax.tree.map(lambda x, n=places: x[n], chances),)
-            put_ends(ends, lanes, in_chunks(ends_of, some))
+            put_ends(ends, lanes, in_chunks(ends_of, some, chunk))
     return ends
 
 
@@ -131,11 +132,11 @@ def _followed(in_chunks: Any, begin: _Begin) -> Forecast:
     return in_chunks(_slow_ends, (begin, first, second, crosses))
 
 
-def _in_chunks(threads: int, function: Any, arguments: Any) -> Any:
+def _in_chunks(threads: int, function: Any, arguments: Any, chunk: int = CHUNK) -> Any:
     """Apply a vectorised function to chunks of its arguments; the last chunk is padded."""
     size = len(jax.tree.leaves(arguments)[0])
-    count = max(1, -(-size // CHUNK))
-    places = np.resize(np.arange(max(size, 1)), (count, CHUNK))
+    count = max(1, -(-size // chunk))
+    places = np.resize(np.arange(max(size, 1)), (count, chunk))
 
     def part(chosen: Any) -> Any:
         return jax.tree.map(np.asarray, function(*jax.tree.map(lambda x: x[chosen], arguments)))

@@ -31,8 +31,8 @@ from ..bodies import Body
 from ..equations.rigid import SemiReduced
 from .classification import Classification
 from .classify import classify
+from .run_lengths import SlowMotions
 from .simulate import simulate
-from .slow_runs import SlowMotions
 
 RTOL = 1e-8
 HANDOVER = 1e-2

@@ -3,20 +3,12 @@
 A run turns about 1/(τ₀Ω) times before its outcome is certain, so its cost grows without bound as
 the amplitude falls. Where the estimated number of steps exceeds the budget, the engine only tests
 the first state, and averages over free rotation (`_averaging`) predict what it does not decide.
-The length of a run depends on L∞, which the averages give. So a run of a body whose length is not
-clear is begun, and averages are computed when it has taken a part of its budget.
+That number (`run_lengths`) depends on L∞, which the averages give. So a run of a body whose length
+is not clear is begun, and averages are computed when it has taken a part of its budget.
 
 A law holds only while little is radiated in a period. A run that brakes too fast for it at ω₀ is
 predicted from the state that it has reached. That gives its outcome but not ω∞, which depends on
 the phase: the error of the integration until then is not estimated.
-
-The number of steps of a run is estimated from the phase of the precession about the dipole until
-the motion is aligned with it. With the dipole on the axis c of a body (others a, b), angles to it
-fall as exp(−κL∞²|f′|t), f′ = −[J_c(J_a+J_b) − (J_a−J_b)²]/(2J_a²J_b²J_c), and the precession has
-the frequency L∞√|(p_c−p_a)(p_c−p_b)|, p = 1/J. For a needle, J_a = J_c, the frequency is δz, where
-z = ω₃/ω⊥² falls as z′ = −(3/2)δz/(1−δ) per unit of phase: the phase is (2/3)(1−δ)z. Most of the
-phase passes late, so it depends on L∞, which the slow flow gives. The factors were measured on 400
-bodies: for 90 % of the runs the number is right within a factor of three.
 """
 
 from dataclasses import replace
@@ -29,7 +21,6 @@ from typing_extensions import TypeAliasType
 
 from .._averaging.capture import is_random
 from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
-from .._averaging.principal_axes import ROUNDING as ROUNDINGS
 from .._averaging.untimed_ends import ends_of_many, least_errors, put_ends, unknown_ends
 from .._base.refusals import refuse
 from .._base.types import (
@@ -48,15 +39,21 @@ from ..equations._verdicts.transverse import has_boundary_at_rest
 from ..equations.levels import Level
 from ..equations.tangent import Tangent
 from .classification import Classification
+from .run_lengths import (
+    ROUNDING,
+    WINDOWS,
+    SlowMotions,
+    is_across,
+    is_consistent,
+    phase_of_needle,
+    slow_motions,
+    steps_per_radian,
+)
 
 SlowFlow = TypeAliasType("SlowFlow", bool | Literal["auto"])
 """Whether runs are predicted: where their estimated number of steps exceeds the budget ("auto"),
 wherever the first state does not decide (True), or not at all (False)."""
 
-PER_PHASE, PER_NEEDLE = (1.0, 1.2), (1.95, 1.7)
-"""Steps per radian, for the outcome and with ω∞, at rtol = 1e-8: of a body, of a needle."""
-WINDOWS = 0.2  # windows of a run along a physical branch, in units of these steps
-NEAR_AXIS = 1e-4  # approximate sin² of the angle between L and the dipole at which runs end
 LEAST_RATIO = 0.03
 """The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
 found when they have taken many steps. If it were smaller, more runs would be predicted in vain:
@@ -64,117 +61,7 @@ that costs as much as a few of them, and seconds of compilation the first time."
 PATIENCE, PATIENCE_WITH_TOPS = 0.3, 0.1
 """Parts of the budget after which it is estimated anew how long a run of a body or top will be."""
 FEW = 1000  # steps that cost about as much as a prediction
-ROUNDING = ROUNDINGS * float(np.finfo(float).eps)
 MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
-EQUAL = 0.05  # relative difference of moments up to which the formula of needles is also used
-
-
-class SlowMotions(NamedTuple):
-    """N starts of bodies whose slow motion is known."""
-
-    inertia: Float[np.ndarray, "N 3 3"]
-    dipole: Float[np.ndarray, "N 3"]
-    omega: Float[np.ndarray, "N 3"]
-    consistent: bool
-    """Whether the level keeps every term of leading order (`Level.consistent`)."""
-    is_full: bool
-    """Whether the budget counts windows."""
-
-    @property
-    def ascending(self) -> tuple[Float[np.ndarray, "3 N"], Float[np.ndarray, "3 N"]]:
-        """The moments J₁ ≤ J₂ ≤ J₃, and the sizes of the direction cosines of the dipole."""
-        moments, n, _ = _in_principal_axes(self.inertia, self.dipole, self.omega)
-        order = np.argsort(moments, axis=1)
-        moments, n = (np.take_along_axis(values, order, 1).T for values in (moments, n))
-        return moments, np.abs(n)
-
-    @property
-    def has_law(self) -> Bool[np.ndarray, "N"]:
-        """Whether a law is known.
-
-        It is not known for the capture of needles at order 1, which has another limit. Nor is it
-        for moments that differ by rounding only, which would count as equal.
-        """
-        (j1, j2, j3), (along, *_) = self.ascending
-        needle = (
-            (j3 - j2 <= ROUNDING * j3) & (j2 - j1 > ROUNDING * j3) & _is_across(along, j2 - j1, j3)
-        )
-        turned = np.any(self.inertia[:, [0, 0, 1], [1, 2, 2]] != 0, axis=1)
-        rounded = [(gap > 0) & (gap <= ROUNDING * j3) for gap in (j2 - j1, j3 - j2)]
-        return (self.consistent | ~needle) & (turned | ~np.any(rounded, axis=0))
-
-    def steps(
-        self, ratio: Float[np.ndarray, "N"] | float, rtol: float, label_only: bool
-    ) -> Float[np.ndarray, "N"]:
-        """Estimate the number of steps of the runs (module docstring) if L∞/L₀ = ratio."""
-        moments, n, omega = _in_principal_axes(self.inertia, self.dipole, self.omega)
-        c = np.argmax(np.abs(n), axis=1)  # the axis of the dipole
-        (jc, ja, jb), (wc, wa, wb) = (
-            [_of_axis(values, (c + k) % 3) for k in range(3)] for values in (moments, omega)
-        )
-        kappa = np.sum(np.square(self.dipole), axis=1)
-        with np.errstate(all="ignore"):
-            across = (ja * wa) ** 2 + (jb * wb) ** 2
-            square = (jc * wc) ** 2 + across
-            momentum = np.sqrt(square)
-            decay = (jc * (ja + jb) - (ja - jb) ** 2) / (2 * ja**2 * jb**2 * jc)
-            pa, pb = (1 / jc - 1 / j for j in (ja, jb))
-            folds = np.log1p(across / square / NEAR_AXIS)
-            slow = np.sqrt(np.abs(pa * pb)) / (2 * kappa * momentum * ratio * decay) * folds
-            # A stop lasts until L has fallen.
-            gap = np.maximum(np.maximum(np.abs(pa), np.abs(pb)), np.abs(pa - pb))
-            slow = np.where(ratio == 0, gap * jc**3 / (2 * kappa * momentum), slow)
-            needle = np.zeros_like(slow)
-            for j, along, equal, other in ((jb, wb, ja, wa), (ja, wa, jb, wb)):
-                nearly = (np.abs(equal - jc) <= EQUAL * jc) & (j < jc)
-                phase = _phase_of_needle(j, along, kappa * (wc**2 + other**2))
-                needle = np.maximum(needle, np.where(nearly, phase, 0.0))
-            per_phase, per_needle = _steps_per_radian(rtol, label_only)
-            steps = np.maximum(per_phase * slow, per_needle * needle)
-        return WINDOWS * steps if self.is_full else steps
-
-
-def _of_axis(
-    values: Float[np.ndarray, "N 3"], axis: Int[np.ndarray, "N"]
-) -> Float[np.ndarray, "N"]:
-    """Return the components along an axis of each body; fast if it is the same for all."""
-    if np.all(axis == axis[0]):
-        return values[:, axis[0]]
-    return np.take_along_axis(values, axis[:, None], 1)[:, 0]
-
-
-def _phase_of_needle(j: Any, along: Any, across: Any) -> Any:
-    """Return the phase of the precession of a needle before its capture, up to a factor."""
-    return j * np.abs(along) / across
-
-
-def _steps_per_radian(rtol: float, label_only: bool) -> tuple[float, float]:
-    """Return the steps per radian of a body and of a needle."""
-    of_body, of_needle = (x[int(not label_only)] for x in (PER_PHASE, PER_NEEDLE))
-    factor = (1e-8 / rtol) ** 0.125
-    return factor * of_body, factor * of_needle
-
-
-def slow_motions(equation: Any, omegas: Any) -> SlowMotions:
-    """Return the slow motions of N starts, shape (3, N).
-
-    The array fields of `equation` have a trailing axis of N lanes.
-    """
-    size = omegas.shape[1]
-    if type(equation) in RIGID:
-        inertia = np.moveaxis(np.asarray(equation.body.inertia), -1, 0)
-        dipole = np.asarray(equation.body.dipole).T
-    else:
-        delta = np.asarray(equation.delta)
-        inertia = np.eye(3) * np.stack([np.ones(size), np.ones(size), 1 - delta], axis=-1)[:, None]
-        dipole = np.broadcast_to(np.eye(3)[0 if type(equation) in TRANSVERSE else 2], (size, 3))
-    consistent = _is_consistent(equation)
-    return SlowMotions(inertia, dipole, np.asarray(omegas).T, consistent, is_full(equation))
-
-
-def _is_consistent(equation: Any) -> bool:
-    """Return whether the level keeps every term of leading order."""
-    return getattr(equation, "order", None) != 1
 
 
 class Origins(NamedTuple):
@@ -243,12 +130,12 @@ class Origins(NamedTuple):
             return self.begun | (steps > left)
         # The same formula for moments 1, 1 and 1 − δ, where most terms vanish: needles are slow.
         delta, (w1, w2, w3) = np.asarray(equation.delta), np.asarray(self.omegas)
-        if not _is_consistent(equation):  # their law is not known
+        if not is_consistent(equation):  # their law is not known
             return np.zeros(w1.size, bool)
         left = left / WINDOWS if is_full(equation) else left
         with np.errstate(all="ignore"):
-            phase = _phase_of_needle(1 - delta, w3, w1**2 + w2**2)
-        slow = (delta > 0) & (phase > left / _steps_per_radian(rtol, label_only)[1])
+            phase = phase_of_needle(1 - delta, w3, w1**2 + w2**2)
+        slow = (delta > 0) & (phase > left / steps_per_radian(rtol, label_only)[1])
         return slow & self.may_have_law if slow.any() else slow
 
     def predictions(self, threads: int) -> "Predictions":
@@ -279,7 +166,7 @@ class Origins(NamedTuple):
         error = np.where(random, *errors)
         sure = random | ((self.passed > 0) & (error <= LARGEST_ERROR))
         sure &= (
-            _is_consistent(self.equation) & (delta > 0) & ~has_boundary_at_rest(delta, Level.SEMI)
+            is_consistent(self.equation) & (delta > 0) & ~has_boundary_at_rest(delta, Level.SEMI)
         )
         ends, lanes = unknown_ends(error), np.flatnonzero(sure)
         ends.outcome[lanes], ends.regime[lanes] = Outcome.RESIDUAL, Regime.UNFOLDED
@@ -340,7 +227,7 @@ def why_unpredictable(equation: Any) -> str:
 def first_budget(equation: Any, limits: Limits) -> Any:
     """Return the number of steps after which it is estimated anew how long a run will be."""
     part = PATIENCE if type(equation) in RIGID else 1.0
-    if type(equation) in TRANSVERSE and _is_consistent(equation):
+    if type(equation) in TRANSVERSE and is_consistent(equation):
         part = PATIENCE_WITH_TOPS
     steps = int(limits.max_steps)
     return np.asarray(min(steps, max(FEW, int(part * steps))))
@@ -398,8 +285,8 @@ def _stops(ends: Forecast, motions: SlowMotions) -> Any:
     (j1, j2, j3), (n1, _, n3) = motions.ascending
     first, last = (j2 - j1) <= ROUNDING * j3, (j3 - j2) <= ROUNDING * j3
     prolate, oblate = last & ~first, first & ~last
-    across = prolate & _is_across(n1, j2 - j1, j3)
-    across |= oblate & _is_across(n3, j3 - j2, j3)
+    across = prolate & is_across(n1, j2 - j1, j3)
+    across |= oblate & is_across(n3, j3 - j2, j3)
     share = dict(zip(PREDICTED_FATES, ends.probability.T, strict=True))
     of_axes = share[Fate.AXIS_1] + share[Fate.AXIS_2] + share[Fate.AXIS_3]
     about_symmetry = across * np.where(prolate, share[Fate.AXIS_1], share[Fate.AXIS_3])
@@ -410,25 +297,3 @@ def _stops(ends: Forecast, motions: SlowMotions) -> Any:
         Stop.TUMBLING: share[Fate.TUMBLING_LOW] + share[Fate.TUMBLING_HIGH],
     }
     return np.select([chance > CERTAIN for chance in ways.values()], list(ways), Stop.NONE)
-
-
-def _is_across(component: Any, gap: Any, largest: Any) -> Any:
-    """Return whether a direction cosine is 0 to rounding, by the gap of moments about its axis."""
-    return component * gap <= ROUNDING * largest
-
-
-def _in_principal_axes(
-    inertia: Float[np.ndarray, "N 3 3"],
-    dipole: Float[np.ndarray, "N 3"],
-    omega: Float[np.ndarray, "N 3"],
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Return moments, direction of the dipole, and ω in principal axes, in any order."""
-    moments = np.diagonal(inertia, axis1=1, axis2=2)
-    n = dipole / np.linalg.norm(dipole, axis=1, keepdims=True)
-    turned = inertia[:, [0, 0, 1], [1, 2, 2]] != 0
-    if not turned.any():
-        return moments, n, omega
-    sound = np.asarray(np.isfinite(inertia).all(axis=(1, 2)))
-    moments, axes = np.linalg.eigh(np.where(sound[:, None, None], inertia, np.eye(3)))
-    moments = np.where(sound[:, None], moments, np.nan)
-    return moments, *(np.einsum("nij,ni->nj", axes, x) for x in (n, omega))
