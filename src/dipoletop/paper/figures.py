@@ -276,15 +276,12 @@ def spectra() -> Figure:
     real, imaginary = figure.subplots(1, 2, sharex=True)
     widths = {Level.ORDER_1: 1.8, Level.ORDER_2: 4.2, Level.SEMI: 2.2, Level.FULL: 1.6}
     for level, width in widths.items():
-        rates = figure_data.eigenvalues(level, deltas, w)
-        for k, label in enumerate((SHORT[level], None)):
-            line = level_line(level) | {"lw": width, "label": label}
-            real.plot(deltas, np.real(rates[:, k]), **line)
-            imaginary.plot(deltas, np.imag(rates[:, k]), **line)
-    limit = figure_data.small_w(deltas)
-    for k, label in enumerate((r"limit $w \to 0$, all but order 1", None)):
-        real.plot(deltas, np.real(limit[:, k]), color="black", lw=0.6, label=label)
-        imaginary.plot(deltas, np.imag(limit[:, k]), color="black", lw=0.6)
+        rates, line = figure_data.eigenvalues(level, deltas, w), level_line(level) | {"lw": width}
+        real.plot(deltas, np.real(rates), **line, label=[SHORT[level], None])
+        imaginary.plot(deltas, np.imag(rates), **line)
+    limit, line = figure_data.small_w(deltas), {"color": "black", "lw": 0.6}
+    real.plot(deltas, np.real(limit), **line, label=[r"limit $w \to 0$, all but order 1", None])
+    imaginary.plot(deltas, np.imag(limit), **line)
     _mark_thresholds(real, w)
     real.set(xlim=(-1, 1), ylim=(-5, 1.5), ylabel=r"Re $\lambda/w^2$")
     imaginary.set(ylim=(-1.1, 1.1), ylabel=r"Im $\lambda/w^2$")

@@ -64,11 +64,8 @@ def atlas(
         ValueError: an argument that is not an atlas, or another number of axes.
     """
     must = "be an Atlas or a sequence of them"
-    maps = (
-        [atlases]
-        if isinstance(atlases, Atlas)
-        else list(instance("atlases", atlases, Sequence, must))
-    )
+    several = [atlases] if isinstance(atlases, Atlas) else atlases
+    maps = list(instance("atlases", several, Sequence, must))
     for each in maps:
         instance("atlases", each, Atlas, must)
     if not maps:

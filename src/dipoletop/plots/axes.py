@@ -6,7 +6,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from .._base.checks import instance
@@ -92,13 +91,14 @@ def show_cells(
         ax.set_yscale("log")
 
 
-def name_axis(axis: Axis, name: str) -> None:
-    """Label an axis with the symbol of a quantity; put ticks of φ at multiples of π/2."""
+def name_axes(ax: Axes, x: str, y: str) -> None:
+    """Label the axes with the symbols of quantities; put ticks of φ at multiples of π/2."""
 
     def label(value: float, _: Any) -> str:
         return QUARTER_LABELS.get(round(value / QUARTER), rf"${value / np.pi:g}\pi$")
 
-    axis.set_label_text(symbol(name))
-    if name == "phi":
-        axis.set_major_locator(MultipleLocator(QUARTER))
-        axis.set_major_formatter(FuncFormatter(label))
+    for axis, name in ((ax.xaxis, x), (ax.yaxis, y)):
+        axis.set_label_text(symbol(name))
+        if name == "phi":
+            axis.set_major_locator(MultipleLocator(QUARTER))
+            axis.set_major_formatter(FuncFormatter(label))

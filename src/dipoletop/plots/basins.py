@@ -21,7 +21,7 @@ from .._base.refusals import refuse
 from .._base.types import Outcome
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
-from .axes import axes_or_new, name_axis, several_axes, show_cells
+from .axes import axes_or_new, name_axes, several_axes, show_cells
 from .column_shading import CERTIFIED, Shade
 from .map_layout import (
     CLASSES,
@@ -138,14 +138,14 @@ def basin(
     given = None if ax is None else axes_or_new(ax)  # checked before all else
     plane = plane_of(basin, shade, unfold, (x, y))
     ax = given or axes_or_new(None, 5.4)
-    put_legend([ax], _draw_all([ax], [plane], _Look(shade, cmap, image)), given is not None)
+    _draw_all([ax], [plane], _Look(shade, cmap, image), given is not None)
     return ax
 
 
 def _panels(
     basin: Basin,
     over: str,
-    look: "_Look",
+    look: _Look,
     unfold: bool,
     axes: tuple[str | None, str | None],
     ax: Axes | None,
@@ -167,7 +167,7 @@ def _panels(
     drawn, empty = grid.ravel()[: len(values)], grid.ravel()[len(values) :]
     for unused in empty:
         unused.axis("off")
-    put_legend(list(drawn), _draw_all(list(drawn), planes, look))
+    _draw_all(list(drawn), planes, look)
     return drawn
 
 
@@ -219,8 +219,7 @@ def compare(
     outcomes = [plane.columns["outcome"] for plane in planes]
     differs = (outcomes[0] != outcomes[1]) & np.all(np.not_equal(outcomes, MISSING["int8"]), axis=0)
     look = _Look(shade, cmap, image)
-    handles = _draw_all(list(pair), planes, look, {"outcome differs": differs})
-    put_legend(list(pair), handles, axes is not None)
+    _draw_all(list(pair), planes, look, axes is not None, {"outcome differs": differs})
     pair[1].set_ylabel("")
     return pair[0].figure
 
@@ -266,8 +265,7 @@ def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None, **mesh: Any)
     style: dict[str, Any] = {"vmin": 0, "vmax": 1, "cmap": "cividis"}
     picture = ax.pcolormesh(basin.coords[x], basin.coords[y], share, **style | mesh)
     ax.figure.colorbar(picture, ax=ax, label="share of residual rotations")
-    name_axis(ax.xaxis, x)
-    name_axis(ax.yaxis, y)
+    name_axes(ax, x, y)
     averaged = [symbol(basin.dims[k]) for k in others if basin.shape[k] > 1]
     missing = np.mean(outcome == MISSING["int8"])
     said = [f"averaged over {', '.join(averaged)}"] * bool(averaged)
@@ -280,10 +278,11 @@ def shares(basin: Basin, x: str, y: str, *, ax: Axes | None = None, **mesh: Any)
 def _draw_all(
     axes: list[Axes],
     planes: list[Plane],
-    look: "_Look",
+    look: _Look,
+    given: bool = False,
     hatched: Mapping[str, Bool[np.ndarray, "Y X"]] | None = None,
-) -> list[Any]:
-    """Draw maps in the same colours, with common colour bars; return the handles of a legend."""
+) -> None:
+    """Draw maps in the same colours, with common colour bars and a legend, as in `put_legend`."""
     shades, classes = shades_of(planes, look.shade, look.cmap), list(map(classes_of, planes))
     colours = legend_colours(planes, classes, shades)
     handles: list[Any] = [Patch(facecolor=colour, label=label) for label, colour in colours.items()]
@@ -296,25 +295,17 @@ def _draw_all(
         if missing.any():
             marks = {name: cells & ~missing for name, cells in marks.items()}
             marks[NOT_COMPUTED] = missing
-        _draw(ax, plane, coloured(plane, each, shades), look.image)
+        xs, image = _close_circle(plane, coloured(plane, each, shades))
+        show_cells(ax, xs, plane.ys, image, **look.image)
+        name_axes(ax, plane.x, plane.y)
+        ax.set_title(plane.title, fontsize="medium")
         if any(shade.column == "omega_inf" for shade in shades):
             _mark_signs(ax, plane)
         for label, cells in marks.items():
-            xs, closed = _close_circle(plane, cells)
+            closed = _close_circle(plane, cells)[1]
             marked[label] = hatch(ax, xs, plane.ys, closed, label)
     draw_colourbars(shades, axes)
-    return [*handles, *marked.values()]
-
-
-def _draw(
-    ax: Axes, plane: Plane, image: Shaped[np.ndarray, "Y X 4"], given: dict[str, Any]
-) -> None:
-    """Draw the coloured cells, the names of the axes and the title."""
-    xs, image = _close_circle(plane, image)
-    show_cells(ax, xs, plane.ys, image, **given)
-    name_axis(ax.xaxis, plane.x)
-    name_axis(ax.yaxis, plane.y)
-    ax.set_title(plane.title, fontsize="medium")
+    put_legend(axes, [*handles, *marked.values()], given)
 
 
 def _mark_signs(ax: Axes, plane: Plane) -> None:

@@ -58,53 +58,32 @@ def check_shade(shade: str | None, columns: Iterable[str], argument: str = "shad
 
 def shades_by(column: str, values: Values) -> list[Shade]:
     """Return the shading by a column of every outcome that has values."""
-    residual = values[Outcome.RESIDUAL]
-    if column == CERTIFIED:
-        return []
     if column in OF_RUNS:
         return _both(column, values)
-    if column == "probability":
-        return [_probability()] if values[Outcome.UNDECIDED].size else []
-    if not residual.size:
+    outcome = Outcome.UNDECIDED if column == "probability" else Outcome.RESIDUAL
+    numbers, label, unknown = values[outcome], symbol(column), None
+    if column == CERTIFIED or not numbers.size:
         return []
-    if column.startswith(DERIVATIVE_PREFIX):
-        return [_derivative(column, residual)]
-    return [_omega_inf(residual) if column == "omega_inf" else _error(residual)]
-
-
-def _omega_inf(residual: Float[np.ndarray, "n"]) -> Shade:
-    """Shade residual rotation by its signed ω∞, on a scale that is symmetric about 0."""
-    most = float(np.max(np.abs(residual))) or 1.0
-    signs = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
-    unknown = r"residual, $\omega_\infty$ not known"
-    norm, label = Normalize(-most, most), symbol("omega_inf")
-    return Shade(Outcome.RESIDUAL, "omega_inf", SIGNED, norm, label, signs, unknown)
-
-
-def _derivative(column: str, residual: Float[np.ndarray, "n"]) -> Shade:
-    """Shade residual rotation by a derivative of ω∞, linear near 0 and logarithmic beyond."""
-    # The derivative is unbounded next to the boundary.
-    most = float(np.percentile(np.abs(residual), 99.5)) or 1.0
-    norm = SymLogNorm(most / 100, vmin=-most, vmax=most, clip=True)
-    label = symbol(column)
-    signs = {rf"residual, {label} $> 0$": 0.85, rf"residual, {label} $< 0$": 0.15}
-    unknown = "residual, no derivative"
-    return Shade(Outcome.RESIDUAL, column, SIGNED, norm, label, signs, unknown)
-
-
-def _error(residual: Float[np.ndarray, "n"]) -> Shade:
-    """Shade residual rotation by the estimated error of ω∞."""
-    label = symbol("omega_inf_error")
-    legend, unknown = {"residual rotation": 0.6}, "residual, no estimate of the error"
-    norm = _logarithmic(residual)
-    return Shade(Outcome.RESIDUAL, "omega_inf_error", BLUES, norm, label, legend, unknown)
-
-
-def _probability() -> Shade:
-    """Shade starts that chance decides, by the probability of residual rotation."""
-    label, legend = "probability of residual rotation", {"undecided, a matter of chance": 0.6}
-    norm = Normalize(0, 1)
-    return Shade(Outcome.UNDECIDED, "probability", GREENS, norm, label, legend)
+    if column == "probability":
+        label, legend = "probability of residual rotation", {"undecided, a matter of chance": 0.6}
+        colours, norm = GREENS, Normalize(0, 1)
+    elif column == "omega_inf_error":
+        legend, unknown = {"residual rotation": 0.6}, "residual, no estimate of the error"
+        colours, norm = BLUES, _logarithmic(numbers)
+    elif column == "omega_inf":
+        legend = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
+        most, unknown = (
+            float(np.max(np.abs(numbers))) or 1.0,
+            r"residual, $\omega_\infty$ not known",
+        )
+        colours, norm = SIGNED, Normalize(-most, most)
+    else:
+        legend = {rf"residual, {label} $> 0$": 0.85, rf"residual, {label} $< 0$": 0.15}
+        unknown = "residual, no derivative"
+        # Next to the boundary derivatives have no bound: linear near 0, logarithmic beyond.
+        most = float(np.percentile(np.abs(numbers), 99.5)) or 1.0
+        colours, norm = SIGNED, SymLogNorm(most / 100, vmin=-most, vmax=most, clip=True)
+    return [Shade(outcome, column, colours, norm, label, legend, unknown)]
 
 
 def _both(column: str, values: Values) -> list[Shade]:

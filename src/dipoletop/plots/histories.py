@@ -58,7 +58,8 @@ def curves_of(predictions: Prediction, times: Float[np.ndarray, "T"] | None) -> 
     moments = np.linalg.eigvalsh(inertia / np.trace(inertia)) * np.trace(inertia)
     if times is None:
         times = times_for(predictions)
-    histories = [_one(predictions, k).history(jnp.asarray(times)) for k in range(len(given))]
+    ones = (jax.tree.map(lambda leaf, k=k: leaf[k], predictions) for k in range(len(given)))
+    histories = [one.history(jnp.asarray(times)) for one in ones]
     energy, momentum, shape = (
         np.stack([np.asarray(getattr(history, name)) for history in histories])
         for name in ("energy", "momentum", "shape")
@@ -78,31 +79,22 @@ def curves_of(predictions: Prediction, times: Float[np.ndarray, "T"] | None) -> 
     )
 
 
-def _one(predictions: Prediction, k: int) -> Prediction:
-    return jax.tree.map(lambda leaf: leaf[k], predictions)
-
-
 def times_for(predictions: Prediction) -> Float[np.ndarray, "T"]:
     """Return times from long before the first change to long after the last one."""
     half_times, lifetimes = np.asarray(predictions.half_time), np.asarray(predictions.lifetime)
     known = half_times[np.isfinite(half_times) & (half_times > 0)]
     if not known.size:
-        # For a rotation that never changes, or is captured first, use the time scale of braking.
-        scale = _scale(predictions)
-        known = np.array([scale])
+        # For a rotation that never changes, or is captured first, use the time scale of braking,
+        # I/(κΩ²), with the trace of the inertia tensor for I.
+        given = np.asarray(predictions.variables)[0]
+        dipole, omega = given[9:12], given[12:]
+        kappa = predictions.strength * (dipole @ dipole)
+        known = np.array([np.trace(given[:9].reshape(3, 3)) / kappa / (omega @ omega)])
     first, last = BEFORE * np.min(known), AFTER * np.max(known)
     decays = lifetimes[np.isfinite(lifetimes) & (lifetimes > 0)]
     if decays.size:
         last = max(last, AFTER * np.max(decays))
     return np.geomspace(first, min(last, WIDEST * first), POINTS)
-
-
-def _scale(predictions: Prediction) -> float:
-    """Return I/(κΩ²), the time scale of braking, with the trace of the inertia tensor for I."""
-    given = np.asarray(predictions.variables)[0]
-    dipole, omega = given[9:12], given[12:]
-    kappa = predictions.strength * (dipole @ dipole)
-    return float(np.trace(given[:9].reshape(3, 3)) / kappa / (omega @ omega))
 
 
 def history(
@@ -247,15 +239,12 @@ def _mark_axes(ax: Axes, curves: Curves) -> None:
     twin.set_yticks(list(names), list(names.values()))
     twin.minorticks_off()
     # Each name is at its line; those of neighbouring lines are moved apart.
-    beside = gaps < 0.12 * span if len(names) == 3 else np.zeros(2, bool)
+    below, above = gaps < 0.12 * span if len(names) == 3 else (False, False)
+    places = {"about $J_3$": "top" if below else "center"}
+    places["about $J_1$"] = "bottom" if above else "center"
+    places["separatrix"] = "top" if above else "bottom" if below else "center"
     for label in twin.get_yticklabels():
-        name = label.get_text()
-        if name == "separatrix" and beside.any():
-            label.set(va="top" if beside[1] else "bottom")
-        elif (name, True) in (("about $J_3$", beside[0]), ("about $J_1$", beside[1])):
-            label.set(va="top" if name == "about $J_3$" else "bottom")
-        else:
-            label.set(va="center")
+        label.set(va=places.get(label.get_text(), "center"))
 
 
 def _title(predictions: Prediction) -> str:

@@ -22,6 +22,8 @@ from .trajectories import trajectory
 
 MOST = 2**20  # starts of a basin that is drawn without being asked for
 DPI = 60
+DRAWN = {Trajectory: trajectory, Prediction: history, Atlas: atlas, Balance: balance}
+"""The pictures of results other than basins."""
 
 
 def html_of(result: Any) -> str:
@@ -43,20 +45,12 @@ def html_of(result: Any) -> str:
 
 def _drawn(result: Any) -> Any:
     """Return a figure or its axes; None for a result that is too large to be drawn unasked."""
-    match result:
-        case Basin():
-            if math.prod(result.shape) > MOST:
-                return None
-            if not result.coords:
-                return starts(result)
-            if sum(n > 1 for n in result.shape) == 1:
-                return line(result)
-            return basin(result)
-        case Trajectory():
-            return trajectory(result)
-        case Prediction():
-            return history(result)
-        case Atlas():
-            return atlas(result)
-        case Balance():
-            return balance(result)
+    if not isinstance(result, Basin):
+        return next(draw(result) for kind, draw in DRAWN.items() if isinstance(result, kind))
+    if math.prod(result.shape) > MOST:
+        return None
+    if not result.coords:
+        return starts(result)
+    if sum(n > 1 for n in result.shape) == 1:
+        return line(result)
+    return basin(result)

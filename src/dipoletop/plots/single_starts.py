@@ -14,7 +14,7 @@ from .._base.checks import instance
 from .._base.refusals import refuse
 from .._maps.basin import Basin
 from .._maps.columns import START, is_result
-from .axes import axes_or_new, name_axis, spacing
+from .axes import axes_or_new, name_axes, spacing
 from .basins import draw_colourbars, put_legend
 from .column_shading import CERTIFIED, check_shade, scale_of
 from .map_layout import (
@@ -27,7 +27,6 @@ from .map_layout import (
     shades_of,
     title_of,
 )
-from .style import symbol
 
 
 def line(
@@ -83,8 +82,7 @@ def line(
         ax.set_yscale("log")
     if spacing(np.sort(xs)) == "log":
         ax.set_xscale("log")
-    name_axis(ax.xaxis, x)
-    ax.set_ylabel(symbol(column))
+    name_axes(ax, x, column)
     ax.set_title(title_of(basin), fontsize="medium")
     put_legend([ax], handles, is_given)
     return ax
@@ -144,8 +142,7 @@ def starts(
     if shade == CERTIFIED:
         ring: Any = {"mfc": "none", "mec": "0.3", "ls": ""}
         handles.append(Line2D([], [], marker="o", label="not certified", **ring))
-    name_axis(ax.xaxis, x)
-    name_axis(ax.yaxis, y)
+    name_axes(ax, x, y)
     ax.set_title(title_of(basin), fontsize="medium")
     put_legend([ax], handles, is_given)
     draw_colourbars(shades, [ax])
