@@ -160,18 +160,11 @@ def test_critical_shapes():
     assert critical_delta(prolate=False) == pytest.approx(-0.85980, abs=5e-6)
 
 
-@pytest.mark.parametrize(
-    ("delta", "edge"),
-    [
-        (0.76, "2.4455"),
-        (0.80, "3.0625"),
-        (0.85, "4.2868"),
-        (0.90, "6.7202"),
-        (0.95, "13.992"),
-        (0.97, "23.675"),
-        (0.99, "72.072"),
-    ],
-)
+EDGES = {0.76: "2.4455", 0.80: "3.0625", 0.85: "4.2868", 0.90: "6.7202"}
+EDGES |= {0.95: "13.992", 0.97: "23.675", 0.99: "72.072"}
+
+
+@pytest.mark.parametrize(("delta", "edge"), EDGES.items())
 def test_edge_of_the_wobbling_basin(delta, edge):
     last_place = 10.0 ** -len(edge.split(".")[1])
     found = wobble(delta)

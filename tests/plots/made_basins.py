@@ -39,6 +39,21 @@ def every_class():
     return made(outcome, value, np.tile([Stop.NONE, *stops], (3, 1)))
 
 
+def sample(outcome, omega_inf):
+    """A basin over single starts, four at most."""
+    starts = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, -0.1, 0.1], [0.0, 0.0, -0.3]])
+    n = len(outcome)
+    columns = {
+        "outcome": np.array(outcome, np.int8),
+        "omega_inf": np.array(omega_inf),
+        "stop": np.zeros(n, np.int8),
+        "certified": np.array([True, False, True, True])[:n],
+        "omega0": starts[:n],
+        "gamma": np.arange(n) / 10,
+    }
+    return dt.Basin(("sample",), (n,), {}, columns, {"level": "semi-reduced"})
+
+
 def pixels(ax):
     return np.asarray(ax.images[0].get_array())
 

@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from made_basins import F, R, S, U, byte, every_class, legend, made, pixels
+from made_basins import F, R, S, U, byte, every_class, legend, made, pixels, sample
 from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.colors import to_rgba
 
@@ -69,15 +69,21 @@ def _colourbars(ax):
     return [bar.mappable for x in ax.figure.axes if (bar := getattr(x, "_colorbar", None))]
 
 
-def test_steps_have_whole_numbers_beside_their_colours():
-    found = made(np.full((2, 2), S), steps=np.array([[6, 13], [25, 60]]))
+def test_steps_shade_both_outcomes_beside_whole_numbers():
+    found = made([[R, S, S], [R, S, U]], steps=np.int32([[6, 13, 50], [10, 25, 60]]))
     ax = plots.basin(found, shade="steps")
+    light = pixels(ax)[..., :3].astype(int).sum(-1)
+    assert light[0, 1] > light[0, 2]
+    assert light[0, 0] > light[1, 0]
+    bars = ax.figure.axes[1:]
+    labels = {f"steps of runs that end with {end}" for end in ("residual rotation", "stop")}
+    assert {bar.get_ylabel() for bar in bars} == labels
     ax.figure.canvas.draw()
-    axis = ax.figure.axes[-1].yaxis
-    ticks = [*axis.get_ticklabels(), *axis.get_ticklabels(minor=True)]
-    texts = {tick.get_text() for tick in ticks if tick.get_text()}
-    assert "20" in texts
-    assert all(text.isdecimal() for text in texts)
+    for axis in (bar.yaxis for bar in bars):
+        ticks = [*axis.get_ticklabels(), *axis.get_ticklabels(minor=True)]
+        texts = {tick.get_text() for tick in ticks if tick.get_text()}
+        assert "20" in texts
+        assert all(text.isdecimal() for text in texts)
 
 
 # Colours and legends
@@ -95,12 +101,9 @@ def test_every_class_has_its_colour_and_its_legend_entry():
     assert ax.figure.axes == [ax]  # no colourbar
 
 
-def test_only_what_occurs_is_in_the_legend():
+def test_only_what_occurs_is_in_the_legend_and_what_is_too_rare_to_see_is_counted():
     found = made([[R, R, S], [R, S, S]], stop=Stop.ROTATING)
     assert legend(plots.basin(found, shade=None)) == ["residual rotation", "stop, rotating"]
-
-
-def test_a_class_too_rare_to_see_is_counted():
     outcome = np.full((50, 50), R)
     outcome[7, 7] = U
     assert legend(plots.basin(made(outcome), shade=None))[1] == "undecided (1 start)"
@@ -156,31 +159,13 @@ def test_time_shades_both_outcomes_darker_the_later():
     assert np.all(image[1, 1:, 2] < image[1, 1:, 0])  # olive: stop
     np.testing.assert_array_equal(image[2, 0], byte(CLASSES[U, Stop.NONE][1]))
     assert legend(ax) == ["residual rotation", "stop", "undecided"]
-    assert {a.get_ylabel() for a in ax.figure.axes[1:]} == {
-        r"$\tau$ when residual rotation is certain",
-        r"$\tau$ when stop is certain",
-    }
-
-
-def test_every_colour_bar_has_its_numbers():
-    time = np.array([[1.0, 1e1, 1e2], [1.0, 1e1, 1e2]])
-    ax = plots.basin(made([[R] * 3, [S] * 3], time=time), shade="time")
+    bars = ax.figure.axes[1:]
+    labels = {rf"$\tau$ when {end} is certain" for end in ("residual rotation", "stop")}
+    assert {bar.get_ylabel() for bar in bars} == labels
     ax.figure.canvas.draw()
-    for bar in ax.figure.axes[1:]:
+    for bar in bars:
         assert any(label.get_visible() and label.get_text() for label in bar.get_yticklabels())
         assert bar.yaxis.get_tick_params()["labelright"]
-
-
-def test_steps_shade_both_outcomes():
-    found = made([[R, S, S], [R, S, U]], steps=np.int32([[5, 50, 500], [7, 70, 700]]))
-    ax = plots.basin(found, shade="steps")
-    light = pixels(ax)[..., :3].astype(int).sum(-1)
-    assert light[0, 1] > light[0, 2]
-    assert light[0, 0] > light[1, 0]
-    assert {a.get_ylabel() for a in ax.figure.axes[1:]} == {
-        "steps of runs that end with residual rotation",
-        "steps of runs that end with stop",
-    }
 
 
 def test_derivatives_shade_residual_rotation_by_their_sign():
@@ -211,11 +196,20 @@ def test_what_is_not_certified_is_hatched():
     found = made(np.full((9, 12), R), certified=certified)
     ax = plots.basin(found, shade="certified")
     assert legend(ax) == ["residual rotation", "not certified"]
+    assert_hatched(ax, found, ~certified)
+
+
+def assert_hatched(ax, found, expected):
+    """White and black lines hatch exactly the expected starts."""
     marks = [c for c in ax.collections if isinstance(c, PathCollection)]
+    assert {c.get_hatch() for c in marks} == {"///"}
+    colours = {tuple(c.get_edgecolor()[0]) for c in marks}
+    assert colours == {to_rgba("white"), to_rgba("black")}
     ys, xs = np.meshgrid(*found.coords.values(), indexing="ij")
     points = np.stack([xs.ravel(), ys.ravel()], 1)
-    inside = np.any([p.contains_points(points) for p in marks[0].get_paths()], axis=0)
-    np.testing.assert_array_equal(inside, ~certified.ravel())
+    for mark in marks:
+        inside = np.any([p.contains_points(points) for p in mark.get_paths()], axis=0)
+        np.testing.assert_array_equal(inside, expected.ravel())
 
 
 def test_chance_is_shaded_by_probability():
@@ -313,21 +307,23 @@ def test_drawing_on_given_axes_makes_no_other_figure():
     assert plots.compare(every_class(), every_class(), axes=axes[1:]) is figure
     assert plt.get_fignums() == [figure.number]
     assert axes[0].images[0].get_rasterized()
-
-
-def sample_basin():
-    columns = {"outcome": np.ones(5, np.int8)}
-    return dt.Basin(("sample",), (5,), {}, columns, {"level": "semi-reduced"})
+    assert not figure.legends
+    assert all(ax.get_legend() is not None for ax in axes)  # a legend of its own
 
 
 @pytest.mark.parametrize(
     ("found", "options", "message"),
     [
-        (sample_basin(), {}, "`basin` must be over a grid .*, but is over single starts"),
+        (sample([R], [0.1]), {}, "`basin` must be over a grid .*, but is over single starts"),
         (
             made(np.full((3, 1), R)),
             {},
             r"`basin` must have exactly two axes .* has w_perp \(3\), delta \(1\)",
+        ),
+        (
+            three_axes(),
+            {},
+            r"`plots.line` draws a single axis\), but has delta \(3\), w3 \(4\), w1 \(5\)",
         ),
         (
             made(np.full((2, 2), R), axes={"way": np.eye(3)[:2], "delta": [0.1, 0.2]}),
@@ -348,17 +344,6 @@ def test_refusals(found, options, message):
     assert plt.get_fignums() == []
 
 
-def test_three_long_axes_are_refused_by_name():
-    grid = dt.Grid(delta=[0.1, 0.2], w3=[0.0, 0.1, 0.2], phi=[0.0, 1.0])
-    columns = {"outcome": np.ones(12, np.int8)}
-    found = dt.Basin(grid.dims, grid.shape, grid.coords, columns, {"level": "x"})
-    with pytest.raises(
-        ValueError,
-        match=r"`plots.line` draws a single axis\), but has delta \(2\), w3 \(3\), phi \(2\)",
-    ):
-        plots.basin(found)
-
-
 # Comparison
 
 
@@ -373,17 +358,9 @@ def test_compare_hatches_exactly_the_starts_that_differ():
     assert bar.get_ylim() == (-0.3, 0.3)  # one scale for both
     np.testing.assert_allclose(pixels(left)[0, 0], SIGNED(0.5 + 0.1 / 0.6, bytes=True), atol=2)
     np.testing.assert_array_equal(pixels(right)[0, 0], SIGNED(0.0, bytes=True))
-    ys, xs = np.meshgrid(*one.coords.values(), indexing="ij")
     for ax in (left, right):
         assert "differs for 12 % of the starts" in ax.get_title()
-        marks = [c for c in ax.collections if isinstance(c, PathCollection)]
-        assert {c.get_hatch() for c in marks} == {"///"}
-        colours = {tuple(c.get_edgecolor()[0]) for c in marks}
-        assert colours == {to_rgba("white"), to_rgba("black")}
-        for mark in marks:
-            points = np.stack([xs.ravel(), ys.ravel()], 1)
-            inside = np.any([p.contains_points(points) for p in mark.get_paths()], axis=0)
-            np.testing.assert_array_equal(inside, (first != second).ravel())
+        assert_hatched(ax, one, first != second)
     assert legend(left)[-2:] == ["undecided", "outcome differs"]  # one legend for both
 
 
@@ -392,13 +369,6 @@ def test_a_class_that_is_rare_in_one_of_two_maps_is_named_once():
     rare[0, 0] = U
     figure = plots.compare(made(rare), made(np.full((40, 40), U)), shade=None)
     assert legend(figure.axes[0]) == ["stop", "undecided", "outcome differs"]
-
-
-def test_given_axes_have_their_own_legend():
-    axes = plt.subplots(1, 2)[1]
-    figure = plots.compare(made(np.full((4, 4), R)), made(np.full((4, 4), S)), axes=axes)
-    assert not figure.legends
-    assert all(ax.get_legend() is not None for ax in axes)
 
 
 @pytest.mark.parametrize(("other", "share"), [(R, "0 %"), (S, "100 %")])
@@ -419,19 +389,15 @@ def test_compare_takes_axes_and_another_shade():
     assert pixels(left).shape == (3, 2, 4)
 
 
-def test_compare_may_leave_a_symmetry_cell_as_it_is():
-    cell = dt.symmetry_cell(4, 2)
-    one, two = (made(np.full((2, 4), R), 0.1, axes=cell.coords) for _ in range(2))
-    assert pixels(plots.compare(one, two).axes[0]).shape == (3, 9, 4)
-    assert pixels(plots.compare(one, two, unfold=False).axes[0]).shape == (2, 4, 4)
-
-
-def test_compare_counts_the_starts_of_the_cell_once():
+def test_compare_counts_the_starts_of_a_symmetry_cell_once_and_may_leave_it_as_it_is():
     cell = dt.symmetry_cell(4, 2)
     first, second = np.full((2, 4), R), np.full((2, 4), R)
     second[0, 1] = S  # at ω₃ = 0, which unfolding does not double
-    figure = plots.compare(made(first, 0.1, axes=cell.coords), made(second, axes=cell.coords))
-    assert "differs for 12.5 % of the starts" in figure.axes[0].get_title()
+    one, two = made(first, 0.1, axes=cell.coords), made(second, axes=cell.coords)
+    ax = plots.compare(one, two).axes[0]
+    assert "differs for 12.5 % of the starts" in ax.get_title()
+    assert pixels(ax).shape == (3, 9, 4)
+    assert pixels(plots.compare(one, two, unfold=False).axes[0]).shape == (2, 4, 4)
 
 
 @pytest.mark.parametrize(

@@ -52,18 +52,13 @@ def test_a_diagram_shows_fractions_and_growth(shapes, monkeypatch):
     np.testing.assert_allclose(falling, -(1 + 2 * d) / (1 - d), rtol=1e-9, atol=1e-9)
 
 
-def with_outcomes(shapes, outcome):
-    """The continuation at the semi-reduced level, with other outcomes."""
-    basin = shapes.basins[1]
-    columns = {**basin.columns, "outcome": outcome.ravel()}
-    return Continuation("delta", (Level.SEMI,), (dataclasses.replace(basin, columns=columns),))
-
-
 def test_a_curve_ends_where_too_little_is_decided(shapes, monkeypatch):
     monkeypatch.setattr(PICTURES, "thresholds", lambda continuation: [])
-    outcome = shapes.basins[1].outcome.copy()
+    basin = shapes.basins[1]
+    outcome = basin.outcome.copy()
     outcome[-1, 0, : N // 2] = Outcome.UNDECIDED
-    half = with_outcomes(shapes, outcome)
+    basin = dataclasses.replace(basin, columns={**basin.columns, "outcome": outcome.ravel()})
+    half = Continuation("delta", (Level.SEMI,), (basin,))
     _, ax = plt.subplots()
     assert plots.continuation(half, ax=ax) is ax
     assert np.flatnonzero(np.isnan(ax.lines[0].get_ydata())).tolist() == [len(DELTAS) - 1]

@@ -22,7 +22,7 @@ def prediction(*outcomes, strength=2.0):
     probability = np.zeros((n, 8))
     probability[:, 0], probability[:, 4] = residual, 1 - residual
     numbers = {name: jnp.ones(n) for name in ("omega_inf", "half_time", "radiated_energy", "error")}
-    made = Prediction(
+    return Prediction(
         outcome=jnp.array(outcomes),
         probability=jnp.array(probability),
         ratio=jnp.array(residual / 4),
@@ -33,7 +33,6 @@ def prediction(*outcomes, strength=2.0):
         strength=strength,
         **numbers,
     )
-    return made
 
 
 @pytest.fixture

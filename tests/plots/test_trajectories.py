@@ -71,12 +71,6 @@ def test_a_level_without_a_verdict_has_no_asymptote(averaged):
     assert legend(ax) == [r"$|\omega|$", r"$\omega_1$", r"$\omega_2$", r"$\omega_3$"]
 
 
-def test_a_batch_of_trajectories_is_refused(averaged):
-    batch = replace(averaged, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
-    with pytest.raises(ValueError, match="must describe one top, but has times of shape"):
-        plots.trajectory(batch)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("dense", [False, True])
 def test_sparse_times_make_smooth_curves(dense):
@@ -113,13 +107,11 @@ def test_several_runs_have_their_labels_and_dashes():
     assert "Reduced, order 1 (the paper's); Semi-reduced" in ax.get_title()
 
 
-@pytest.mark.parametrize(
-    ("runs", "options", "message"),
-    [
-        ({}, {}, "`trajectory` must hold from 1 to 4 runs, but holds 0"),
-        (None, {"curves": ["w4"]}, "`curves` must be among size, w1, w2, w3"),
-    ],
-)
-def test_refusals(averaged, runs, options, message):
-    with pytest.raises(ValueError, match=message):
-        plots.trajectory(averaged if runs is None else runs, **options)
+def test_refusals(averaged):
+    batch = replace(averaged, ts=jnp.zeros((4, 3)), ys=jnp.zeros((4, 3, 3)))
+    with pytest.raises(ValueError, match="must describe one top, but has times of shape"):
+        plots.trajectory(batch)
+    with pytest.raises(ValueError, match="`trajectory` must hold from 1 to 4 runs, but holds 0"):
+        plots.trajectory({})
+    with pytest.raises(ValueError, match="`curves` must be among size, w1, w2, w3"):
+        plots.trajectory(averaged, curves=["w4"])

@@ -211,7 +211,7 @@ def rotator_plane() -> Figure:
     ax = figure.subplots()
     w, top = np.linspace(-2, 2, 401), 2.5
     physical, other = np.asarray(critical_manifold(w)), np.asarray(separatrix(w))
-    _draw_domains(ax, w, (np.minimum(physical, other), np.maximum(physical, other)), top)
+    _draw_domains(ax, w, np.minimum(physical, other), np.maximum(physical, other), top)
     _draw_runaways(ax, 2.0, top)
     ax.plot(w, physical, color="black", lw=2, label="AOC, the physical motions")
     ax.plot(w, other, color="black", lw=1, label="BOD, the motions from rest")
@@ -236,11 +236,8 @@ def _name_points(ax: Axes, w: np.ndarray, curves: dict[str, np.ndarray], top: fl
         text.set_bbox({"fc": "white", "ec": "none", "pad": 0.6, "alpha": 0.8})
 
 
-def _draw_domains(
-    ax: Axes, w: np.ndarray, edges: tuple[np.ndarray, np.ndarray], top: float
-) -> None:
+def _draw_domains(ax: Axes, w: np.ndarray, low: np.ndarray, high: np.ndarray, top: float) -> None:
     """Draw the four domains of runaways, with the limits of ω in the past and in the future."""
-    low, high = edges
     right = w >= 0
     areas = {
         (0.0, 1.9): (w, high, np.full_like(w, top), "#e3eef6"),
