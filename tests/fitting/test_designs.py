@@ -1,27 +1,22 @@
 """Designs against closed forms."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from dipoletop.equations._common import OfOmega
 from dipoletop.fitting import Design, DesignEnd, design
 
 
-class Decay(eqx.Module):
+class Decay(OfOmega):
     """ω₁′ = −a ω₁ω₂², ω₂′ = −ω₂: ω₁ → ω₁ exp(−aω₂²/2); where ω₃ ≤ 0 it is called a stop."""
 
     a: jax.Array
 
     def __call__(self, t, y, args=None):
         return jnp.stack([-self.a * y[0] * y[1] ** 2, -y[1], 0 * y[2]])
-
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
 
     def verdict(self, y):
         outcome = jnp.where(y[2] <= 0, 2, jnp.where(jnp.abs(y[1]) < 0.1, 1, 0))

@@ -210,10 +210,8 @@ def _states_at(
 ) -> Float[np.ndarray, "T 2 3"]:
     """Return ω of two starts at several times; each start and time is a lane of its own."""
     omegas = jnp.asarray(np.tile(pair, (len(ts), 1)).T)
-    arrays, rest = eqx.partition(physical(equation), eqx.is_array)
-    count = omegas.shape[1]
-    arrays = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count)), arrays)
-    block = eqx.combine(arrays, rest)
+    in_lanes = eqx.filter_vmap(lambda _: physical(equation), out_axes=eqx.if_array(-1))
+    block = in_lanes(omegas[0])
     y0 = lifted(block, omegas)
     rtol = tolerance("rtol", settings["rtol"])
     steps = jnp.asarray(budget("max_steps", settings.get("max_steps", MAX_STEPS)))
