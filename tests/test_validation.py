@@ -13,20 +13,12 @@ from dipoletop.validation import Check
 QUICK = ("float64", "sphere", "closed_forms", "energy_balance")
 
 
-@pytest.fixture(scope="module")
-def checks():
+def test_quick_checks_pass_and_their_names_fit_the_table(monkeypatch):
     """Those that compile little; `.ci/run` runs them all."""
-    with pytest.MonkeyPatch.context() as patch:
-        chosen = [check for check in validation.CHECKS if check.__name__ in QUICK]
-        patch.setattr(validation, "CHECKS", chosen)
-        return list(validation.run())
-
-
-def test_quick_checks_pass(checks):
+    chosen = [check for check in validation.CHECKS if check.__name__ in QUICK]
+    monkeypatch.setattr(validation, "CHECKS", chosen)
+    checks = list(validation.run())
     assert [check.name for check in checks if not check.passed] == []
-
-
-def test_no_check_is_missing_and_names_fit_the_table(checks):
     names = [check.name for check in checks]
     assert len(set(names)) == len(names) >= len(QUICK)
     assert max(len(name) for name in names) <= 46

@@ -12,6 +12,8 @@ from dipoletop import Stop, plots
 from dipoletop.plots.column_shading import SIGNED, UNKNOWN
 from dipoletop.plots.map_layout import CHANCE, CLASSES
 
+COLOURS = np.array([byte(colour) for _, colour in CLASSES.values()])
+
 
 def test_both_senses_of_rotation_are_lettered():
     """In a grey copy, too; nothing is written where there is one sense only, or no wide region."""
@@ -267,24 +269,22 @@ def test_time_needs_no_positive_time():
 def test_orientation_and_extent():
     found = made([[R, S, U], [F, R, R]], axes={"w_perp": [0.1, 0.3], "delta": [-0.2, 0.0, 0.2]})
     labels = np.array([[0, 5, 6], [7, 0, 0]])
-    colours = np.array([byte(colour) for _, colour in CLASSES.values()])
     ax = plots.basin(found, shade=None)
-    np.testing.assert_array_equal(pixels(ax), colours[labels])
+    np.testing.assert_array_equal(pixels(ax), COLOURS[labels])
     assert ax.images[0].origin == "lower"
     np.testing.assert_allclose(ax.images[0].get_extent(), [-0.3, 0.3, 0.0, 0.4], atol=1e-15)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$\delta$", r"$\omega_\perp$")
     turned = plots.basin(found, shade=None, x="w_perp")
-    np.testing.assert_array_equal(pixels(turned), colours[labels.T])
+    np.testing.assert_array_equal(pixels(turned), COLOURS[labels.T])
     assert (turned.get_xlabel(), turned.get_ylabel()) == (r"$\omega_\perp$", r"$\delta$")
     same = plots.basin(found, shade=None, y="delta")
-    np.testing.assert_array_equal(pixels(same), colours[labels.T])
+    np.testing.assert_array_equal(pixels(same), COLOURS[labels.T])
 
 
 def test_phi_is_horizontal_whatever_its_place_and_a_falling_axis_is_turned():
     axes = {"phi": [0.0, 1.0, 2.0], "mass": [2.0, 1.0]}
     ax = plots.basin(made([[R, S], [U, S], [F, R]], axes=axes), shade=None)
-    colours = np.array([byte(colour) for _, colour in CLASSES.values()])
-    np.testing.assert_array_equal(pixels(ax), colours[np.array([[5, 5, 0], [0, 6, 7]])])
+    np.testing.assert_array_equal(pixels(ax), COLOURS[np.array([[5, 5, 0], [0, 6, 7]])])
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$\varphi$", "mass")
 
 
