@@ -75,10 +75,8 @@ class Lines(NamedTuple):
         return jnp.where(shines, 1 - share, 0.0)
 
     def __repr__(self) -> str:
-        names = ("frequency", "power")
         if not concrete(*self) or np.ndim(self.total) > 0:
-            texts = [f"{name}: {np.shape(getattr(self, name))}" for name in names]
-            return f"Lines({', '.join(texts)})"
+            return f"Lines(frequency: {np.shape(self.frequency)}, power: {np.shape(self.power)})"
         strongest = np.argsort(-np.asarray(self.power), stable=True)[:STRONGEST]
         shown = [
             f"{power:.4g} at {frequency:.6g}"

@@ -225,9 +225,8 @@ def _newton_step(rays: _Rays, d: Directions, r: Lengths) -> tuple[Directions, Le
     step = _step_in_plane(*_derivatives(rays, d, r, plane))
     trials = d[:, None] + FRACTIONS[:, None] * np.einsum("kf,kfm->km", step, plane)[:, None]
     trials /= np.linalg.norm(trials, axis=2, keepdims=True)
-    shape = trials.shape[:2]
     distances = rays.distances(trials.reshape(-1, d.shape[1]), np.repeat(r, len(FRACTIONS)))
-    distances = distances.reshape(shape)
+    distances = distances.reshape(trials.shape[:2])
     best, rows = np.argmin(distances, axis=1), np.arange(len(d))
     nearer = distances[rows, best] < r
     angles = np.where(nearer, FRACTIONS[best] * np.linalg.norm(step, axis=1), 0.0)
