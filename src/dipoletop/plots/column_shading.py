@@ -72,10 +72,8 @@ def shades_by(column: str, values: Values) -> list[Shade]:
         colours, norm = BLUES, _logarithmic(numbers)
     elif column == "omega_inf":
         legend = {r"residual, $\omega_\infty > 0$": 0.85, r"residual, $\omega_\infty < 0$": 0.15}
-        most, unknown = (
-            float(np.max(np.abs(numbers))) or 1.0,
-            r"residual, $\omega_\infty$ not known",
-        )
+        unknown = r"residual, $\omega_\infty$ not known"
+        most = float(np.max(np.abs(numbers))) or 1.0
         colours, norm = SIGNED, Normalize(-most, most)
     else:
         legend = {rf"residual, {label} $> 0$": 0.85, rf"residual, {label} $< 0$": 0.15}
