@@ -11,6 +11,7 @@ from . import texts
 from .curves import CurvePlots
 from .maps import Maps
 from .page_thread import Outlet
+from .pieces import WIDE, box, html
 from .starts import motion_of, path_of, slopes_of, verdict_of
 from .views import View
 from .workshop import Workshop
@@ -39,14 +40,13 @@ class ChosenStart:
         self._number, self._completed = 0, 0
         """The numbers of the last start that was chosen, and of the last that is wholly shown."""
         self._verdict, self._slopes = html(), html()
-        wide: Any = {"sizing_mode": "stretch_width"}
         shown = pn.FlexBox(
             box(self._verdict, self._slopes, flex="1 1 270px", width=270),
             box(curves.omega, curves.energy, flex="2 1 380px"),
             curves.body,
-            **wide,
+            **WIDE,
         )
-        self.layout = pn.Column(shown, visible=False, **wide)
+        self.layout = pn.Column(shown, visible=False, **WIDE)
 
     def wait(self) -> None:
         """Compute nothing further until the start is chosen again, or follows."""
@@ -123,16 +123,6 @@ class _Choice(NamedTuple):
     values: dict[str, float]
     view: View
     number: int
-
-
-def box(*panes: Any, flex: str, width: int = 290) -> Any:
-    """Return a column that shares a row with others."""
-    return pn.Column(*panes, min_width=width, styles={"flex": flex})
-
-
-def html(text: str = "") -> Any:
-    """Return a pane for a text of `texts`."""
-    return pn.pane.HTML(text, stylesheets=[texts.CSS], sizing_mode="stretch_width", margin=(3, 10))
 
 
 def sentence_of(error: Exception) -> str:

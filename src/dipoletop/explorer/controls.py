@@ -12,6 +12,7 @@ from .._base.numerals import as_text, number_in
 from .._base.refusals import refuse
 from .._maps.top_parameters import Quantity
 from . import texts
+from .pieces import WIDE, html
 from .scenes import Scene, checked_range
 from .views import SIZES, View, checked_view, in_system, zoomed
 
@@ -50,11 +51,10 @@ class Controls:
         self._scene, self._on_view, self._on_refusal = scene, on_view, on_refusal
         self._view: View | None = None
         self._is_showing = False
-        symbols = {quantity.symbol: name for name, quantity in scene.quantities.items()}
-        axes = {symbol: name for symbol, name in symbols.items() if name in scene.free}
+        axes = {scene.symbols[name]: name for name in scene.free}
         words = "Horizontal", "Vertical"
         self._axes = [_select(f"{word} axis", axes, "axes") for word in words]
-        systems = {_described(scene, system): system for system in scene.systems}
+        systems = {", ".join(scene.symbols[name] for name in s): s for s in scene.systems}
         self._system = _select("Starts are given by", systems, "system")
         self._ends = {name: _Ends(name, self._set_range) for name in ("x", "y")}
         self._values = {
@@ -76,9 +76,7 @@ class Controls:
         self._system.visible = len(scene.systems) > 1
         for widget in self._levels:
             widget.visible = len(scene.levels) > 1
-        self.sliders = pn.FlexBox(
-            *(value.layout for value in self._values.values()), sizing_mode="stretch_width"
-        )
+        self.sliders = pn.FlexBox(*(value.layout for value in self._values.values()), **WIDE)
         """The sliders of the quantities that are not axes."""
         return pn.Column(
             pn.Row(*self._axes),
@@ -100,7 +98,7 @@ class Controls:
                 if name in view.fixed:
                     value.show(view.values[name])
             for name, axis in (("x", view.x), ("y", view.y)):
-                self._ends[name].show(self._scene.quantities[axis].symbol, view.ranges[axis])
+                self._ends[name].show(self._scene.symbols[axis], view.ranges[axis])
             for widget, level in zip(self._levels, (*view.levels, NONE), strict=False):
                 if level in widget.values:  # the list is empty if the equation is given
                     widget.value = level
@@ -175,16 +173,11 @@ def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:
 
 
 def _select(name: str, options: dict[str, Any], about: str) -> Any:
-    wide: Any = {"sizing_mode": "stretch_width"}
-    return pn.widgets.Select(name=name, options=options, description=HELP[about], **wide)
+    return pn.widgets.Select(name=name, options=options, description=HELP[about], **WIDE)
 
 
 def _named(tolerances: Iterable[float]) -> dict[str, float]:
     return {f"{rtol:.3g}": rtol for rtol in tolerances}
-
-
-def _described(scene: Scene, system: tuple[str, ...]) -> str:
-    return ", ".join(scene.quantities[name].symbol for name in system)
 
 
 class _Slider(pn.widgets.FloatSlider):
@@ -209,7 +202,7 @@ class _Value:
             value=quantity.default,
             show_value=False,
             css_classes=[f"dt-slider-{name}"],
-            sizing_mode="stretch_width",
+            **WIDE,
         )
         self._text = pn.widgets.TextInput(
             name=" ", css_classes=[f"dt-value-{name}"], width=90, description=quantity.meaning
@@ -218,16 +211,10 @@ class _Value:
             name="▶", css_classes=[f"dt-play-{name}"], width=38, margin=(21, 0, 0, 5)
         )
         self._play.jscallback(args={"slider": self._slider, "play": self._play}, value=PLAY)
-        self._scale = pn.pane.HTML(
-            texts.scale(name, low, high),
-            stylesheets=[texts.CSS],
-            sizing_mode="stretch_width",
-            margin=(-8, 10, 0, 10),
-        )
+        self._scale = html(texts.scale(name, low, high), margin=(-8, 10, 0, 10))
         self._slider.param.watch(lambda event: on_value(name, self._rounded(event.new)), "value")
         self._text.param.watch(lambda event: on_value(name, event.new), "value")
-        wide: Any = {"sizing_mode": "stretch_width"}
-        slider = pn.Column(self._slider, self._scale, **wide)
+        slider = pn.Column(self._slider, self._scale, **WIDE)
         self.layout = pn.Row(self._play, slider, self._text, styles={"flex": "1 1 290px"})
 
     def _rounded(self, value: float) -> float:
@@ -251,8 +238,7 @@ class _Ends:
     """Text fields for the ends of an axis."""
 
     def __init__(self, axis: str, on_range: Callable[[str, str, str], None]) -> None:
-        style: Any = {"sizing_mode": "stretch_width", "stylesheets": [FULL]}
-        self._texts = [pn.widgets.TextInput(**style) for _ in range(2)]
+        self._texts = [pn.widgets.TextInput(stylesheets=[FULL], **WIDE) for _ in range(2)]
         for text in self._texts:
             text.param.watch(
                 lambda _: on_range(axis, self._texts[0].value, self._texts[1].value), "value"

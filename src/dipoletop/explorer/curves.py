@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import panel as pn
-from bokeh.models import ColumnDataSource, CustomJS, Range1d
+from bokeh.models import CustomJS, Range1d
 from bokeh.plotting import figure
 from jaxtyping import Float
 
 from ..plots.style import BLACK, BLUE, GREEN, ORANGE
+from .pieces import pane_of, source, wide_figure
 from .starts import FRAMES, OfBody, ShownMotion
 from .texts import DARK
 
@@ -27,23 +28,22 @@ class CurvePlots:
     """Figures of a motion, empty until one is shown."""
 
     def __init__(self) -> None:
-        self._omega = _source("omega", "tau", "w1", "w2", "w3", "size")
-        self._energy = _source("energy", "tau", "energy")
+        self._omega = source("omega", "tau", "w1", "w2", "w3", "size")
+        self._energy = source("energy", "tau", "energy")
         self._motion: ShownMotion | None = None
         ink = WHITE if pn.config.theme == DARK else BLACK
-        of_omega = _figure("τ = t/τ₀", "ω = τ₀Ω", "omega-figure")
+        of_omega = _figure("ω = τ₀Ω", "omega-figure")
         for column, name, colour in CURVES:
             style = {"color": colour or ink, "line_width": 1.5, "legend_label": name}
             of_omega.line("tau", column, source=self._omega, **style)
         of_omega.legend.orientation = "horizontal"
         of_omega.legend.padding = 2
         of_omega.legend.background_fill_alpha = 0.7
-        of_energy = _figure("τ = t/τ₀", "energy", "energy-figure", y_axis_type="log")
+        of_energy = _figure("energy", "energy-figure", y_axis_type="log")
         self._ranges = of_omega.x_range, of_omega.y_range, of_energy.y_range
         of_energy.x_range = of_omega.x_range
         of_energy.line("tau", "energy", source=self._energy, color=ink, line_width=1.5)
-        self.omega = _pane(of_omega)
-        self.energy = _pane(of_energy)
+        self.omega, self.energy = pane_of(of_omega), pane_of(of_energy)
         self.omega.visible = self.energy.visible = False
         self._body = _Body()
         self._part = pn.widgets.RadioButtonGroup(
@@ -102,11 +102,11 @@ class _Body:
 
     def __init__(self) -> None:
         columns = "tau", "q0", "q1", "q2", "q3", "w1", "w2", "w3", "speed"
-        self._frames = _source("frames", *columns)
-        self._mesh = _source("mesh", *MESH)
-        lines = _source("lines", "x0", "y0", "x1", "y1", "alpha")
-        arrows = _source("arrows", "x0", "y0", "x1", "y1", "color")
-        tips, trail = _source("tips", "x", "y", "text", "color"), _source("trail", "x", "y")
+        self._frames = source("frames", *columns)
+        self._mesh = source("mesh", *MESH)
+        lines = source("lines", "x0", "y0", "x1", "y1", "alpha")
+        arrows = source("arrows", "x0", "y0", "x1", "y1", "color")
+        tips, trail = source("tips", "x", "y", "text", "color"), source("trail", "x", "y")
         plot: Any = figure(
             name="body-figure",
             height=330,
@@ -133,7 +133,7 @@ class _Body:
             width=330,
             visible_buttons=["first", "previous", "pause", "play", "next", "last"],
         )
-        self._dipole = _source("dipole", "direction")
+        self._dipole = source("dipole", "direction")
         drawn = {"frames": self._frames, "mesh": self._mesh, "lines": lines, "arrows": arrows}
         drawn |= {"tips": tips, "trail": trail, "direction": self._dipole, "title": plot.title}
         code = "const dipole = direction.data.direction\n" + DRAW
@@ -181,30 +181,21 @@ def surface(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "n"], 
     return tuple(np.concatenate([first.reshape(3, -1), last.reshape(3, -1)]))
 
 
-def _source(name: str, *columns: str) -> Any:
-    return ColumnDataSource({column: [] for column in columns}, name=name)
-
-
 def _set_range(span: Any, low: float, high: float) -> None:
     span.update(start=low, end=high, reset_start=low, reset_end=high)
 
 
-def _figure(x: str, y: str, name: str, **options: Any) -> Any:
-    plot = figure(
-        name=name,
-        height=HEIGHT,
-        sizing_mode="stretch_width",
+def _figure(y: str, name: str, **options: Any) -> Any:
+    """Return a figure against τ."""
+    plot = wide_figure(
+        name,
+        HEIGHT,
         tools="pan,box_zoom,wheel_zoom,reset",
-        x_axis_label=x,
+        x_axis_label="τ = t/τ₀",
         y_axis_label=y,
         x_range=Range1d(start=1.0, end=10.0),
         y_range=Range1d(start=1.0, end=10.0),
         **options,
     )
-    plot.toolbar.logo = None
     plot.toolbar.autohide = True
     return plot
-
-
-def _pane(plot: Any) -> Any:
-    return pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)

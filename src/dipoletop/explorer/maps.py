@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import panel as pn
 from bokeh.events import RangesUpdate, Reset, Tap
 from bokeh.models import (
     AdaptiveTicker,
-    ColumnDataSource,
     CustomJS,
     CustomJSHover,
     CustomJSTickFormatter,
@@ -19,10 +17,10 @@ from bokeh.models import (
     HoverTool,
     Range1d,
 )
-from bokeh.plotting import figure
 
 from ..plots.map_layout import CLASSES, classes_of
 from .pictures import Picture
+from .pieces import pane_of, source, wide_figure
 from .views import Range, View
 
 HEIGHT = 440
@@ -31,7 +29,8 @@ TICKS = Path(__file__).with_name("ticks.js").read_text(encoding="utf-8")
 HOVER = Path(__file__).with_name("hover.js").read_text(encoding="utf-8")
 DRAWN = "figure.tags = [cb_obj.data.serial[0]]"
 """The browser reports which picture it has, so that it is sent no more than it can draw."""
-PLACE, ENDS = ("x", "y", "dw", "dh"), ("classes", "omega_inf")
+PLACE = "x", "y", "dw", "dh"
+PICTURE, ENDS = ("image", *PLACE, "serial", "about"), (*PLACE, "classes", "omega_inf")
 START = """
 const shown = (axis, x) => `${axis.axis_label} = ${Number(x.toPrecision(4))}`.replace("-", "−")
 const middle = (at, low, width, count) =>
@@ -70,12 +69,12 @@ class Maps:
         self._symbols = symbols
         x, y = Range1d(start=0.0, end=1.0), Range1d(start=0.0, end=1.0)
         self.figures = [_figure(number, x, y) for number in range(2)]
-        self._sources = [_source(number) for number in range(2)]
-        self._ends = [_ends_source(number) for number in range(2)]
-        self._chosen = ColumnDataSource({"x": [], "y": []}, name="chosen")
-        self._path = ColumnDataSource({"x": [], "y": []}, name="path")
-        for number, (plot, source) in enumerate(zip(self.figures, self._sources, strict=True)):
-            image = plot.image_rgba("image", "x", "y", "dw", "dh", source=source)
+        self._sources = [source(f"picture-{number}", *PICTURE) for number in range(2)]
+        self._ends = [source(f"ends-{number}", *ENDS) for number in range(2)]
+        """Class and ω∞ of every start of a finished picture."""
+        self._chosen, self._path = source("chosen", "x", "y"), source("path", "x", "y")
+        for number, plot in enumerate(self.figures):
+            image = plot.image_rgba("image", *PLACE, source=self._sources[number])
             plot.add_tools(_hover(plot, image, self._ends[number]))
             for colour, width in (("white", 3), ("black", 1)):
                 plot.line("x", "y", source=self._path, line_color=colour, line_width=width)
@@ -91,10 +90,7 @@ class Maps:
         )
         for plot in self.figures:
             plot.on_event(Reset, lambda _: on_ranges(None))
-        self.panes = [
-            pn.pane.Bokeh(plot, sizing_mode="stretch_width", min_width=280, height=HEIGHT)
-            for plot in self.figures
-        ]
+        self.panes = [pane_of(plot) for plot in self.figures]
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
         """Call `begin` when the browser of a notebook has laid out the map for the first time."""
@@ -118,10 +114,10 @@ class Maps:
 
     def mark_axes(self, view: View) -> None:
         """Name the axes, with ticks that suit their ranges."""
-        for name, axis in ((view.x, "xaxis"), (view.y, "yaxis")):
-            low, high = view.ranges[name]
-            for plot in self.figures:
-                _label(getattr(plot, axis), name, self._symbols[name], high - low)
+        for plot in self.figures:
+            for name, axis in ((view.x, plot.xaxis[0]), (view.y, plot.yaxis[0])):
+                low, high = view.ranges[name]
+                _label(axis, name, self._symbols[name], high - low)
 
     def mark(self, place: tuple[float, float] | None) -> None:
         """Mark a start; remove the mark if `place` is None."""
@@ -142,9 +138,9 @@ class Maps:
         identity = {"serial": [serial], "about": [json.dumps(about)]}  # read in the browser
         sources = self._sources[: len(picture.images)]
         # The first map is sent last: once the browser has it, it has both.
-        for source, image in reversed(list(zip(sources, picture.images, strict=True))):
+        for of_map, image in reversed(list(zip(sources, picture.images, strict=True))):
             pixels = np.ascontiguousarray(image).view(np.uint32)[..., 0]
-            source.data = {"image": [pixels], **place, **identity}
+            of_map.data = {"image": [pixels], **place, **identity}
         self._tell_ends(picture, place)
 
     def _tell_ends(self, picture: Picture, place: dict[str, list[float]]) -> None:
@@ -161,29 +157,17 @@ class Maps:
 
 
 def _figure(number: int, x: Range1d, y: Range1d) -> Any:
-    plot = figure(
-        name=f"map-{number}",
+    plot = wide_figure(
+        f"map-{number}",
+        HEIGHT,
         x_range=x,
         y_range=y,
         tools=TOOLS,
         active_scroll="wheel_zoom",
-        height=HEIGHT,
-        sizing_mode="stretch_width",
         background_fill_color="#eeeeee",
     )
-    plot.toolbar.logo = None
     plot.grid.visible = False
     return plot
-
-
-def _source(number: int) -> Any:
-    columns = "image", *PLACE, "serial", "about"
-    return ColumnDataSource({name: [] for name in columns}, name=f"picture-{number}")
-
-
-def _ends_source(number: int) -> Any:
-    """Return a source for class and ω∞ of every start of a finished picture."""
-    return ColumnDataSource({name: [] for name in (*PLACE, *ENDS)}, name=f"ends-{number}")
 
 
 def _hover(plot: Any, image: Any, ends: Any) -> Any:
@@ -198,13 +182,12 @@ def _hover(plot: Any, image: Any, ends: Any) -> Any:
     return HoverTool(renderers=[image], tooltips=text, formatters=lines, visible=False)
 
 
-def _label(axes: Any, name: str, symbol: str, width: float) -> None:
-    for axis in axes:
-        if axis.axis_label != symbol:
-            axis.axis_label = symbol
-            of_angle = name in ("phi", "theta")
-            axis.formatter = CustomJSTickFormatter(args={"of_angle": of_angle}, code=TICKS)
-        turns = name in ("phi", "theta") and width > 2
-        if turns != isinstance(axis.ticker, FixedTicker):
-            quarters = [k * math.pi / 4 for k in range(-16, 17)]
-            axis.ticker = FixedTicker(ticks=quarters) if turns else AdaptiveTicker()
+def _label(axis: Any, name: str, symbol: str, width: float) -> None:
+    of_angle = name in ("phi", "theta")
+    if axis.axis_label != symbol:
+        axis.axis_label = symbol
+        axis.formatter = CustomJSTickFormatter(args={"of_angle": of_angle}, code=TICKS)
+    turns = of_angle and width > 2
+    if turns != isinstance(axis.ticker, FixedTicker):
+        quarters = [k * math.pi / 4 for k in range(-16, 17)]
+        axis.ticker = FixedTicker(ticks=quarters) if turns else AdaptiveTicker()

@@ -10,13 +10,14 @@ from urllib.parse import parse_qs
 import panel as pn
 
 from . import texts
-from .chosen_start import ChosenStart, box, html, sentence_of
+from .chosen_start import ChosenStart, sentence_of
 from .controls import Controls
 from .curves import CurvePlots
 from .downloads import FORMATS, file_of
 from .maps import Maps
 from .page_thread import Outlet, PageLayout
 from .pictures import Picture
+from .pieces import WIDE, box, html
 from .recipes import code_of
 from .views import (
     EXAMPLES,
@@ -64,8 +65,7 @@ class Page:
         """The number of the last picture that the browser has, and whether the view is newer."""
         self._picture: Picture | None = None
         """The last finished picture."""
-        symbols = texts.symbols_of(scene)
-        self._maps = Maps(symbols, self._zoom, self._inspect, self._drawn)
+        self._maps = Maps(scene.symbols, self._zoom, self._inspect, self._drawn)
         self._controls = Controls(scene, self._change, self._refuse)
         self._curves = CurvePlots()
         self._refusal, self._status, self._legend = html(), html(), html()
@@ -100,19 +100,16 @@ class Page:
             )
             for suffix in FORMATS
         ]
-        examples = pn.widgets.Select(
-            name="Examples", options=["", *EXAMPLES], sizing_mode="stretch_width"
-        )
+        examples = pn.widgets.Select(name="Examples", options=["", *EXAMPLES], **WIDE)
         examples.visible = self._workshop.scene.is_top
         examples.param.watch(lambda event: self._open_example(event.new), "value")
-        wide: Any = {"sizing_mode": "stretch_width"}
         maps = zip(self._maps.panes, self._captions, strict=True)
         boxes = [box(pane, caption, flex="1 1 380px") for pane, caption in maps]
         self._second = boxes[1]
         main = pn.Column(
             self._controls.sliders,
             self._refusal,
-            pn.FlexBox(*boxes, **wide),
+            pn.FlexBox(*boxes, **WIDE),
             self._legend,
             self._status,
             styles={"flex": "1 1 320px", "min-width": "300px"},
@@ -128,10 +125,10 @@ class Page:
         layout = PageLayout(
             html(texts.HEAD),
             # On a narrow screen the maps come before the controls.
-            pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **wide),
+            pn.FlexBox(side, main, flex_wrap="wrap-reverse", align_items="flex-end", **WIDE),
             self._start.layout,
             self._code,
-            **wide,
+            **WIDE,
         )
         layout.outlet = self._outlet
         return layout

@@ -19,8 +19,6 @@ STRIPES = 64
 """Stripes of the hatching along a side of a picture."""
 NICE = 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0
 """Possible ends of a scale in a decade: few, so that it seldom changes while a slider moves."""
-GREEK = {r"$\omega_\infty > 0$": "ω∞ > 0", r"$\omega_\infty < 0$": "ω∞ < 0"}
-GREEK |= {r"$\omega_\infty$": "ω∞"}
 
 
 class Picture(NamedTuple):
@@ -55,7 +53,10 @@ def picture_of(
     classes = list(map(classes_of, planes))
     images = [coloured(*pair, shades) for pair in zip(planes, classes, strict=True)]
     named = legend_colours(planes, classes, shades)
-    legend = {_plain(name): to_hex(colour) for name, colour in named.items()}
+    legend = {
+        name.replace(r"\omega_\infty", "ω∞").replace("$", ""): to_hex(colour)
+        for name, colour in named.items()
+    }
     share = None
     if len(planes) == 2:
         differs = np.asarray(planes[0].columns["outcome"] != planes[1].columns["outcome"])
@@ -74,13 +75,6 @@ def _with_nice_scale(shade: Shade) -> Shade:
     decade = 10.0 ** math.floor(math.log10(most))
     end = next(nice * decade for nice in NICE if nice * decade >= most * (1 - 1e-12))
     return shade._replace(norm=Normalize(-end, end))
-
-
-def _plain(name: str) -> str:
-    """Return a name of the legend without the notation of TeX."""
-    for tex, text in GREEK.items():
-        name = name.replace(tex, text)
-    return name
 
 
 def hatch(image: UInt8[np.ndarray, "Y X 4"], inside: Bool[np.ndarray, "Y X"]) -> None:

@@ -16,25 +16,22 @@ def code_of(scene: Scene, view: View) -> str:
         parts.append("\n".join(scene.source.before))
     axes = [f"    {name}={_values(values)}," for name, values in cells.grid.axes.items()]
     parts.append("\n".join(["grid = dt.Grid(", *axes, ")"]))
-    names = ("first", "second") if len(view.levels) == 2 else ("basin",)
+    draw, names = "basin", ("basin",)
+    if len(view.levels) == 2:
+        draw, names = "compare", ("first", "second")
     for name, level in zip(names, view.levels or (None,), strict=True):
         problem = scene.source.problem(level, system)
         if problem:
             parts.append("\n" + "\n".join(problem) + "\n")
         parts.append(f"{name} = dt.sweep(problem, grid, rtol={view.rtol!r})")
-    where = f'x="{view.x}", y="{view.y}", unfold={cells.folded}'
-    if len(names) == 2:
-        parts.append(f'dt.plots.save(dt.plots.compare(first, second, {where}), "map.png")')
-    else:
-        parts.append(f'dt.plots.save(dt.plots.basin(basin, {where}), "map.png")')
+    drawn = f'{", ".join(names)}, x="{view.x}", y="{view.y}", unfold={cells.folded}'
+    parts.append(f'dt.plots.save(dt.plots.{draw}({drawn}), "map.png")')
     return "\n\n".join(parts) + "\n"
 
 
 def _imports(system: tuple[str, ...]) -> str:
-    lines = ["import jax", "import jax.numpy as jnp", "import numpy as np"]
-    if "amplitude" not in system:
-        lines.remove("import jax.numpy as jnp")
-    return "\n".join([*lines, "", "import dipoletop as dt"])
+    needed = ["import jax.numpy as jnp"] if "amplitude" in system else []
+    return "\n".join(["import jax", *needed, "import numpy as np", "", "import dipoletop as dt"])
 
 
 def _values(values: Float[np.ndarray, "n"]) -> str:

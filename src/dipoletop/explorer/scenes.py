@@ -2,9 +2,9 @@
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,12 +12,7 @@ from .._base.checks import check_single, check_verdict, instance
 from .._base.refusals import refuse
 from .._base.types import Equation
 from .._maps.problems import Problem, check_problem
-from .._maps.top_parameters import (
-    QUANTITIES,
-    Quantity,
-    checked,
-    checked_range,
-)
+from .._maps.top_parameters import QUANTITIES, Quantity, checked, checked_range
 from .._maps.top_problems import initial_condition, problem_of_top
 from ..equations._families import RIGID, TRANSVERSE
 from ..equations.levels import Level
@@ -76,6 +71,11 @@ class Scene:
         return bool(self.levels) and "delta" in self.free
 
     @property
+    def symbols(self) -> dict[str, str]:
+        """The symbol of each quantity by its name."""
+        return {name: quantity.symbol for name, quantity in self.quantities.items()}
+
+    @property
     def free(self) -> tuple[str, ...]:
         """The quantities that may be varied."""
         return tuple(name for name, x in self.quantities.items() if x.low < x.high)
@@ -86,10 +86,7 @@ class Scene:
         Raises:
             ValueError: no system has them all.
         """
-        for system in self.systems:
-            if set(names) <= set(system):
-                return system
-        return _refuse_mixed(self.systems, names)
+        return _ordered(self.systems, names)[0]
 
 
 def scene_of(problem: Any, over: Any) -> Scene:
@@ -156,17 +153,15 @@ def scene_of_problem(problem: Any, over: Over) -> Scene:
     return scene
 
 
-def _ordered(systems: tuple[tuple[str, ...], ...], over: Over) -> tuple[tuple[str, ...], ...]:
-    """Return the systems; one that has all given quantities comes first."""
-    first = [system for system in systems if set(over) <= set(system)]
-    if not first:
-        _refuse_mixed(systems, over)
-    return (first[0], *(system for system in systems if system != first[0]))
-
-
-def _refuse_mixed(systems: tuple[tuple[str, ...], ...], names: Iterable[str]) -> NoReturn:
-    ways = " or ".join(", ".join(system) for system in systems)
-    refuse("start", f"be given by {ways}", f"is given by {', '.join(names)}")
+def _ordered(
+    systems: tuple[tuple[str, ...], ...], names: Collection[str]
+) -> tuple[tuple[str, ...], ...]:
+    """Return the systems, first those that have all of these quantities; refuse if none has."""
+    found = sorted(systems, key=lambda system: not set(names) <= set(system))
+    if not set(names) <= set(found[0]):
+        ways = " or ".join(", ".join(system) for system in systems)
+        refuse("start", f"be given by {ways}", f"is given by {', '.join(names)}")
+    return tuple(found)
 
 
 def _is_symmetric(equation: Any) -> bool:

@@ -95,7 +95,7 @@ def caption(picture: Picture, number: int) -> str:
 
 def status(scene: Scene, picture: Picture, ended: Sequence[str]) -> str:
     """Return the fixed values, the number of starts, and what limits the resolution."""
-    view, symbols = picture.view, symbols_of(scene)
+    view, symbols = picture.view, scene.symbols
     fixed = ", ".join(f"{symbols[name]} = {shown(x)}" for name, x in view.fixed.items())
     size = f"{picture.size} × {picture.size} starts"
     lines = [f"{fixed}; {size}" if fixed else size]
@@ -131,8 +131,7 @@ def _finer_than_tolerance(view: View, symbols: Mapping[str, str]) -> str:
 
 def verdicts(scene: Scene, values: Mapping[str, float], found: Sequence[StartVerdict]) -> str:
     """Return the start, and how it ends at each level."""
-    symbols = symbols_of(scene)
-    start = ", ".join(f"{escape(symbols[name])} = {shown(x)}" for name, x in values.items())
+    start = ", ".join(f"{escape(scene.symbols[name])} = {shown(x)}" for name, x in values.items())
     return f'<h3>Start</h3><p class="dt-status">{start}</p>' + "".join(map(_verdict, found))
 
 
@@ -162,8 +161,7 @@ def length_of(motion: ShownMotion) -> str:
 
 def slopes(scene: Scene, level: str, found: Mapping[str, float]) -> str:
     """Return the derivatives of ω∞ at a start."""
-    symbols = symbols_of(scene)
-    rows = {f"∂ω∞/∂{symbols[name]}": _slope(value) for name, value in found.items()}
+    rows = {f"∂ω∞/∂{scene.symbols[name]}": _slope(value) for name, value in found.items()}
     return f"<h4>Derivatives of ω∞, {escape(level)}</h4>{_table(rows)}"
 
 
@@ -196,11 +194,6 @@ def shown(value: float) -> str:
 def minus(text: str) -> str:
     """Return a text of numbers with minus signs in place of hyphens."""
     return text.replace("-", "−")
-
-
-def symbols_of(scene: Scene) -> dict[str, str]:
-    """Return the symbol of each quantity by its name."""
-    return {name: quantity.symbol for name, quantity in scene.quantities.items()}
 
 
 def code(text: str, address: str) -> str:

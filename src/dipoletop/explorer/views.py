@@ -118,13 +118,6 @@ def first_view(
     return in_system(scene, blank, scene.system_of(*named.values()), **named)
 
 
-def axes_in(scene: Scene, system: tuple[str, ...], x: str | None, y: str | None) -> tuple[str, str]:
-    """Return the two axes; an axis that is None becomes a usual one of the system."""
-    usual = [n for n in ("phi", "w3", "theta", *system) if n in system and n in scene.free]
-    x = x or next(name for name in usual if name != y)
-    return x, y or next(name for name in usual if name != x)
-
-
 def check_axes(scene: Scene, axes: Mapping[str, str]) -> None:
     """Refuse axes, by their arguments, along which nothing may be varied."""
     for argument, name in axes.items():
@@ -144,8 +137,7 @@ def checked_view(scene: Scene, view: View) -> View:
     scene.system_of(*view.values, view.x, view.y)
     values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
     ranges = {
-        name: checked_range(name, ends, scene.quantities[name])
-        for name, ends in view.ranges.items()
+        name: checked_range(name, x, scene.quantities[name]) for name, x in view.ranges.items()
     }
     allowed = (1, 2) if scene.levels else (0,)
     for level in view.levels:
@@ -176,11 +168,13 @@ def in_system(
 ) -> View:
     """Return the view over other axes, with starts given by a system of quantities.
 
-    An axis that is None stays if it is in the system. New axes have their whole range, and new
-    quantities their defaults.
+    An axis that is None stays if it is in the system, or becomes a usual one. New axes have their
+    whole range, and new quantities their defaults.
     """
-    kept = (name if name in system else None for name in (x or view.x, y or view.y))
-    x, y = axes_in(scene, system, *kept)
+    usual = [n for n in ("phi", "w3", "theta", *system) if n in system and n in scene.free]
+    x, y = (name if name in system else "" for name in (x or view.x, y or view.y))
+    x = x or next(name for name in usual if name != y)
+    y = y or next(name for name in usual if name != x)
     known = {name: view.values.get(name, scene.quantities[name].default) for name in system}
     ranges = {name: view.ranges.get(name, span) for name, span in whole_ranges(scene, x, y).items()}
     return checked_view(scene, replace(view, x=x, y=y, ranges=ranges, values=known))
