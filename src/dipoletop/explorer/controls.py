@@ -9,17 +9,16 @@ from typing import Any, ClassVar
 import panel as pn
 
 from .._base.numerals import as_text, number_in
-from .._base.refusals import refuse
 from .._maps.top_parameters import Quantity
 from . import texts
 from .pieces import WIDE, html
 from .scenes import Scene, checked_range
-from .views import SIZES, View, checked_view, in_system, zoomed
+from .views import SIZES, View, checked_view, in_system, number_of, zoomed
 
 STEPS = 240
 """Steps of a slider."""
 TOLERANCES = tuple(10.0**-k for k in range(3, 13))
-NONE = "none"
+NONE, NUMBER = "none", "be a finite number such as 0.2, 1e-3 or pi/30"
 WIDTH = 300
 FULL = ".bk-input { font-size: 11px; padding: 0 5px; }"
 """Numbers of 17 digits are not cut."""
@@ -124,7 +123,7 @@ class Controls:
 
     def _set_value(self, name: str, value: Any) -> None:
         def changed(view: View) -> View:
-            values = view.values | {name: _number(name, value)}
+            values = view.values | {name: number_of(name, value, NUMBER)}
             return checked_view(self._scene, replace(view, values=values))
 
         self._change(changed)
@@ -132,7 +131,7 @@ class Controls:
     def _set_range(self, axis: str, low: str, high: str) -> None:
         def changed(view: View) -> View:
             name = getattr(view, axis)
-            ends = [_number(name, text) for text in (low, high)]
+            ends = [number_of(name, text, NUMBER) for text in (low, high)]
             span = checked_range(name, ends, self._scene.quantities[name])
             return zoomed(self._scene, view, view.ranges | {name: span})[0]
 
@@ -156,13 +155,6 @@ class Controls:
             return checked_view(self._scene, replace(view, levels=levels, rtol=rtol, size=size))
 
         self._change(changed)
-
-
-def _number(name: str, value: Any) -> float:
-    try:
-        return number_in(str(value))
-    except ValueError:
-        return refuse(name, "be a finite number such as 0.2, 1e-3 or pi/30", f"is {value!r}")
 
 
 def _with_either_axis(scene: Scene, view: View, x: str, y: str) -> View:

@@ -5,14 +5,13 @@ from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from typing import Any
 
-from .._base.tolerances import tolerance
 from .._maps.basin import Basin
 from ..equations.levels import Level
 from . import recipes
 from .drawing import Drawing
-from .pictures import Picture
 from .scenes import Over, Scene, scene_of
 from .views import View, address_of, first_view, view_at
+from .workshop import Workshop
 
 NEEDED = "panel", "bokeh"
 MISSING = "The explorer needs Panel: pip install 'dipoletop[explore]'."
@@ -32,10 +31,8 @@ class Explorer:
     """
 
     def __init__(self, scene: Scene, view: View) -> None:
-        self._scene, self._first = scene, view
-        self._workshop: Any = None
+        self._workshop, self._first = Workshop(scene, Drawing(scene)), view
         self._page: Any = None
-        self._picture: Picture | None = None
 
     @property
     def view(self) -> View:
@@ -45,17 +42,17 @@ class Explorer:
     @property
     def basins(self) -> tuple[Basin, ...]:
         """The basins of the last finished picture, before `plots.unfold`; () at first."""
-        return () if self._picture is None else self._picture.basins
+        picture = self._workshop.picture
+        return () if picture is None else picture.basins
 
     @property
     def is_working(self) -> bool:
         """Whether a picture or a start is being computed."""
-        shop = self._workshop
-        return shop is not None and (shop.turns.is_working or shop.starts.is_working)
+        return self._workshop.turns.is_working or self._workshop.starts.is_working
 
     def code(self) -> str:
         """Return a script that computes and draws `view`."""
-        return recipes.code_of(self._scene, self.view)
+        return recipes.code_of(self._workshop.scene, self.view)
 
     def address(self) -> str:
         """Return the query of an address that opens a page at `view`."""
@@ -98,7 +95,7 @@ class Explorer:
         from .page import refusal_page
 
         try:
-            view = view_at(self._scene, self._first, query)
+            view = view_at(self._workshop.scene, self._first, query)
         except ValueError as error:
             return refusal_page(str(error))
         return self._opened(view)
@@ -107,18 +104,11 @@ class Explorer:
         import panel as pn
 
         from .page import Page
-        from .workshop import Workshop
 
-        if self._workshop is None:
-            self._workshop = Workshop(self._scene, Drawing(self._scene))
-        page = Page(self._workshop, view, self._keep)
-        self._page = page
+        self._page = page = Page(self._workshop, view)
         if pn.state.curdoc and pn.state.curdoc.session_context:
             pn.state.on_session_destroyed(lambda _: page.close())
         return page.layout
-
-    def _keep(self, picture: Picture) -> None:
-        self._picture = picture
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         """Return a new page as output of a notebook; text if there is no browser."""
@@ -199,7 +189,6 @@ def explore(
     """
     if any(find_spec(name) is None for name in NEEDED):
         raise ImportError(MISSING)
-    tolerance("rtol", rtol)
     scene = scene_of(problem, over)
     levels = (level,) if isinstance(level, str) else tuple(level)
     return Explorer(scene, first_view(scene, x, y, levels or scene.at_first, rtol=rtol, size=size))

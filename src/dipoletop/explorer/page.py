@@ -2,7 +2,6 @@
 
 import functools
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 from urllib.parse import parse_qs
@@ -49,14 +48,10 @@ class Page:
     Args:
         workshop: the objects that it shares with other pages.
         view: the first view.
-        on_picture: called with every finished picture.
     """
 
-    def __init__(
-        self, workshop: Workshop, view: View, on_picture: Callable[[Picture], None]
-    ) -> None:
-        scene = workshop.scene
-        self._workshop, self._on_picture = workshop, on_picture
+    def __init__(self, workshop: Workshop, view: View) -> None:
+        self._workshop, scene = workshop, workshop.scene
         self.view, self._ended = zoomed(scene, view, view.ranges)
         """The view shown, and the axes on which rounding ends the zoom."""
         self._asked, self._asked_at = 0, 0.0
@@ -242,8 +237,7 @@ class Page:
         for k, caption in enumerate(self._captions[: len(picture.basins)]):
             caption.object = texts.caption(picture, k)
         if picture.is_final:
-            self._picture = picture
-            self._on_picture(picture)
+            self._picture = self._workshop.picture = picture
             self._start.follow(view)
             if self._location is not None:
                 dark = f"&{texts.THEME}={texts.DARK}" if pn.config.theme == texts.DARK else ""

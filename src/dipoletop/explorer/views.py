@@ -137,7 +137,8 @@ def checked_view(scene: Scene, view: View) -> View:
     scene.system_of(*view.values, view.x, view.y)
     values = {name: checked(name, x, scene.quantities[name]) for name, x in view.values.items()}
     ranges = {
-        name: checked_range(name, x, scene.quantities[name]) for name, x in view.ranges.items()
+        name: checked_range(name, ends, scene.quantities[name])
+        for name, ends in view.ranges.items()
     }
     allowed = (1, 2) if scene.levels else (0,)
     for level in view.levels:
@@ -274,7 +275,7 @@ def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> Vie
     levels = tuple(Level.named(text) for text in given.pop("level", view.levels))
     single = {name: texts[0] for name, texts in given.items()}
     named = {name: single.pop(name).replace("-", "_") for name in ("x", "y") if name in single}
-    rtol = _number("rtol", single.pop("rtol", view.rtol))
+    rtol = number_of("rtol", single.pop("rtol", view.rtol))
     size: Any = single.pop("size", str(view.size))
     size = int(size) if size.isdecimal() and len(size) < 10 else size
     check_axes(scene, named)
@@ -284,20 +285,21 @@ def view_at(scene: Scene, view: View, query: Mapping[str, Sequence[str]]) -> Vie
         if name in ranges:
             ranges[name] = _range(name, text)
         else:
-            values[name] = _number(name, text)
+            values[name] = number_of(name, text)
     changed = replace(moved, ranges=ranges, values=values, levels=levels, rtol=rtol, size=size)
     return checked_view(scene, changed)
 
 
-def _number(name: str, text: Any) -> float:
+def number_of(name: str, text: Any, must: str = "be a finite number") -> float:
+    """Return the number in a text; refuse another text as value of a quantity."""
     try:
         return number_in(str(text))
     except ValueError:
-        return refuse(name, "be a finite number", f"is {text!r}")
+        return refuse(name, must, f"is {text!r}")
 
 
 def _range(name: str, text: str) -> Range:
     low, found, high = text.partition(RANGE)
     if not found:
         refuse(name, f"be a range such as 0{RANGE}0.5, since it is an axis", f"is {text!r}")
-    return _number(name, low), _number(name, high)
+    return number_of(name, low), number_of(name, high)

@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 
 from .drawing import Drawing
 from .fair_queue import Turns
+from .pictures import Picture
 from .scenes import Scene
 
 
-@dataclass(frozen=True)
+@dataclass
 class Workshop:
     """The objects that all pages of an explorer share."""
 
@@ -17,3 +18,5 @@ class Workshop:
     """The work of pictures."""
     starts: Turns = field(default_factory=Turns)
     """The work of chosen starts."""
+    picture: Picture | None = None
+    """The last finished picture of any page."""
