@@ -25,6 +25,7 @@ from .options import (
     range_option,
     saved,
     start_values,
+    those_given,
     write_table,
 )
 from .running import Refusal, computing, end_at_once, say, waiting
@@ -223,7 +224,7 @@ def explore_command(**options: Any) -> None:
     """
     from ..explorer import explore
 
-    over: dict[str, Any] = {name: options[name] for name in QUANTITIES if options[name] is not None}
+    over = those_given(options, *QUANTITIES)
     over |= {name_of(word): ends for word, *ends in options["ranges"]}
     settings: dict[str, Any] = {name: options[name] for name in ("level", "rtol")}
     settings |= {axis: options[axis] and name_of(options[axis]) for axis in ("x", "y")}

@@ -143,6 +143,11 @@ AXIS = click.Choice(list(map(spelled, QUANTITIES)))
 FORMATS = click.Choice(["png", "pdf", "svg"])
 
 
+def those_given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """The values of those of the named options that were given."""
+    return {name: options[name] for name in names if options.get(name) is not None}
+
+
 def together(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Several options as one decorator."""
     return lambda command: functools.reduce(lambda done, add: add(done), options[::-1], command)
@@ -250,7 +255,7 @@ def start_values(given: Mapping[str, Any], axes: tuple[str, ...] = ()) -> dict[s
         Refusal: an axis that is given, or ω⊥ or ω₃ with |ω| or ϑ.
         ValueError: a value that cannot be.
     """
-    fixed = {name: given[name] for name in QUANTITIES if given.get(name) is not None}
+    fixed = those_given(given, *QUANTITIES)
     for name in axes:
         if name in fixed:
             use = f"use --range {spelled(name)} LOW HIGH"

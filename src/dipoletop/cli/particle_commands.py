@@ -15,6 +15,7 @@ from .options import (
     picture_options,
     progress_option,
     saved,
+    those_given,
     together,
     write_table,
 )
@@ -71,7 +72,7 @@ particle_options = together(
     click.option("--along", type=DIRECTION, help="Direction of the dipole: x, y, z or 1,0,0.01."),
 )
 
-
+SURROUNDINGS = "pressure", "temperature", "loss"  # options, and arguments of the library
 surrounding_options = together(
     click.option("--pressure", type=NUMBER, help="Pressure of the air, Pa (1e-3 mbar is 0.1 Pa)."),
     click.option("--temperature", type=NUMBER, help="Temperature, K.  [default: 300]"),
@@ -79,12 +80,6 @@ surrounding_options = together(
         "--loss", type=NUMBER, help="Im[(ε − 1)/(ε + 2)] of the material in the infrared."
     ),
 )
-
-
-def given_surroundings(options: dict[str, Any]) -> dict[str, Any]:
-    """The surroundings that the options describe, as arguments of `balance` and `predict`."""
-    names = "pressure", "temperature", "loss"
-    return {name: options[name] for name in names if options[name] is not None}
 
 
 @click.command("predict", epilog=NOTES)
@@ -126,7 +121,7 @@ def predict_command(**options: Any) -> None:
     single = options[name]
     directions = np.asarray([single]) if single else spread_directions(options["directions"])
     starts = start(particle, spin, **{name: jnp.asarray(directions)})
-    surroundings, progress = given_surroundings(options), options["progress"] and not single
+    surroundings, progress = those_given(options, *SURROUNDINGS), options["progress"] and not single
     with waiting() if single else contextlib.nullcontext():
         predictions = _predictions(particle, starts, surroundings, progress)
     shown = jax.tree.map(lambda leaf: leaf[0], predictions) if single else predictions
@@ -176,12 +171,12 @@ def given_particle(options: dict[str, Any]) -> "Particle":
 
     from ..particles import DEBYE, Particle, paper_particles
 
-    given = [name for name in ("particle", *SHAPES) if options[name] is not None]
-    if len(given) != 1:
+    kinds = those_given(options, "particle", *SHAPES)
+    if len(kinds) != 1:
         all_names = "--particle, --box, --rod, --sphere or --ellipsoid"
-        was = "none is given" if not given else f"--{' and --'.join(given)} are"
+        was = f"--{' and --'.join(kinds)} are" if kinds else "none is given"
         raise Refusal(f"One of {all_names} must be given, but {was}.")
-    shape, size = given[0], options[given[0]]
+    shape, size = kinds.popitem()
     dipole, along, density = options["dipole"], options["along"], options["density"]
     if shape == "particle":
         if density is not None:
@@ -248,9 +243,8 @@ def balance_command(**options: Any) -> None:
     from ..particles import paper_particles
     from ..surroundings import balance
 
-    surroundings = given_surroundings(options)
-    surroundings |= {x: options[x] for x in ("field", "strength") if options[x] is not None}
-    if any(options[name] is not None for name in ("particle", *SHAPES)):
+    surroundings = those_given(options, *SURROUNDINGS, "field", "strength")
+    if those_given(options, "particle", *SHAPES):
         particle = given_particle(options)
         with waiting():
             found = balance(particle, _spin_about(options["axis"], options["spin"]), **surroundings)

@@ -50,7 +50,10 @@ def computing(command: Command) -> Command:
         try:
             command(**options)
         except OSError as error:
-            raise Refusal(_sentence(error)) from None
+            if error.strerror is None:
+                raise Refusal(str(error)) from None
+            what = error.filename or "A file"
+            raise Refusal(f"{what} cannot be used ({plain_reason(error)}).") from None
         except ValueError as error:
             text = str(error)
             if not (isinstance(error, StoreDamaged) or text.startswith("Argument `")):
@@ -78,13 +81,6 @@ def _keep_programs() -> None:
     if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-
-
-def _sentence(error: OSError) -> str:
-    """What the system refused, without its number."""
-    if error.strerror is None:
-        return str(error)
-    return f"{error.filename or 'A file'} cannot be used ({plain_reason(error)})."
 
 
 def plain_reason(error: OSError) -> str:
@@ -121,7 +117,7 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
         keeps_tiles: whether the same command goes on with what is finished.
         time_limit: seconds until it stops by itself, or None.
     """
-    from .._base.parallel import stop_requested
+    from .._base.parallel import stop_requested, workers_are_busy
 
     if time_limit is not None and not hasattr(signal, "SIGALRM"):
         raise Refusal("--time-limit: this system has no alarm signal.")
@@ -143,7 +139,9 @@ def interruptible(*, keeps_tiles: bool, time_limit: float | None = None) -> Iter
         else:
             kept = "nothing is kept without a store."
         click.echo(f"{why}: {kept}", err=True)
-        _end(status)
+        if workers_are_busy():  # Python would wait for them
+            end_at_once(status)
+        raise SystemExit(status) from None
     finally:
         if time_limit is not None:
             signal.setitimer(signal.ITIMER_REAL, 0)
@@ -159,15 +157,6 @@ def _stop(number: int, frame: Any) -> None:
     _status.append(TIME_IS_UP if number == getattr(signal, "SIGALRM", None) else 128 + number)
     stop_requested.set()
     raise KeyboardInterrupt
-
-
-def _end(status: int) -> None:
-    """End the process, at once if a worker is busy: Python would wait for it."""
-    from .._base.parallel import workers_are_busy
-
-    if workers_are_busy():
-        end_at_once(status)
-    raise SystemExit(status)
 
 
 def end_at_once(status: int) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Hashable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import panel as pn
 
@@ -100,7 +100,8 @@ class ChosenStart:
         try:
             drawing = self._workshop.drawing
             found = [verdict_of(drawing, level, values, view.rtol) for level in levels]
-            show(lambda: _set(self._verdict, texts.verdicts(scene, values, found)))
+            verdicts = texts.verdicts(scene, values, found)
+            show(lambda: self._verdict.param.update(object=verdicts))
             yield 0.0
             problem, chosen = scene.problem_at(levels[which]), found[which]
             motion = motion_of(problem, values, chosen, min(view.rtol, 1e-8))
@@ -110,11 +111,12 @@ class ChosenStart:
             note = texts.length_of(motion)
             yield 0.0
             slopes = slopes_of(problem, values, min(view.rtol, 1e-8))
-            show(lambda: _set(self._slopes, note + texts.slopes(scene, chosen.level, slopes)))
+            note += texts.slopes(scene, chosen.level, slopes)
+            show(lambda: self._slopes.param.update(object=note))
             show(lambda: setattr(self, "_completed", number))
         except Exception as error:  # the thread works for other pages, too
-            sentence = sentence_of(error)
-            show(lambda: _set(self._slopes, texts.refused(sentence)))
+            refused = texts.refused(sentence_of(error))
+            show(lambda: self._slopes.param.update(object=refused))
 
 
 class _Choice(NamedTuple):
@@ -130,7 +132,3 @@ def sentence_of(error: Exception) -> str:
     if isinstance(error, ValueError | RuntimeError):
         return one_line(error)
     return f"This failed: {type(error).__name__}: {one_line(error)}"
-
-
-def _set(pane: Any, text: str) -> None:
-    pane.object = text
