@@ -1,6 +1,5 @@
 """The controls of a page: axes and their ranges, sliders, levels, tolerance, size."""
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import panel as pn
 from .._base.numerals import as_text, number_in
 from .._maps.top_parameters import Quantity
 from . import texts
+from .pictures import rounded_up
 from .pieces import WIDE, html
 from .scenes import Scene, checked_range
 from .views import SIZES, View, checked_view, in_system, number_of, zoomed
@@ -144,7 +144,7 @@ class Controls:
             x, y = (widget.value for widget in self._axes)
             if event.obj is self._system:
                 return in_system(self._scene, view, self._system.value)
-            if (x, y) == (view.y, view.y) or (x, y) == (view.x, view.x):
+            if x == y:
                 x, y = view.y, view.x  # one axis was set to the other: swap them
             if (x, y) != (view.x, view.y):
                 return _with_either_axis(self._scene, view, x, y)
@@ -185,7 +185,7 @@ class _Value:
     def __init__(self, name: str, quantity: Quantity, on_value: Callable[[str, Any], None]) -> None:
         symbol, low, high = quantity.symbol, quantity.low, quantity.high
         self._name = name
-        self._step = round_step((high - low) / STEPS)
+        self._step = rounded_up((high - low) / STEPS, (1, 2, 5, 10))
         self._slider = _Slider(
             name=symbol,
             start=low,
@@ -240,12 +240,6 @@ class _Ends:
     def show(self, symbol: str, span: tuple[float, float]) -> None:
         for text, word, end in zip(self._texts, ("from", "to"), span, strict=True):
             text.param.update(name=f"{symbol} {word}", value=_exact(end))
-
-
-def round_step(least: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, not below a number."""
-    decade = 10.0 ** math.floor(math.log10(least))
-    return next(k * decade for k in (1, 2, 5, 10) if k * decade >= least * (1 - 1e-12))
 
 
 def _exact(value: float) -> str:

@@ -21,7 +21,8 @@ MERIDIANS, PARALLELS, POINTS = 8, 5, 24
 """Numbers of lines on the surface of a body, and of segments of each."""
 DRAW = Path(__file__).with_name("motion.js").read_text(encoding="utf-8")
 MESH = "x0", "y0", "z0", "x1", "y1", "z1"
-AT_BEGINNING, AT_END = "beginning", "end"
+PARTS = {"beginning": slice(0, FRAMES), "end": slice(-FRAMES, None)}
+"""The two groups of pictures of the moving body."""
 
 
 class CurvePlots:
@@ -47,7 +48,7 @@ class CurvePlots:
         self.omega.visible = self.energy.visible = False
         self._body = _Body()
         self._part = pn.widgets.RadioButtonGroup(
-            name="part", options=[AT_BEGINNING, AT_END], value=AT_BEGINNING, width=200
+            name="part", options=list(PARTS), value="beginning", width=200
         )
         self._part.param.watch(lambda _: self._show_body(), "value")
         self.body = pn.Column(self._part, self._body.pane, self._body.player, visible=False)
@@ -84,9 +85,7 @@ class CurvePlots:
     def _show_body(self) -> None:
         motion = self._motion
         if motion is not None and motion.of_body is not None:
-            first = self._part.value == AT_BEGINNING
-            part = slice(0, FRAMES) if first else slice(-FRAMES, None)
-            self._body.show(motion, motion.of_body, part)
+            self._body.show(motion, motion.of_body, PARTS[self._part.value])
 
 
 class _Player(pn.widgets.Player):

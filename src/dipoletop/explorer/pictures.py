@@ -71,10 +71,14 @@ def picture_of(
 
 def _with_nice_scale(shade: Shade) -> Shade:
     """Return the shade with a scale that ends at a round number."""
-    most = float(shade.norm.vmax or 1.0)
-    decade = 10.0 ** math.floor(math.log10(most))
-    end = next(nice * decade for nice in NICE if nice * decade >= most * (1 - 1e-12))
+    end = rounded_up(float(shade.norm.vmax or 1.0), NICE)
     return shade._replace(norm=Normalize(-end, end))
+
+
+def rounded_up(least: float, factors: Sequence[float]) -> float:
+    """Return the first of the factors times a power of ten that is not below a number."""
+    decade = 10.0 ** math.floor(math.log10(least))
+    return next(k * decade for k in factors if k * decade >= least * (1 - 1e-12))
 
 
 def hatch(image: UInt8[np.ndarray, "Y X 4"], inside: Bool[np.ndarray, "Y X"]) -> None:

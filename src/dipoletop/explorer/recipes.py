@@ -11,7 +11,9 @@ def code_of(scene: Scene, view: View) -> str:
     """Return a script that computes and draws the same map."""
     cells = cells_of(scene, view, view.size)
     system = scene.system_of(*view.values)
-    parts = [_imports(system), 'jax.config.update("jax_enable_x64", True)']
+    needed = ["import jax.numpy as jnp"] if "amplitude" in system else []
+    imports = ["import jax", *needed, "import numpy as np", "", "import dipoletop as dt"]
+    parts = ["\n".join(imports), 'jax.config.update("jax_enable_x64", True)']
     if scene.source.before:
         parts.append("\n".join(scene.source.before))
     axes = [f"    {name}={_values(values)}," for name, values in cells.grid.axes.items()]
@@ -27,11 +29,6 @@ def code_of(scene: Scene, view: View) -> str:
     drawn = f'{", ".join(names)}, x="{view.x}", y="{view.y}", unfold={cells.folded}'
     parts.append(f'dt.plots.save(dt.plots.{draw}({drawn}), "map.png")')
     return "\n\n".join(parts) + "\n"
-
-
-def _imports(system: tuple[str, ...]) -> str:
-    needed = ["import jax.numpy as jnp"] if "amplitude" in system else []
-    return "\n".join(["import jax", *needed, "import numpy as np", "", "import dipoletop as dt"])
 
 
 def _values(values: Float[np.ndarray, "n"]) -> str:
