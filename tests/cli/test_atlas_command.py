@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from command_line import invoke, refusal, said, table
 
+from command_line import invoke, refusal, said, table
 from dipoletop import atlases
 
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from command_line import refusal
 
 import dipoletop as dt
+from command_line import refusal
 from dipoletop._maps.top_parameters import describe
 from dipoletop._maps.top_problems import initial_condition
 from dipoletop.cli.options import DURATION, LEVEL, NUMBER, grid_over, start_values

@@ -7,9 +7,9 @@ import sys
 
 import jax
 import pytest
-from command_line import invoke, refusal, said
 
 import dipoletop as dt
+from command_line import invoke, refusal, said
 from dipoletop import validation
 
 

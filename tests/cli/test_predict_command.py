@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from command_line import invoke, refusal, said, table
 
+from command_line import invoke, refusal, said, table
 from dipoletop.cli import particle_commands
 
 

@@ -4,9 +4,9 @@ import re
 import socket
 
 import pytest
-from command_line import refusal
 
 import dipoletop as dt
+from command_line import refusal
 from dask_processes import DIPOLETOP, SCHEDULER, Processes
 from dipoletop.cli import map_run
 

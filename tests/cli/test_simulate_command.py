@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from command_line import refusal, said, table
 
+from command_line import refusal, said, table
 from dipoletop import validation
 
 SIMULATE = "simulate", "--level", "order-1", "--points", 101  # so that little is compiled

@@ -2,9 +2,8 @@
 
 import dataclasses
 
-from command_line import invoke, refusal, said
-
 import dipoletop as dt
+from command_line import invoke, refusal, said
 from stored_files import files, flip
 
 

@@ -1,4 +1,4 @@
-"""A browser for all tests of a file, and a server with its compiled programs."""
+"""A browser for all tests of a file, a server with its compiled programs, and its pages."""
 
 import pytest
 
@@ -20,11 +20,23 @@ def server():
 
 
 @pytest.fixture
-def visit(chromium, server):
-    """A page that has its first finished picture; at the end its console must be empty."""
-    url, _ = server
-    visit = browsing.Visit.of(chromium, f"{url}?size=128")
+def opened(chromium, server):
+    """A function that opens the page at an address; at the end its console must be empty."""
+    visits = []
+
+    def at(query):
+        visits.append(browsing.Visit.of(chromium, server[0] + query))
+        return visits[-1]
+
+    yield at
+    for visit in visits:
+        visit.close()
+        assert visit.complaints == []
+
+
+@pytest.fixture
+def visit(opened):
+    """A page that has its first finished picture."""
+    visit = opened("?size=128")
     visit.final()
-    yield visit
-    visit.close()
-    assert visit.complaints == []
+    return visit

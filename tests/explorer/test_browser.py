@@ -40,6 +40,18 @@ def starts(visit, number=0):
     return visit.pixels(number)[1::3, 1::3]
 
 
+def chosen(visit):
+    """The start that is marked."""
+    return data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
+
+
+def enter(visit, delta):
+    """Type a value of δ."""
+    box = visit.page.locator(".dt-value-delta input")
+    box.fill(delta)
+    box.press("Enter")
+
+
 def test_a_slider_redraws_what_a_sweep_gives(visit):
     visit.final(fine=True)
     before = starts(visit)
@@ -70,18 +82,14 @@ def test_pictures_come_while_a_slider_moves(visit):
 
 
 def test_exact_values_are_taken_and_bad_ones_refused(visit):
-    box = visit.page.locator(".dt-value-delta input")
-    box.fill("-1/3")
-    box.press("Enter")
+    enter(visit, "-1/3")
     visit.until(lambda: "Argument `delta` must be a finite number" in visit.text(), "a refusal")
-    box.fill("1")
-    box.press("Enter")
+    enter(visit, "1")
     visit.until(
         lambda: "Argument `delta` must lie in [-1, 1), but is 1." in visit.text(), "another"
     )
     assert visit.about()["fixed"]["delta"] == -0.2
-    box.fill("-0.123456789")
-    box.press("Enter")
+    enter(visit, "-0.123456789")
     visit.final(delta=-0.123456789)
     visit.until(lambda: "must lie" not in visit.text(), "the picture in place of the refusal")
 
@@ -90,16 +98,12 @@ def test_a_click_shows_the_start(visit):
     x, y = visit.place(0.05, 0.9)  # far from the dipole's plane of rotation, fast: it stops
     visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "that of the first start")
     visit.page.mouse.click(x, y)
-
-    def place():
-        return data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
-
     there = pytest.approx((0.1 * np.pi, 0.48), abs=0.02)
-    chosen = visit.until(lambda: place() if place() == there else None, "the mark")
-    visit.until(lambda: data(visit, "omega", "w3")[0] == pytest.approx(chosen[1]), "the motion")
+    visit.until(lambda: chosen(visit) == there, "the mark")
+    phi, w3 = chosen(visit)
+    visit.until(lambda: data(visit, "omega", "w3")[0] == pytest.approx(w3), "the motion")
     visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives")
-    omega0 = dt.cylindrical(0.2, chosen[1], chosen[0])
-    verdict = dt.classify(dt.TransverseSemi(-0.2), omega0)
+    verdict = dt.classify(dt.TransverseSemi(-0.2), dt.cylindrical(0.2, w3, phi))
     assert dt.Outcome(int(verdict.outcome)).name.lower() in visit.text()
     curves = visit.page.evaluate(
         f"""() => {{ {browsing.MODEL}
@@ -108,7 +112,7 @@ def test_a_click_shows_the_start(visit):
                     b.x0.length]
         }}"""
     )
-    assert curves[0] == pytest.approx(chosen[1])
+    assert curves[0] == pytest.approx(w3)
     assert curves[1] > 100
     assert curves[2] > curves[3] > 0
     assert curves[4] > 100
@@ -117,8 +121,7 @@ def test_a_click_shows_the_start(visit):
 def test_a_page_opens_with_a_start_whose_body_turns(visit):
     """That of figure 2a; its path on the map ends where ω lies along the dipole."""
     visit.until(lambda: data(visit, "path", "x"), "the path")
-    chosen = data(visit, "chosen", "x")[0], data(visit, "chosen", "y")[0]
-    assert chosen == pytest.approx((np.pi / 30, 0.2))
+    assert chosen(visit) == pytest.approx((np.pi / 30, 0.2))
     assert data(visit, "path", "y")[0] == pytest.approx(0.2)
     assert data(visit, "path", "y")[-1] == pytest.approx(0.0, abs=1e-3)
     first = visit.until(lambda: data(visit, "arrows", "x1"), "the body")
@@ -128,9 +131,7 @@ def test_a_page_opens_with_a_start_whose_body_turns(visit):
 def test_the_chosen_start_and_the_address_follow_the_view(visit):
     visit.until(lambda: "∂ω∞/∂δ" in visit.text(), "derivatives")
     before = visit.page.url
-    box = visit.page.locator(".dt-value-delta input")
-    box.fill("-0.1")
-    box.press("Enter")
+    enter(visit, "-0.1")
     visit.final(delta=-0.1)
     visit.until(lambda: "δ = −0.1, ω⊥ = 0.2, ω₃ = 0.2" in visit.text(), "the start")
     verdict = dt.classify(dt.TransverseSemi(-0.1), dt.cylindrical(0.2, 0.2, np.pi / 30))
@@ -188,8 +189,8 @@ def _point(about, x, y):
     return {name: [value] for name, value in (place | about["fixed"]).items()}
 
 
-def test_a_dark_page_stays_dark(chromium, server):
-    visit = browsing.Visit.of(chromium, f"{server[0]}?size=128&theme=dark")
+def test_a_dark_page_stays_dark(opened):
+    visit = opened("?size=128&theme=dark")
     visit.final()
     colour = visit.page.evaluate("() => getComputedStyle(document.body).backgroundColor")
     assert max(int(part) for part in re.findall(r"\d+", colour)[:3]) < 60
@@ -198,8 +199,6 @@ def test_a_dark_page_stays_dark(chromium, server):
     visit.page.get_by_role("button", name="Dark or light").click()
     visit.until(lambda: "theme" not in visit.page.url, "a light page")
     visit.final()
-    assert visit.complaints == []
-    visit.close()
 
 
 def test_a_phone_sees_a_page_of_its_width(chromium, server):
@@ -244,25 +243,21 @@ def _final_at(visit, left, right):
     return about if there and about["fine_edges"] else None
 
 
-def test_rounding_ends_the_zoom_and_the_page_says_so(chromium, server):
+def test_rounding_ends_the_zoom_and_the_page_says_so(opened):
     low, high = 0.3, 0.3 + 128 * 5 * float(np.spacing(0.3))
-    query = f"?size=128&phi={low!r}..{high!r}&w3=0.2..{0.2 + 1e-13!r}"
-    visit = browsing.Visit.of(chromium, server[0] + query)
+    visit = opened(f"?size=128&phi={low!r}..{high!r}&w3=0.2..{0.2 + 1e-13!r}")
     visit.final()
-    x, y = visit.place(0.5, 0.5)
-    visit.page.mouse.move(x, y)
+    visit.page.mouse.move(*visit.place(0.5, 0.5))
     for _ in range(6):
         visit.page.mouse.wheel(0, -400)
         visit.page.wait_for_timeout(50)
     visit.until(lambda: "Rounding ends the zoom in φ" in visit.text(), "the end of the zoom")
     left, right, *_ = visit.ranges()
     assert right - left >= 128 * 4 * np.spacing(0.3)
-    assert visit.complaints == []
-    visit.close()
 
 
-def test_two_levels_side_by_side(chromium, server):
-    visit = browsing.Visit.of(chromium, f"{server[0]}?size=128&level=order-1&level=semi")
+def test_two_levels_side_by_side(opened):
+    visit = opened("?size=128&level=order-1&level=semi")
     visit.final(fine=True)
     text = visit.until(lambda: _with(visit, "The outcome differs for"), "the share")
     assert "Order 1 lacks a leading term of the full equation." in text
@@ -276,8 +271,6 @@ def test_two_levels_side_by_side(chromium, server):
     black = np.all(visit.pixels(0)[..., :3] == 0, axis=2)
     assert black.any()
     np.testing.assert_array_equal(black, np.all(visit.pixels(1)[..., :3] == 0, axis=2))
-    assert visit.complaints == []
-    visit.close()
 
 
 def _with(visit, words):
@@ -304,27 +297,21 @@ def test_the_code_button_writes_the_code_of_the_view(visit):
         ("delta=<script>alert(1)</script>", "but is '<script>alert(1)</script>'."),
     ],
 )
-def test_bad_addresses_are_refused_in_a_sentence(chromium, server, query, sentence):
-    visit = browsing.Visit.of(chromium, f"{server[0]}?{query}")
+def test_bad_addresses_are_refused_in_a_sentence(opened, query, sentence):
+    visit = opened(f"?{query}")
     visit.until(lambda: sentence in visit.text(), "the refusal")
     assert visit.about() is None
-    assert visit.complaints == []
-    visit.close()
 
 
-def test_a_second_user_is_served_while_the_first_one_computes(chromium, server):
-    url = server[0]
+def test_a_second_user_is_served_while_the_first_one_computes(opened):
     slow = "?size=1024&level=order-4&level=order-3&phi=0.1..3&w3=0.01..0.6&rtol=1e-11"
-    first = browsing.Visit.of(chromium, url + slow)
+    first = opened(slow)
     first.until(first.about, "a coarse picture")
-    second = browsing.Visit.of(chromium, f"{url}?size=64&delta=-0.31")
+    second = opened("?size=64&delta=-0.31")
     second.final(delta=-0.31)
     assert not first.about()["final"]
     second.drag("delta", 20)
     second.final(delta=second.value("delta"))
-    assert first.complaints == second.complaints == []
-    first.close()
-    second.close()
 
 
 def handshake(url, origin):
