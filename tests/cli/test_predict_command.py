@@ -1,4 +1,4 @@
-"""`dipoletop predict`: exact results of symmetric particles, what is written, refusals."""
+"""`dipoletop predict`: exact results of symmetric particles, what is written."""
 
 import math
 import re
@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from command_line import invoke, refusal, said, table
+from command_line import invoke, said, table
 from dipoletop.cli import particle_commands
 
 
@@ -81,33 +81,10 @@ def test_a_tilted_dipole_stops_after_its_lifetime(tmp_path):
     assert number(tilted, "lifetime") == pytest.approx(lifetime, rel=3e-3)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ("", "One of --particle, --box, --rod, --sphere or --ellipsoid must be given, but none is"),
-        ("--particle cds --rod 9x1nm", "but --particle and --rod are."),
-        ("--sphere 9nm --density 1000 --dipole 9", "--sphere needs --along, too."),
-        ("--particle cds --density 3", "--density is that of a solid; a --particle has its own."),
-        ("--particle cds --axis x --momentum x", "--momentum and --axis cannot both be given."),
-        ("--box 3x2nm", "'3x2nm' is not 3 positive lengths with a unit (nm, um, mm, …) such as"),
-        ("--box 3x2x1", "'3x2x1' is not 3 positive lengths with a unit"),
-        ("--sphere -3nm", "'-3nm' is not a positive length with a unit"),
-        ("--particle cds --along 0,0,0", "'0,0,0' is not a direction such as x, y, z or 1,0,0.01."),
-        ("--particle cds --spin 1kg", "--spin must be a number with a unit among Hz"),
-        ("--particle cds --dipole 0", "--dipole must not be zero"),
-        ("--particle cds --spin 1e8GHz --axis x", "must have a rim slower than 0.1 c, since"),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(tmp_path, arguments, sentence):
-    assert sentence in refusal("predict", *arguments.split(), "--output", f"{tmp_path}/p")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_solids_have_the_mass_of_their_size(monkeypatch, tmp_path):
     """The sizes are edges and diameters; nothing is predicted here."""
     seen = []
-    record = lambda particle, *_: seen.append(particle)  # noqa: E731
-    monkeypatch.setattr(particle_commands, "_predictions", record)
+    monkeypatch.setattr(particle_commands, "_predictions", lambda one, *_: seen.append(one))
     rest = ["--density", 1000, "--dipole", 5, "--along", "x", "--output"]
     for shape in (
         "--box 4x2x1nm",
@@ -143,8 +120,3 @@ def test_balance_of_a_solid(tmp_path):
     assert f"gas        {rate:.3g} 1/s" in text
     assert "blackbody  not known: `loss` is not given" in text
     assert (tmp_path / "b.svg").stat().st_size > 10_000
-
-
-def test_balance_refuses():
-    assert refusal("balance", "--pressure", -1) == "--pressure must not be negative, but is -1.0."
-    assert "--rod needs --density, too." in refusal("balance", "--rod", "300x30nm")

@@ -1,4 +1,4 @@
-"""`dipoletop simulate`: the curves of figure 2, how runs end, other levels, refusals."""
+"""`dipoletop simulate`: the curves of figure 2, how runs end, other levels."""
 
 import math
 import re
@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from command_line import refusal, said, table
+from command_line import said, table
 from dipoletop import validation
 
 SIMULATE = "simulate", "--level", "order-1", "--points", 101  # so that little is compiled
@@ -58,18 +58,3 @@ def test_a_stopping_top_from_spherical_angles(tmp_path):
     for tau, expected in zip((10, 100), validation.STOPPING_ORBIT, strict=False):
         np.testing.assert_allclose(omega(rows[tau]), expected, atol=1e-8)
     assert text.count("STOP ROTATING") == 2  # at the consistent level, too
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ("--max-steps 3", "The run did not reach τ = 1000: it ended after 3 steps of at most 3."),
-        ("--tau-max 0", "--tau-max must be positive, but is 0."),
-        ("--theta 1 --w3 1", "theta and w3 cannot be mixed"),
-        ("--delta -1.1", "--delta must lie in [-1, 1), but is -1.1."),
-        ("--points 1", "Invalid value for '--points'"),
-    ],
-)
-def test_a_run_that_cannot_be_is_refused_in_one_line(tmp_path, arguments, line):
-    assert line in refusal(*SIMULATE, *arguments.split(), "--output", f"{tmp_path}/t")
-    assert list(tmp_path.iterdir()) == []
