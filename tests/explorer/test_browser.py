@@ -291,8 +291,6 @@ def test_the_code_button_writes_the_code_of_the_view(visit):
 @pytest.mark.parametrize(
     ("query", "sentence"),
     [
-        ("delta=3", "Argument `delta` must lie in [-1, 1), but is 3."),
-        ("level=best", "Argument `level` must be one of"),
         ("size=1e9", "Argument `size` must be one of 64, 128, 256, 512, 1024"),
         ("delta=<script>alert(1)</script>", "but is '<script>alert(1)</script>'."),
     ],

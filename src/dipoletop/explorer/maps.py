@@ -82,14 +82,13 @@ class Maps:
                 line = {"line_color": colour, "line_width": width}
                 plot.scatter("x", "y", source=self._chosen, marker="cross", size=18, **line)
             plot.on_event(Tap, lambda event, number=number: on_start(number, event.x, event.y))
+            plot.on_event(Reset, lambda _: on_ranges(None))
         first = self.figures[0]
         self._sources[0].js_on_change("data", CustomJS(args={"figure": first}, code=DRAWN))
         first.on_change("tags", lambda attr, old, new: on_drawn(int(new[0])) if new else None)
         first.on_event(
             RangesUpdate, lambda at: on_ranges({"x": (at.x0, at.x1), "y": (at.y0, at.y1)})
         )
-        for plot in self.figures:
-            plot.on_event(Reset, lambda _: on_ranges(None))
         self.panes = [pane_of(plot) for plot in self.figures]
 
     def once_loaded(self, begin: Callable[[], None]) -> None:
