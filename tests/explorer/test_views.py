@@ -75,10 +75,9 @@ def test_zooms_end_where_rounding_ends_them(place):
         w3, phi = np.broadcast_arrays(points["w3"], points["phi"])
         starts = np.asarray(dt.cylindrical(0.2 * np.ones(w3.shape), w3, phi))
         assert len(np.unique(starts, axis=0)) == view.size
-    again, ended = views.zoomed(TOP, view, view.ranges)
+    again, _ = views.zoomed(TOP, view, view.ranges)
     for name, span in view.ranges.items():
         assert again.ranges[name] == pytest.approx(span, rel=1e-12)
-    assert set(ended) <= {"phi", "w3"}
 
 
 def test_ranges_stay_within_the_bounds_of_their_quantities():

@@ -101,14 +101,10 @@ class Explorer:
         return self._opened(view)
 
     def _opened(self, view: View) -> Any:
-        import panel as pn
-
         from .page import Page
 
-        self._page = page = Page(self._workshop, view)
-        if pn.state.curdoc and pn.state.curdoc.session_context:
-            pn.state.on_session_destroyed(lambda _: page.close())
-        return page.layout
+        self._page = Page(self._workshop, view)
+        return self._page.layout
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         """Return a new page as output of a notebook; text if there is no browser."""

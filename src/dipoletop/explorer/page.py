@@ -75,6 +75,7 @@ class Page:
         # Changes made while the browser is still loading the page would not reach it.
         if self._outlet.is_served:
             pn.state.onload(self._ask)
+            pn.state.on_session_destroyed(lambda _: self._close())
         else:
             self._draw_at_once()
             self._maps.once_loaded(self._ask)
@@ -128,7 +129,7 @@ class Page:
         layout.outlet = self._outlet
         return layout
 
-    def close(self) -> None:
+    def _close(self) -> None:
         """Compute nothing more for this page."""
         self._workshop.turns.drop(self)
         self._start.wait()
