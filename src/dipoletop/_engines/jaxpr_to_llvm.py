@@ -192,14 +192,10 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
 
 def _elementwise(name: str, eqn: Any, w: VectorBuilder) -> Callable[..., Any]:
     """Return the function of single entries that an elementwise primitive applies."""
-    if name in FLOAT:
-        return functools.partial(w.arithmetic, name)
-    if name in COMPARE:
-        return functools.partial(w.compare, name)
-    if name in _FUNCTIONS:
-        return functools.partial(w.function, name)
-    if name in BITWISE:
-        return functools.partial(w.bitwise, name)
+    kinds = (FLOAT, w.arithmetic), (COMPARE, w.compare), (_FUNCTIONS, w.function)
+    for names, write in (*kinds, (BITWISE, w.bitwise)):
+        if name in names:
+            return functools.partial(write, name)
     if name not in _ELEMENTWISE:
         raise Unsupported(f"the operation {name}")
     dtype, result_dtype = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
