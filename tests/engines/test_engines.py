@@ -15,9 +15,9 @@ import dipoletop as dt
 from dipoletop._base.stopping import BROKEN, EXHAUSTED, FINISHED
 from dipoletop._engines import jax_engine
 from dipoletop._engines.branch_engine import BranchEngine
-from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
+from limits_of_runs import limits
 
 RNG = np.random.default_rng(5)
 N = 384  # a multiple of every block width, as the tiles of a sweep are
@@ -28,12 +28,6 @@ STARTS = jnp.asarray(RNG.normal(size=(3, N)) * 0.3)
 SHORT = JaxEngine(diffrax.Tsit5())  # its programs take a third of the time to compile
 both = pytest.mark.parametrize("engine", [SHORT, NativeEngine()], ids=lambda e: e.name)
 JAX_SLOW = [pytest.param(SHORT, marks=pytest.mark.slow), NativeEngine()]
-
-
-def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
-    size = np.linalg.norm(starts, axis=0)
-    given = rtol, rtol * size, np.full(len(size), t1), max_steps
-    return Limits(*map(jnp.asarray, given))
 
 
 @pytest.mark.parametrize(
@@ -63,18 +57,6 @@ def test_end_states_equal_those_of_diffrax(engine, solver):
         assert error < 100 * rtol * np.linalg.norm(STARTS[:, i])
 
 
-@both
-def test_exact_solution_and_error_in_proportion_to_the_tolerance(engine):
-    """Plane rotator (2.4) in every lane, each with its own Ω₀, whatever the shape."""
-    speeds = np.linspace(0.1, 3.0, N)
-    starts = jnp.asarray(np.stack([0 * speeds, speeds, 0 * speeds]))
-    equation = dt.TransverseSemi(DELTAS)
-    exact = speeds / np.sqrt(1 + 2 * speeds**2 * 40)
-    for rtol in (1e-5, 1e-8, 1e-11):
-        ends = engine.end_states(equation, starts, limits(starts, rtol, 40.0), until="time")
-        assert np.max(np.abs(np.asarray(ends.y)[1] - exact) / speeds) < 20 * rtol
-
-
 @pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda e: e.name)
 def test_a_lane_does_not_see_its_neighbours(engine):
     """Position in the queue, its length and company change no bit of a result."""
@@ -93,27 +75,6 @@ def same(found, ends, order):
     for name in ("y", "t", "steps", "status"):
         one, other = (np.asarray(getattr(each, name)) for each in (found, ends))
         assert np.array_equal(one, other[..., order])
-
-
-@pytest.mark.parametrize("engine", JAX_SLOW, ids=lambda e: e.name)
-def test_bad_lanes_fail_at_once_and_harm_no_other(engine):
-    starts = np.array(STARTS)
-    bad = {3: np.nan, 50: np.inf, 120: 1e200, 121: -1e40}
-    for lane, value in bad.items():
-        starts[1, lane] = value
-    starts[:, 200] = 0.0
-    deltas = DELTAS.at[250].set(jnp.nan)
-    clean = engine.end_states(dt.TransverseReduced(DELTAS), STARTS, limits(STARTS), until="outcome")
-    ends = engine.end_states(
-        jax.vmap(dt.TransverseReduced)(deltas), jnp.asarray(starts), limits(STARTS), until="outcome"
-    )
-    lost = [*bad, 250]
-    assert np.all(np.asarray(ends.status)[lost] == BROKEN)
-    assert np.all(np.asarray(ends.steps)[lost] == 0)
-    assert ends.status[200] == FINISHED
-    others = np.setdiff1d(np.arange(N), [*lost, 200])
-    assert np.array_equal(np.asarray(ends.y)[:, others], np.asarray(clean.y)[:, others])
-    assert np.array_equal(np.asarray(ends.steps)[others], np.asarray(clean.steps)[others])
 
 
 @both

@@ -12,10 +12,10 @@ import pytest
 
 import dipoletop as dt
 from dipoletop._base.tolerances import Tolerances
-from dipoletop._engines.interface import Limits
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._engines.step import advance, begin
 from dipoletop._engines.step_sizes import first_step
+from limits_of_runs import limits
 
 MOST_PROGRAMS = 180  # two verdicts, operation by operation: only so are their bits the same
 
@@ -23,13 +23,6 @@ RNG = np.random.default_rng(5)
 N = 128
 DELTAS = jnp.asarray(RNG.uniform(-0.9, 0.9, N))
 STARTS = jnp.asarray(RNG.normal(size=(3, N)) * 0.3)
-
-
-def limits(starts, rtol=1e-9, t1=jnp.inf, max_steps=100_000):
-    size = jnp.sqrt(jnp.sum(starts**2, axis=0))
-    return Limits(
-        jnp.asarray(rtol), rtol * size, jnp.full(starts.shape[1], t1), jnp.asarray(max_steps)
-    )
 
 
 def test_the_first_step_is_nearly_as_long_as_it_may_be():
@@ -133,16 +126,8 @@ def test_verdicts_are_the_same_with_what_is_prepared_for_them():
     """The axes of the body, and the averages of the torque on its free rotation."""
     equation = dt.Reduced(dt.Body([[1.7, 0.0, 0.0], [0.0, 1.3, 0.2], [0.0, 0.2, 1.0]], [0.6, 0, 0]))
     y = jnp.array([0.1, -0.3, 0.2])
-    plain, prepared = equation.verdict(y), equation.verdict(y, equation.prepare())
-    jax.tree.map(np.testing.assert_array_equal, plain, prepared)
-    names = {name: str(jax.make_jaxpr(f)(y)) for name, f in _verdicts(equation).items()}
-    assert "atan2" in names["plain"]
-    assert "atan2" not in names["prepared"]
-
-
-def _verdicts(equation):
     seen = equation.prepare()
-    return {
-        "plain": lambda y: equation.verdict(y).outcome,
-        "prepared": lambda y: equation.verdict(y, seen).outcome,
-    }
+    plain, prepared = equation.verdict(y), equation.verdict(y, seen)
+    jax.tree.map(np.testing.assert_array_equal, plain, prepared)
+    written = [str(jax.make_jaxpr(equation.verdict)(y, *given)) for given in ((), (seen,))]
+    assert ["atan2" in program for program in written] == [True, False]

@@ -17,6 +17,7 @@ from dipoletop._engines.interface import Limits
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._engines.step import begin, runge_kutta_step
+from limits_of_runs import limits
 
 RNG = np.random.default_rng(19)
 N = 256  # lanes of every block that is integrated to given times
@@ -74,10 +75,10 @@ def at_fixed_steps(method, delta, start, end, counts):
     number = jnp.asarray(counts)
     h = end / number.astype(float)
     zero = jnp.zeros_like(h)
-    limits = Limits(jnp.asarray(1.0), 1 + zero, zero + end, jnp.asarray(1))
+    once = Limits(jnp.asarray(1.0), 1 + zero, zero + end, jnp.asarray(1))
     y = jnp.repeat(start[:, None], len(counts), axis=1)
     equation = Pulsed(dt.LongitudinalReduced(delta + zero))
-    begun = begin(equation, y, limits, 1, "time")  # but for its step size
+    begun = begin(equation, y, once, 1, "time")  # but for its step size
 
     def step(k, at):
         y, f, _ = runge_kutta_step(method, at.equation, at, h, at.t1)
@@ -89,10 +90,7 @@ def at_fixed_steps(method, delta, start, end, counts):
 
 def run(engine, equation, starts, times, rtol=1e-9):
     """End states at given times."""
-    size = np.linalg.norm(starts, axis=0)
-    atol = jnp.asarray(rtol * size)
-    limits = Limits(jnp.asarray(rtol, float), atol, times, jnp.asarray(100_000))
-    return engine.end_states(equation, starts, limits, until="time")
+    return engine.end_states(equation, starts, limits(starts, rtol, times), until="time")
 
 
 def solved():
@@ -229,7 +227,7 @@ SHAPES, CORNERS = corners()
 def labels(engine, deltas, starts, rtol=1e-8, max_steps=250):
     """With few steps: what is slow must say so. One program for each engine."""
     return dt.classify_many(
-        dt.TransverseReduced(jnp.asarray(deltas)),
+        jax.vmap(dt.TransverseReduced)(jnp.asarray(deltas)),
         starts,
         rtol=rtol,
         value=False,
@@ -254,12 +252,14 @@ def test_corners_of_the_domain_and_a_block_with_bad_lanes(engine):
     across = np.hypot(CORNERS[:, 0], CORNERS[:, 1])
     assert not np.any(np.abs(found.omega_inf) > across * (1 + 1e-6))
 
-    starts = CORNERS.copy()
+    starts, shapes = CORNERS.copy(), SHAPES.copy()
     bad = RNG.choice(len(starts), 40, replace=False)
     starts[bad, RNG.integers(0, 3, 40)] = np.resize([np.nan, np.inf, -np.inf, 1e200], 40)
     rest = bad[::8]
     starts[rest] = 0.0
-    again = labels(engine, SHAPES, starts)
+    shapes[bad[1]] = np.nan
+    starts[bad[1]] = 0.1
+    again = labels(engine, shapes, starts)
     lost = np.setdiff1d(bad, rest)
     assert np.all(again.outcome[lost] == Outcome.FAILED)
     assert np.all(again.steps[bad] == 0)
