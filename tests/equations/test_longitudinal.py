@@ -35,25 +35,6 @@ def test_the_other_levels_equal_the_general_ones():
     same(five, six[:5])
 
 
-def test_first_order_is_that_of_the_paper():
-    """(3.9)–(3.10) in cylindrical variables."""
-    w, w3, phi = jnp.abs(OMEGAS[0]), OMEGAS[2], OMEGAS[1]
-    rate = dt.LongitudinalReduced(DELTAS)(0.0, dt.cylindrical(w, w3, phi).T)
-    across = rate[0] * jnp.cos(phi) + rate[1] * jnp.sin(phi)
-    around = (rate[1] * jnp.cos(phi) - rate[0] * jnp.sin(phi)) / w
-    np.testing.assert_allclose(across, -(w**2 + ((1 - DELTAS) * w3) ** 2) * w, rtol=1e-12)
-    np.testing.assert_allclose(around, -DELTAS * w3, rtol=1e-11, atol=1e-13)
-
-
-def test_semi_reduced_drag():
-    """ω⊥′ = −(ω⊥² + ζ²ω₃²)ω⊥/(1 + 4ω₃²): why its outcome is certain."""
-    w1, w2, w3 = OMEGAS
-    rate = dt.LongitudinalSemi(DELTAS)(0.0, OMEGAS)
-    square = w1**2 + w2**2
-    expected = -(square + ((1 - DELTAS) * w3) ** 2) * square / (1 + 4 * w3**2)
-    np.testing.assert_allclose(w1 * rate[0] + w2 * rate[1], expected, rtol=1e-11, atol=1e-14)
-
-
 def test_every_motion_ends_about_the_dipole():
     starts = np.array([[0.2, 0.1, 0.15], [0.2, 0.1, 0.0], [0.0, 0.0, -0.2], [0.0, 0.0, 0.0]])
 
