@@ -107,7 +107,6 @@ CASES = {
     "dt.simulate(EQUATION, START, TS, saveat=diffrax.SaveAt(dense=True))": "saves something else",
     "dt.simulate(EQUATION, START, TS, saveat=diffrax.SaveAt(t1=True, fn=own))": "saves something",
     "dt.simulate(EQUATION, START, TS, progress_meter=True)": "`progress_meter` must be a",
-    "dt.simulate(dt.TransverseSemi, START, TS)": "but is the class TransverseS",
     "dt.simulate(MANY, START, TS)": "`equation` must be a single one, but is a b",
     "dt.simulate(EQUATION, START, TS).evaluate(0.5)": "`dense` must be True",
     "dt.simulate(EQUATION, START, TS).balance_defect": "`balance` must be True",

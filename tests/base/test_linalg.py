@@ -2,7 +2,6 @@
 
 import itertools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -43,17 +42,3 @@ def test_agrees_with_numpy_in_every_lane(operation, ranks, reference, batched):
     expected = np.stack(lanes, axis=-1) if any(batched) else lanes[0]
     assert result.shape == expected.shape
     np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-13)
-
-
-def test_cross_is_right_handed():
-    x, y, z = jnp.eye(3)
-    np.testing.assert_array_equal(cross(x, y), z)
-
-
-def test_solve_differentiates():
-    # d(m⁻¹b) = −m⁻¹ dm m⁻¹b
-    m, dm = jnp.asarray(MATRICES[..., 0]), jnp.asarray(MATRICES[..., 1])
-    b = jnp.asarray(VECTORS[0, :, 0])
-    _, tangent = jax.jvp(lambda matrix: solve(matrix, b), (m,), (dm,))
-    inv = np.linalg.inv(m)
-    np.testing.assert_allclose(tangent, -inv @ dm @ inv @ b, rtol=1e-12)
