@@ -89,6 +89,21 @@ def test_homogeneous_bodies_are_clouds_of_masses(body, points, volume):
     np.testing.assert_array_equal(body.dipole, X)
 
 
+def test_inertia_is_that_of_point_masses():
+    masses, where = RNG.uniform(1, 2, 7), RNG.normal(size=(7, 3))
+    rho = where - masses @ where / masses.sum()
+    expected = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, rho))  # noqa: B905
+    body = from_charges(masses, where, np.ones(7))
+    np.testing.assert_allclose(body.inertia, expected, rtol=1e-13)
+
+
+def test_dipole_of_a_neutral_body_needs_no_centre():
+    masses, where, charges = RNG.uniform(1, 2, 7), RNG.normal(size=(7, 3)), RNG.normal(size=7)
+    charges -= charges.mean()
+    body = from_charges(masses, where + 2.0, charges)
+    np.testing.assert_allclose(body.dipole, charges @ where, rtol=1e-12)
+
+
 def test_dipole_of_a_charged_body_is_about_the_centre_of_mass():
     where = np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [2, 0, 3]])
     body = from_charges([3.0, 1, 1, 1], where, [0.0, 1, 0, 0])
