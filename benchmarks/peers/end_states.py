@@ -22,6 +22,8 @@ from benchmarks.problems import mixed_basin
 
 try:
     import heyoka
+
+    from benchmarks.peers import with_heyoka
 except ImportError:
     heyoka = None
 
@@ -74,7 +76,6 @@ def by_diffrax(omegas: Starts, rtol: float, as_tuple: bool) -> Task:
 
 def _system(amplitude: float) -> list[tuple[Any, Any]]:
     """Return the equation for heyoka, with the amplitude as the unit of ω, its inverse of time."""
-    assert heyoka is not None
     y = heyoka.make_vars("y1", "y2", "y3")
     return list(zip(y, mixed_basin.rate(DELTA, y, amplitude), strict=True))
 
@@ -85,44 +86,32 @@ def heyoka_batch(omegas: Starts, rtol: float) -> Task:
     All coefficients are compile-time constants (the other methods get δ at run time). Batches of
     two and four times the SIMD width are no faster, and two threads are no faster than one.
     """
-    assert heyoka is not None
-    width, settings = heyoka.recommended_simd_size(), {"compact_mode": False, "fast_math": True}
-    start = np.zeros((3, width))
-    integrator = heyoka.taylor_adaptive_batch(_system(AMPLITUDE), start, tol=rtol, **settings)
+    integrator = with_heyoka.batch_integrator(_system(AMPLITUDE), rtol)
 
-    def advance() -> Starts:
-        batches = -(-len(omegas) // width)
-        padded = np.minimum(np.arange(batches * width), len(omegas) - 1)
-        scaled = (omegas[padded] / AMPLITUDE).reshape(batches, width, 3)
-        blocks = np.ascontiguousarray(scaled.swapaxes(1, 2))
-        state = integrator.state  # a view
-        for block in blocks:
-            state[:] = block
-            integrator.set_time(0.0)
-            integrator.propagate_until(AMPLITUDE * TIME)
-            block[:] = state
-        return AMPLITUDE * blocks.swapaxes(1, 2).reshape(-1, 3)[: len(omegas)]
+    def advance() -> None:
+        integrator.set_time(0.0)
+        integrator.propagate_until(AMPLITUDE * TIME)
 
-    return advance
+    scaled, no_parameters = omegas.T / AMPLITUDE, np.zeros((0, len(omegas)))
+    return lambda: AMPLITUDE * with_heyoka.in_batches(integrator, scaled, no_parameters, advance).T
+
+
+def _one_by_one(integrator: Any, omegas: Starts, last: Any) -> Starts:
+    """Advance one start after another to a time, in the arithmetic of that time."""
+    ends = omegas.copy()
+    for end in ends:
+        integrator.state[:] = end
+        integrator.time = 0 * last
+        integrator.propagate_until(last)
+        end[:] = integrator.state
+    return ends
 
 
 def heyoka_scalar(omegas: Starts, rtol: float) -> Task:
     """Prepare heyoka, one start after another, scaled as in batch mode."""
-    assert heyoka is not None
     settings = {"compact_mode": False, "fast_math": True}
     integrator = heyoka.taylor_adaptive(_system(AMPLITUDE), np.zeros(3), tol=rtol, **settings)
-
-    def advance() -> Starts:
-        ends = omegas / AMPLITUDE
-        state = integrator.state  # a view
-        for end in ends:
-            state[:] = end
-            integrator.time = 0.0
-            integrator.propagate_until(AMPLITUDE * TIME)
-            end[:] = state
-        return AMPLITUDE * ends
-
-    return advance
+    return lambda: AMPLITUDE * _one_by_one(integrator, omegas / AMPLITUDE, AMPLITUDE * TIME)
 
 
 def by_scipy(omegas: Starts, rtol: float) -> Task:
@@ -140,20 +129,13 @@ def by_scipy(omegas: Starts, rtol: float) -> Task:
 
 def _in_long_double(omegas: Starts) -> Starts:
     """Return end states by heyoka, one start after another, in extended precision."""
-    assert heyoka is not None
     integrator = heyoka.taylor_adaptive(
         _system(1.0),
         np.zeros(3, np.longdouble),
         fp_type=np.longdouble,
         tol=np.longdouble(1e-19),
     )
-    ends = np.empty_like(omegas)
-    for end, omega in zip(ends, omegas, strict=True):
-        integrator.time = np.longdouble(0)
-        integrator.state[:] = omega
-        integrator.propagate_until(np.longdouble(TIME))
-        end[:] = integrator.state
-    return ends
+    return _one_by_one(integrator, omegas, np.longdouble(TIME))
 
 
 def reference(omegas: Starts) -> tuple[Starts, str]:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 import dipoletop as dt
 from benchmarks import engines
-from benchmarks.peers.with_heyoka import FOREVER
+from benchmarks.peers.with_heyoka import FOREVER, batch_integrator, in_batches, rounds
 
 Vectors = Float[np.ndarray, "3 n"]
 
@@ -73,30 +73,21 @@ class Ends:
             self.parameters = np.stack([j2 - j3, (j3 - 1) / j2, j2, j3])
         size, *par = (heyoka.par[k] for k in range(1 + len(self.parameters)))
         variables = heyoka.make_vars("y1", "y2", "y3")
-        width = heyoka.recommended_simd_size()
-        self.integrator = heyoka.taylor_adaptive_batch(
-            list(zip(variables, field(list(variables), size, par), strict=True)),
-            np.zeros((3, width)),
-            tol=rtol,
-            pars=np.zeros((1 + len(self.parameters), width)),
-            compact_mode=False,
-            fast_math=True,
-        )
+        system = list(zip(variables, field(list(variables), size, par), strict=True))
+        self.integrator = batch_integrator(system, rtol, len(par) + 1)
 
     def find(self, omegas: Float[np.ndarray, "n 3"], max_steps: int) -> tuple[Any, Any]:
         """Return the labels, and ω∞ along the dipole."""
         states, live = omegas.T.copy(), np.arange(len(omegas))
         labels, values = np.zeros(len(omegas), int), np.full(len(omegas), np.nan)
-        made = 0
-        while True:
+        for steps in [*rounds(max_steps), 0]:
             done, outcome, omega_inf = self._judged(live, states)
             labels[live[done]], values[live[done]] = outcome[done], omega_inf[done]
             live, states = live[~done], states[:, ~done]
-            if live.size == 0 or made >= max_steps:
-                return labels, values
-            steps = min(max(12, made // 4), max_steps - made)
+            if live.size == 0 or steps == 0:
+                break
             states = self._advanced(live, states, steps)
-            made += steps
+        return labels, values
 
     def _judged(self, live: np.ndarray, states: Vectors) -> tuple[Any, Any, Any]:
         size = max(128, 1 << (live.size - 1).bit_length())
@@ -111,23 +102,14 @@ class Ends:
         return tuple(np.asarray(x)[: live.size] for x in found)
 
     def _advanced(self, live: np.ndarray, states: Vectors, steps: int) -> Vectors:
-        width, amount = self.integrator.batch_size, live.size
-        batches = -(-amount // width)
-        padded = np.minimum(np.arange(batches * width), amount - 1)
         sizes = np.max(np.abs(states), axis=0)  # |ω|² may underflow
-        blocks = np.ascontiguousarray(
-            (states / sizes)[:, padded].reshape(3, batches, width).swapaxes(0, 1)
-        )
-        given = np.concatenate([sizes[None], self.parameters[:, live]])[:, padded]
-        given = given.reshape(-1, batches, width).swapaxes(0, 1)
-        state, pars = self.integrator.state, self.integrator.pars  # views; the time may run on
-        for block, parameter in zip(blocks, given, strict=True):
-            state[:] = block
-            pars[:] = parameter
+        given = np.concatenate([sizes[None], self.parameters[:, live]])
+
+        def advance() -> None:
             self.integrator.set_time(0.0)
             self.integrator.propagate_for(FOREVER, max_steps=steps)
-            block[:] = state
-        return sizes * blocks.swapaxes(0, 1).reshape(3, -1)[:, :amount]
+
+        return sizes * in_batches(self.integrator, states / sizes, given, advance)
 
 
 @eqx.filter_jit

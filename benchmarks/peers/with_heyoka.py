@@ -14,7 +14,9 @@ Coefficients that depend on δ and |ω₀| only are parameters, computed once fo
 
 import multiprocessing
 import os
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from time import perf_counter, process_time
 from typing import Any
 
@@ -28,6 +30,49 @@ from benchmarks.reporting import measure
 FOREVER = 1e200  # a time s that no run reaches; the number of steps is the limit
 
 _integrator: Any = None  # one for each worker process
+
+
+def batch_integrator(system: list[tuple[Any, Any]], rtol: float, parameters: int = 0) -> Any:
+    """Compile an integrator of batches of the SIMD width."""
+    width = heyoka.recommended_simd_size()
+    return heyoka.taylor_adaptive_batch(
+        system,
+        np.zeros((3, width)),
+        tol=rtol,
+        pars=np.zeros((parameters, width)),
+        compact_mode=False,
+        fast_math=True,
+    )
+
+
+def in_batches(
+    integrator: Any,
+    states: Float[np.ndarray, "3 n"],
+    parameters: Float[np.ndarray, "p n"],
+    advance: Callable[[], Any],
+) -> Float[np.ndarray, "3 n"]:
+    """Advance every start by a call of the integrator; the last batch is filled up with copies."""
+    lanes, width = states.shape[1], integrator.batch_size
+    batches = -(-lanes // width)
+    padded = np.minimum(np.arange(batches * width), lanes - 1)
+    blocks = np.ascontiguousarray(states[:, padded].reshape(3, batches, width).swapaxes(0, 1))
+    given = parameters[:, padded].reshape(len(parameters), batches, width).swapaxes(0, 1)
+    state, pars = integrator.state, integrator.pars  # views; the time may run on
+    for block, parameter in zip(blocks, given, strict=True):
+        state[:] = block
+        pars[:] = parameter
+        advance()
+        block[:] = state
+    return blocks.swapaxes(0, 1).reshape(3, -1)[:, :lanes]
+
+
+def rounds(max_steps: int) -> list[int]:
+    """Return the steps of each round: a quarter of the steps so far, from 12 up to the budget."""
+    made, found = 0, []
+    while made < max_steps:
+        found.append(min(max(12, made // 4), max_steps - made))
+        made += found[-1]
+    return found
 
 
 def _coefficients(
@@ -54,37 +99,7 @@ def _system() -> list[tuple[Any, Any]]:
 def _prepare(rtol: float) -> None:
     """Compile this process's integrator."""
     global _integrator
-    width = heyoka.recommended_simd_size()
-    settings = {"pars": np.zeros((6, width)), "compact_mode": False, "fast_math": True}
-    start = np.zeros((3, width))
-    _integrator = heyoka.taylor_adaptive_batch(_system(), start, tol=rtol, **settings)
-
-
-def _rounds() -> list[int]:
-    """Return the steps of each round: a quarter of the steps so far, from 12 up to the budget."""
-    made, rounds = 0, []
-    while made < mixed_basin.MAX_STEPS:
-        rounds.append(min(max(12, made // 4), mixed_basin.MAX_STEPS - made))
-        made += rounds[-1]
-    return rounds
-
-
-def _advance(
-    states: Float[np.ndarray, "3 n"], coefficients: Float[np.ndarray, "6 n"], steps: int
-) -> Float[np.ndarray, "3 n"]:
-    """Advance every start by `steps` steps; the last batch is filled up with copies."""
-    lanes, width = states.shape[1], _integrator.batch_size
-    batches = -(-lanes // width)
-    padded = np.minimum(np.arange(batches * width), lanes - 1)
-    blocks = np.ascontiguousarray(states[:, padded].reshape(3, batches, width).swapaxes(0, 1))
-    parameters = coefficients[:, padded].reshape(6, batches, width).swapaxes(0, 1)
-    state, pars = _integrator.state, _integrator.pars  # views; the time may run on
-    for block, parameter in zip(blocks, parameters, strict=True):
-        state[:] = block
-        pars[:] = parameter
-        _integrator.propagate_for(FOREVER, max_steps=steps)
-        block[:] = state
-    return blocks.swapaxes(0, 1).reshape(3, -1)[:, :lanes]
+    _integrator = batch_integrator(_system(), rtol, 6)
 
 
 def _classify(
@@ -98,10 +113,11 @@ def _classify(
     states = omegas[live].T / amplitude
     coefficients = _coefficients(deltas[live], amplitude)
     made = 0
-    for steps in _rounds():
+    for steps in rounds(mixed_basin.MAX_STEPS):
         if live.size == 0:
             break
-        states = _advance(states, coefficients, steps)
+        advance = partial(_integrator.propagate_for, FOREVER, max_steps=steps)
+        states = in_batches(_integrator, states, coefficients, advance)
         made += steps * live.size
         decided = mixed_basin.certificate(coefficients[0], states * coefficients[1])
         labels[live] = decided
