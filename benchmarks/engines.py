@@ -14,9 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import dipoletop as dt
-from benchmarks.problems.mixed_basin import MAX_STEPS
-from dipoletop._base.monitoring import COMPILING as COMPILING
 from dipoletop._base.stopping import FINISHED as FINISHED
 from dipoletop._base.stopping import decided, verdict_on
 from dipoletop._base.tolerances import Tolerances
@@ -29,15 +26,6 @@ from dipoletop.equations._common import omega_scale_of as omega_scale_of
 NAMES = ("native", "jax")
 
 
-def _engine(name: str, **settings: Any) -> Engine:
-    if name == "jax":
-        return JaxEngine(**settings)
-    # It needs llvmlite, the JAX engine does not.
-    from dipoletop._engines.native_engine import NativeEngine
-
-    return NativeEngine(**settings)
-
-
 def limits(rtol: Any, atol: Any, max_steps: int, t1: Any = None) -> Limits:
     """Tolerances and budget of N runs; `atol` and the last times `t1` have shape (N,)."""
     last = jnp.full(jnp.shape(atol), jnp.inf) if t1 is None else t1
@@ -48,20 +36,11 @@ def integrate(
     name: str, equation: Any, y0: Any, bounds: Limits, *, until: Any, **settings: Any
 ) -> EndStates:
     """All runs in one queue of the engine; y0 has shape (n, N)."""
-    return _engine(name, **settings).end_states(equation, y0, bounds, until=until)
-
-
-def integrate_tops(
-    deltas: Any, omegas: Any, until: str, rtol: float, *, t1: float = np.inf, **settings: Any
-) -> EndStates:
-    """Starts (N, 3) of tops with a transverse dipole; settings: `engine`, `max_steps`, …"""
-    y0 = jnp.asarray(omegas.T)
-    atol, max_steps = rtol * jnp.linalg.norm(y0, axis=0), settings.pop("max_steps", MAX_STEPS)
-    bounds = limits(rtol, atol, max_steps, jnp.full(len(omegas), t1))
-    equation = dt.TransverseReduced(jnp.asarray(deltas))
-    return integrate(
-        settings.pop("engine", "native"), equation, y0, bounds, until=until, **settings
-    )
+    if name == "native":  # it needs llvmlite, the JAX engine does not
+        from dipoletop._engines.native_engine import NativeEngine as Chosen
+    else:
+        Chosen = JaxEngine
+    return Chosen(**settings).end_states(equation, y0, bounds, until=until)
 
 
 def integrate_by_the_fastest(equation: Any, y0: Any, bounds: Limits, *, until: Any) -> EndStates:
@@ -78,11 +57,6 @@ def evaluations(steps: float, starts: float) -> float:
     Dopri8 reuses the last stage of a step (FSAL), accepted or not.
     """
     return steps * len(diffrax.Dopri8().tableau.c) + 2 * starts
-
-
-def block_steps(ends: EndStates) -> np.ndarray:
-    """Steps that the wide and the narrow block made, shape (2,)."""
-    return np.asarray(ends.block_steps)
 
 
 class Pass(NamedTuple):

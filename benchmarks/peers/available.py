@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.peers import with_diffrax
+from benchmarks.reporting.views import HEYOKA
 
 Peer = Callable[..., dict[str, Any]]
 
@@ -19,11 +20,12 @@ Peer = Callable[..., dict[str, Any]]
 def available() -> tuple[dict[str, Peer], list[str]]:
     """Return the peers that can run here by name, and one line for each that cannot."""
     peers: dict[str, Peer] = {}
-    for way in ("repacked", "chunked", "whole"):
-        peers[f"diffrax vmap {way}, tuple"] = partial(with_diffrax.run, as_tuple=True, way=way)
-        peers[f"diffrax vmap {way}, (3,)"] = partial(with_diffrax.run, as_tuple=False, way=way)
+    missing = []
     try:
-        peers["heyoka batch"] = importlib.import_module("benchmarks.peers.with_heyoka").run
+        peers[HEYOKA] = importlib.import_module("benchmarks.peers.with_heyoka").run
     except ImportError as error:
-        return peers, [f"heyoka batch: left out ({error})"]
-    return peers, []
+        missing.append(f"{HEYOKA}: left out ({error})")
+    for way in ("repacked", "chunked", "whole"):
+        peers[f"diffrax vmap {way}, tuple"] = partial(with_diffrax.run, way=way)
+    peers["diffrax vmap whole, (3,)"] = partial(with_diffrax.run, as_tuple=False, way="whole")
+    return peers, missing

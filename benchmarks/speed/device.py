@@ -30,14 +30,17 @@ def engine(deltas: np.ndarray, omegas: np.ndarray, width: int) -> dict[str, Any]
     label = jax.jit(lambda deltas, y: dt.TransverseReduced(deltas).verdict(y).outcome)
 
     def run() -> tuple[Any, Any]:
-        way: Any = {"engine": "jax", "width": width}
-        ends = engines.integrate_tops(deltas, omegas, "outcome", RTOL, **way)
-        return ends, jax.block_until_ready(label(jnp.asarray(deltas), ends.y))
+        shapes, y0 = jnp.asarray(deltas), jnp.asarray(omegas.T)
+        atol = RTOL * jnp.linalg.norm(y0, axis=0)
+        bounds = engines.limits(RTOL, atol, mixed_basin.MAX_STEPS)
+        way: Any = {"until": "outcome", "width": width}
+        ends = engines.integrate("jax", dt.TransverseReduced(shapes), y0, bounds, **way)
+        return ends, jax.block_until_ready(label(shapes, ends.y))
 
     first, *runs = [measure.timed(run) for _ in range(1 + REPEATS)]
     (ends, labels), clocks = min(runs, key=lambda run: run[1]["seconds"])
     about = {"labels": np.asarray(labels), "compile_seconds": first[1]["seconds"]}
-    steps = {"steps": int(ends.steps.sum()), "block_steps": engines.block_steps(ends).tolist()}
+    steps = {"steps": int(ends.steps.sum()), "block_steps": np.asarray(ends.block_steps).tolist()}
     return clocks | about | steps
 
 

@@ -14,13 +14,11 @@ from benchmarks import engines
 from benchmarks.peers.available import available
 from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
-from benchmarks.reporting.views import HEYOKA, IN_JAX, OURS, REPACKED
+from benchmarks.reporting.views import IN_JAX, OURS
 
 RTOL = 1e-8
-CHUNKED = "diffrax vmap chunked, tuple"
 # One vmap over all starts is so slow that it gets fewer starts, once.
 SLOW = ("diffrax vmap whole, tuple", "diffrax vmap whole, (3,)")
-RIVALS = (IN_JAX, HEYOKA, REPACKED, CHUNKED, *SLOW)
 
 
 def run(
@@ -65,11 +63,10 @@ def labelled(cases: dict[Any, Callable[[], dict[str, Any]]], repeats: int) -> li
 def compare(small: bool) -> dict[str, Any]:
     """All peers at all sizes, their labels compared with ours."""
     sizes, slow, repeats = ((256,), 32, 1) if small else ((4096, 32768, 262_144), 1024, 5)
-    rivals, missing = available()
-    rivals[IN_JAX] = partial(run, engine="jax")
+    others, missing = available()
+    peers = {OURS: run, IN_JAX: partial(run, engine="jax"), **others}
     tables = {}
     for size in sizes:
-        peers = {OURS: run} | {name: rivals[name] for name in RIVALS if name in rivals}
         cases: dict[Any, Any] = {
             name: partial(
                 peer, *mixed_basin.sample(min(size, slow) if name in SLOW else size), RTOL
