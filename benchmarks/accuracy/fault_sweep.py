@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -18,19 +17,14 @@ def problem(w3: jax.Array, phi: jax.Array) -> tuple[dt.TransverseReduced, jax.Ar
     return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, w3, phi)
 
 
-def swept(folder: str, tiles: int, **settings: Any) -> None:
-    """Sweep small tiles, a row of the grid each, so that there are many moments for a kill."""
+def run(folder: str, tiles: int) -> None:
+    """Sweep, and print the progress; for a process that does nothing else.
+
+    Tiles are small, a row of the grid each, so that there are many moments for a kill.
+    """
     jax.config.update("jax_enable_x64", True)
     grid = dt.Grid(w3=np.linspace(0, 0.5, tiles), phi=np.arange(COLUMNS) * np.pi / COLUMNS)
-    usual, tiling.TILE = tiling.TILE, COLUMNS
-    try:
-        dt.sweep(problem, grid, store=folder, **settings)
-    finally:
-        tiling.TILE = usual
-
-
-def run(folder: str, tiles: int) -> None:
-    """Sweep as `swept` does, and print the progress."""
+    tiling.TILE = COLUMNS
     compute = sweep_plan.Plan.compute
 
     def reported(plan: sweep_plan.Plan, numbers: list[int], device: jax.Device) -> list:
@@ -40,7 +34,7 @@ def run(folder: str, tiles: int) -> None:
 
     sweep_plan.Plan.compute = reported
     os.write(1, b"ready\n")
-    swept(folder, tiles)
+    dt.sweep(problem, grid, store=folder)
     os.write(1, b"done\n")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 import dipoletop as dt
 from benchmarks import engines
+from benchmarks.accuracy.separatrix import counted
 from benchmarks.peers.available import available
 from benchmarks.problems import mixed_basin
 from benchmarks.reporting import measure
@@ -29,23 +30,27 @@ def ways(small: bool) -> dict[tuple[str, float], Row]:
     return every
 
 
+def labels(equations: Any, omegas: Any, max_steps: int, rtol: float, **way: Any) -> np.ndarray:
+    """Outcomes, with the settings `way` of `engines.driven`."""
+    settings: Any = {"rtol": rtol, "max_steps": max_steps, "value": False, "slow_flow": False}
+    with engines.driven(**way):
+        return np.asarray(dt.classify_many(equations, omegas, **settings).outcome)
+
+
 def compare(small: bool) -> Row:
     """One row for each method and tolerance."""
     n = 2048 if small else 262_144
     deltas, omegas = mixed_basin.sample(n)
     equations, starts = dt.TransverseReduced(jnp.asarray(deltas)), jnp.asarray(omegas)
 
-    def labelled(rtol: float, **way: Any) -> np.ndarray:
-        settings: Any = {"rtol": rtol, "max_steps": mixed_basin.MAX_STEPS, "value": False}
-        with engines.driven(**way):
-            return dt.classify_many(equations, starts, slow_flow=False, **settings).outcome
+    labelled = partial(labels, equations, starts, mixed_basin.MAX_STEPS)
 
     def ours(rtol: float, way: Row) -> Row:
         """A record as the peers give it."""
-        labels, clocks = measure.timed(labelled, rtol, **way)
-        return clocks | {"labels": labels}
+        found, clocks = measure.timed(labelled, rtol, **way)
+        return clocks | {"labels": found}
 
-    truth = np.asarray(labelled(TRUTH, once=True))
+    truth = labelled(TRUTH, once=True)
     cases: Row = {key: partial(ours, key[1], way) for key, way in ways(small).items()}
     measure.interleaved(cases, 1)  # everybody is measured warm; heyoka sees to it itself
     peers, missing = available()
@@ -63,13 +68,3 @@ def compare(small: bool) -> Row:
         rows.append(row | measure.summary(runs) | counted(runs[0]["labels"], truth))
     about = {"truth": TRUTH, "undecided": int(np.sum(truth <= 0)), "missing": missing}
     return {"starts": n, **about, "rows": rows}
-
-
-def wrong(labels: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Whether labels are wrong, of starts that both decide."""
-    return (labels > 0) & (truth > 0) & (labels != truth)
-
-
-def counted(labels: np.ndarray, truth: np.ndarray) -> dict[str, int]:
-    """Wrong labels, and undecided ones."""
-    return {"wrong": int(np.sum(wrong(labels, truth))), "undecided": int(np.sum(labels <= 0))}

@@ -15,7 +15,9 @@ from jaxtyping import Float, Int
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.accuracy import separatrix
-from benchmarks.accuracy.label_costs import RTOL, TRUTH, counted, ways, wrong
+from benchmarks.accuracy.label_costs import RTOL, TRUTH, labels, ways
+from benchmarks.accuracy.long_runs import merged
+from benchmarks.accuracy.separatrix import wrong
 from benchmarks.problems import random_bodies
 from benchmarks.problems.random_bodies import directions
 
@@ -51,9 +53,7 @@ class Case(NamedTuple):
 
     def labels(self, rtol: float, **way: Any) -> Int[np.ndarray, " n"]:
         """Return outcomes, with the settings `way` of `engines.driven`."""
-        settings: Any = {"rtol": rtol, "max_steps": MAX_STEPS, "value": False, "slow_flow": False}
-        with engines.driven(**way):
-            return np.asarray(dt.classify_many(self.equations, self.omegas, **settings).outcome)
+        return labels(self.equations, self.omegas, MAX_STEPS, rtol, **way)
 
 
 def tops(level: str, kind: str, n: int, rng: np.random.Generator) -> Case:
@@ -125,13 +125,6 @@ def closing_in(
         low, high = np.where(same, middle.omegas, low), np.where(same, high, middle.omegas)
 
 
-def merged(rows: list[Row]) -> Row:
-    """The sum of counts, the largest margin, all the starts that are shown."""
-    names = rows[0] if rows else ()
-    total = {name: sum((row[name] for row in rows), type(rows[0][name])()) for name in names}
-    return total | ({"margin": max(row["margin"] for row in rows)} if rows else {})
-
-
 def compare(small: bool) -> list[Row]:
     """A row for each level and kind of body: starts at random, and those that close in."""
     many = {"1": 4096, "semi": 4096} if small else MANY
@@ -145,8 +138,10 @@ def compare(small: bool) -> list[Row]:
         at_random = []
         for number, first in enumerate(range(0, n, BATCH)):
             size = min(BATCH, n - first)
-            made = tops(level, kind, size, rng) if kind in TOPS else None
-            case = made or bodies(level, kind, size, number)
+            if kind in TOPS:
+                case = tops(level, kind, size, rng)
+            else:
+                case = bodies(level, kind, size, number)
             at_random.append(judged(case))
         near = [judged(*round_) for round_ in closing_in(case, rng)]
         row = {"level": level, "kind": kind, "top": kind in TOPS}
@@ -159,8 +154,5 @@ def wall(small: bool) -> Row:
     near, rows = separatrix.wall(20 if small else 400), []
     case = Case(dt.TransverseReduced(separatrix.DELTA), near.starts.T)
     for (name, rtol), way in ways(small).items():
-        labels = case.labels(rtol, **way)
-        farthest = near.farthest(wrong(labels, near.truth))
-        rows.append({"name": name, "rtol": rtol, **counted(labels, near.truth)})
-        rows[-1]["farthest"] = farthest
+        rows.append({"name": name, "rtol": rtol} | near.judged(case.labels(rtol, **way)))
     return near.about() | {"rows": rows}

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.accuracy.long_runs import RTOL, compare
+from benchmarks.accuracy.long_runs import RTOL, compare, merged
 from benchmarks.problems.random_bodies import FAMILIES, LEVELS, starts
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome, Stop
@@ -33,37 +33,19 @@ def counted(level: str, family: str, n: int, number: int) -> Row:
     both &= np.isfinite(c.omega_inf)  # at order 1 many labels come without
     off = np.where(both, np.abs(c.omega_inf / np.where(both, c.value, 1) - 1), 0)
     over = off / np.maximum(c.error, 10 * RTOL)
-    kinds = {"rotating": c.stop == Stop.ROTATING, "wobbling": c.stop == Stop.WOBBLING}
-    kinds["other"] = ~kinds["rotating"] & ~kinds["wobbling"]
-    counts = {
-        "n": np.ones_like(stop),
-        "residual": decided & ~stop,
-        **{f"stop_{name}": stop & kind for name, kind in kinds.items()},
-        "undecided": c.outcome == Outcome.UNDECIDED,
-        "failed": c.outcome == Outcome.FAILED,
-        "certified": decided & c.certified,
-        "plain": c.plain,
-        "wrong": c.wrong,
-        "steps": c.steps,
-    }
-    row: Row = {name: int(values.sum()) for name, values in counts.items()}
+    rotating, wobbling = stop & (c.stop == Stop.ROTATING), stop & (c.stop == Stop.WOBBLING)
+    row = c.counted(
+        number,
+        stop_rotating=rotating,
+        stop_wobbling=wobbling,
+        stop_other=stop & ~rotating & ~wobbling,
+        certified=decided & c.certified,
+        steps=c.steps,
+    )
     for name, part in (("certified", c.certified), ("tested", ~c.certified)):
         row[f"over_{name}"] = float(np.where(part, over, 0).max())
         row[f"beyond_{name}"] = float(np.where(part & (over > 1), off, 0).max())
-    row["wrong_starts"] = [[number, int(k)] for k in np.nonzero(c.wrong)[0]]
     return {"level": level, "family": family} | row
-
-
-def merged(results: list[Row]) -> Row:
-    """One row of the pieces of a level and family."""
-    row = dict(results[0])
-    for piece in results[1:]:
-        for name, value in piece.items():
-            if isinstance(value, float):
-                row[name] = max(row[name], value)
-            elif not isinstance(value, str):
-                row[name] = row[name] + value
-    return row
 
 
 def measured(small: bool) -> Row:

@@ -157,6 +157,32 @@ class Comparison(NamedTuple):
         """Whether the plain end contradicts the label."""
         return self.plain & (self.final != self.outcome)
 
+    def counted(self, number: int, **others: np.ndarray) -> dict[str, Any]:
+        """Numbers of runs of each kind, sums of `others`, and the wrong runs of piece `number`."""
+        sums = {
+            "n": np.ones_like(self.outcome),
+            "residual": self.outcome == Outcome.RESIDUAL,
+            "undecided": self.outcome == Outcome.UNDECIDED,
+            "failed": self.outcome == Outcome.FAILED,
+            "plain": self.plain,
+            "wrong": self.wrong,
+            **others,
+        }
+        row: dict[str, Any] = {name: int(np.sum(values)) for name, values in sums.items()}
+        return row | {"wrong_starts": [[number, int(k)] for k in np.flatnonzero(self.wrong)]}
+
+
+def merged(pieces: list[dict[str, Any]]) -> dict[str, Any]:
+    """One row of several: of floats the largest, of texts the first, all else added."""
+    row = dict(pieces[0]) if pieces else {}
+    for piece in pieces[1:]:
+        for name, value in piece.items():
+            if isinstance(value, float):
+                row[name] = max(row[name], value)
+            elif not isinstance(value, str):
+                row[name] = row[name] + value
+    return row
+
 
 def compare(
     level: str,

@@ -84,8 +84,7 @@ def measured(small: bool) -> dict[str, Any]:
         for delta in (DELTAS[::3] if small else DELTAS)
         if level != "order-1" or delta > -0.5  # below it all stop
     ]
-    run = {"command": measure.command(), **measure.machine()}
-    return {"run": run, "rtol": RTOL, "good": GOOD, "rows": rows}
+    return {"rtol": RTOL, "good": GOOD, "rows": rows}
 
 
 if __name__ == "__main__":

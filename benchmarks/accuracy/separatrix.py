@@ -58,6 +58,16 @@ def starts_at(phi: np.ndarray) -> np.ndarray:
     return np.stack([fifth * np.cos(phi), fifth * np.sin(phi), np.full_like(phi, fifth)])
 
 
+def wrong(labels: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Whether labels are wrong, of starts that both decide."""
+    return (labels > 0) & (truth > 0) & (labels != truth)
+
+
+def counted(labels: np.ndarray, truth: np.ndarray) -> dict[str, int]:
+    """Wrong labels, and undecided ones."""
+    return {"wrong": int(np.sum(wrong(labels, truth))), "undecided": int(np.sum(labels <= 0))}
+
+
 class Wall(NamedTuple):
     """Starts on both sides of the separatrix."""
 
@@ -74,6 +84,11 @@ class Wall(NamedTuple):
     def farthest(self, which: np.ndarray) -> float:
         """The largest distance of some of them."""
         return float(np.max(self.distance[which], initial=0))
+
+    def judged(self, labels: np.ndarray) -> dict[str, Any]:
+        """Numbers of wrong and undecided labels, and the largest distance of a wrong one."""
+        farthest = self.farthest(wrong(labels, self.truth))
+        return counted(labels, self.truth) | {"farthest": farthest}
 
     def about(self) -> dict[str, Any]:
         """Which wall it is."""

@@ -20,7 +20,7 @@ import numpy as np
 import dipoletop as dt
 from benchmarks import engines
 from benchmarks.accuracy import long_runs, separatrix
-from benchmarks.accuracy.label_costs import counted, wrong
+from benchmarks.accuracy.separatrix import wrong
 from benchmarks.problems.random_bodies import Starts, directions
 from benchmarks.reporting import measure, pages
 from dipoletop import Outcome
@@ -52,29 +52,18 @@ def random_starts(block: str, n: int, rng: np.random.Generator) -> Starts:
 
 def checked(block: str, n: int) -> Row:
     """So many labels against the ends of long runs without certificates."""
-    row: Row = {"block": block, "largest_steps": 0, "wrong_starts": []}
+    pieces, largest_steps = [], 0
     for number in range(-(-n // PIECE)):
         rng = np.random.default_rng([0, BLOCKS.index(block), number])
         sample = random_starts(block, PIECE, rng)
         result = long_runs.compare("1", sample, budgets=BUDGETS[block], closed=True)
-        delta, label = 1 - sample.inertia[:, 2, 2], result.outcome
-        stop, residual = label == Outcome.STOP, label == Outcome.RESIDUAL
-        counts = {
-            "n": np.ones(PIECE),
-            "residual": residual,
-            "stop": stop,
-            "undecided": label == Outcome.UNDECIDED,
-            "failed": label == Outcome.FAILED,
-            "plain": result.plain,
-            "wrong": result.wrong,
-            # Labels that order 1 excludes.
-            "contrary": (stop & (delta > 0)) | (residual & (delta <= -0.5)),
-        }
-        for name, values in counts.items():
-            row[name] = row.get(name, 0) + int(np.sum(values))
-        row["wrong_starts"] += [[number, int(k)] for k in np.flatnonzero(result.wrong)]
-        row["largest_steps"] = max(row["largest_steps"], int(result.steps.max()))
-    return row
+        delta, stop = 1 - sample.inertia[:, 2, 2], result.outcome == Outcome.STOP
+        residual = result.outcome == Outcome.RESIDUAL
+        # Labels that order 1 excludes.
+        contrary = (stop & (delta > 0)) | (residual & (delta <= -0.5))
+        pieces.append(result.counted(number, stop=stop, contrary=contrary))
+        largest_steps = max(largest_steps, int(result.steps.max()))
+    return {"block": block, "largest_steps": largest_steps} | long_runs.merged(pieces)
 
 
 def wall(small: bool) -> Row:
@@ -86,10 +75,10 @@ def wall(small: bool) -> Row:
             settings: Any = {"rtol": rtol, "engine": engine, "value": False}
             tops = dt.TransverseReduced(separatrix.DELTA)
             run = dt.classify_many(tops, near.starts.T, **settings)
-            off = wrong(run.outcome, near.truth)
-            row = {"engine": engine, "rtol": rtol, **counted(run.outcome, near.truth)}
-            row |= {"farthest": near.farthest(off), "largest_steps": int(run.steps.max())}
-            rows.append(row | {"farthest_hidden": near.farthest(off & (before == run.outcome))})
+            hidden = wrong(run.outcome, near.truth) & (before == run.outcome)
+            row = {"engine": engine, "rtol": rtol} | near.judged(run.outcome)
+            row |= {"farthest_hidden": near.farthest(hidden)}
+            rows.append(row | {"largest_steps": int(run.steps.max())})
             before = run.outcome
     return near.about() | {"rows": rows}
 

@@ -6,6 +6,7 @@ python -m benchmarks.speed.default_path --write       all; kept: results/default
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,20 +47,13 @@ def bodies(n: int) -> tuple[Any, np.ndarray]:
 def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dict[str, Any]]:
     """A row for each call, and for heyoka if it is installed."""
     equation, omegas = given
-    labels: dict[str, np.ndarray] = {}
-    values: dict[str, np.ndarray] = {}
-    steps: dict[str, float] = {}
 
-    def ours(call: str) -> Callable[[], measure.Record]:
-        def run() -> measure.Record:
-            found, clocks = measure.timed(dt.classify_many, equation, omegas, **CALLS[call])
-            labels[call], steps[call] = found.outcome, float(found.steps.mean())
-            values[call] = found.omega_inf
-            return clocks
+    def ours(call: str) -> measure.Record:
+        found, clocks = measure.timed(dt.classify_many, equation, omegas, **CALLS[call])
+        steps = float(found.steps.mean())
+        return clocks | {"labels": found.outcome, "values": found.omega_inf, "steps": steps}
 
-        return run
-
-    cases = {call: ours(call) for call in CALLS}
+    cases: dict[str, Callable[[], measure.Record]] = {call: partial(ours, call) for call in CALLS}
     try:
         from benchmarks.peers.heyoka_ends import Ends
     except ImportError:
@@ -68,9 +62,8 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
         ends = Ends(equation, RTOL)
 
         def peer() -> measure.Record:
-            (found, values[PEER]), clocks = measure.timed(ends.find, omegas, MAX_STEPS)
-            labels[PEER] = found
-            return clocks
+            (labels, values), clocks = measure.timed(ends.find, omegas, MAX_STEPS)
+            return clocks | {"labels": labels, "values": values}
 
         cases[PEER] = peer
     measure.interleaved(cases, 1)  # everybody is measured warm
@@ -78,17 +71,17 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
     exact = dt.classify_many(equation, omegas, rtol=EXACT, value="unchecked", slow_flow=False)
     integrated = exact.steps > 0  # others have no error, or none that steps have caused
 
-    def errors(call: str) -> list[float] | None:
-        if call == "`value=False`":
-            return None
+    def errors(values: np.ndarray) -> list[float]:
         with np.errstate(all="ignore"):
-            error = np.abs(values[call] / exact.omega_inf - 1)[integrated]
+            error = np.abs(values / exact.omega_inf - 1)[integrated]
         return np.nanquantile(error, [0.5, 0.98]).tolist()
 
     costs = {call: measure.summary(runs)["processor_seconds"] for call, runs in records.items()}
-    rows = []
+    usual, rows = records["all defaults"][0]["labels"], []
     for call, cost in costs.items():
-        known = (labels[call] > 0) & (labels["all defaults"] > 0)
+        run = records[call][0]
+        labels = run["labels"]
+        known = (labels > 0) & (usual > 0)
         rows.append(
             {
                 "of": name,
@@ -96,10 +89,10 @@ def compared(name: str, given: tuple[Any, np.ndarray], repeats: int) -> list[dic
                 "call": call,
                 "us": [1e6 * cost[kind] / len(omegas) for kind in ("min", "median")],
                 "peer": costs[PEER]["min"] / cost["min"] if PEER in costs else None,
-                "errors": errors(call),
-                "steps": steps.get(call),
-                "undecided": int(np.sum(labels[call] <= 0)),
-                "differ": int(np.sum((labels[call] != labels["all defaults"]) & known)),
+                "errors": None if call == "`value=False`" else errors(run["values"]),
+                "steps": run.get("steps"),
+                "undecided": int(np.sum(labels <= 0)),
+                "differ": int(np.sum((labels != usual) & known)),
             }
         )
     return rows
@@ -145,17 +138,13 @@ def surveys(points: int) -> list[dict[str, Any]]:
 
 def measured(small: bool) -> dict[str, Any]:
     """Every part, on one core."""
+    sizes, many, repeats, points = (256,), 32, (1, 1), 16
+    if not small:
+        sizes, many, repeats, points = (4096, 32_768, 262_144), 4096, (3, 2), 512
     with measure.confined(1):
-        if small:
-            rows = compared("tops", tops(256), 1) + compared("triaxial bodies", bodies(32), 1)
-            return {"rows": rows, "surveys": surveys(16), "run": _run()}
-        rows = [row for n in (4096, 32_768, 262_144) for row in compared("tops", tops(n), 3)]
-        rows += compared("triaxial bodies", bodies(4096), 2)
-        return {"rows": rows, "surveys": surveys(512), "run": _run()}
-
-
-def _run() -> dict[str, Any]:
-    return {"command": measure.command(), **measure.machine()}
+        rows = [row for n in sizes for row in compared("tops", tops(n), repeats[0])]
+        rows += compared("triaxial bodies", bodies(many), repeats[1])
+        return {"rows": rows, "surveys": surveys(points)}
 
 
 if __name__ == "__main__":

@@ -20,35 +20,29 @@ SMALLEST = 1e-3  # amplitude below which diffrax, ten times as slow, is left out
 
 
 def sampled(
-    samples: dict[str, tuple[Any, Any]], small: bool, diffrax: bool
+    at: str, delta: float, amplitude: float, n: int, small: bool, diffrax: bool
 ) -> list[dict[str, Any]]:
-    """A row for each sample (δ, ω) and peer: both clocks, steps, right-hand sides, labels."""
+    """A row for each peer: both clocks, steps, right-hand sides, labels of isotropic starts."""
     peers: dict[str, Any] = {OURS: run}
     if not small:
         peers[IN_JAX] = partial(run, engine="jax")
     if diffrax and not small:
         peers[REPACKED] = with_diffrax.run
-    rows = []
-    for at, sample in samples.items():
-        cases: dict[Any, Any] = {
-            name: partial(peer, *sample, RTOL, max_steps=BUDGET) for name, peer in peers.items()
-        }
-        rows += [row | {"at": at} for row in labelled(cases, 1 if small else 3)]
-    return rows
+    sample = np.full(n, delta), mixed_basin.isotropic(n, amplitude)
+    cases: dict[Any, Any] = {
+        name: partial(peer, *sample, RTOL, max_steps=BUDGET) for name, peer in peers.items()
+    }
+    return [row | {"at": at} for row in labelled(cases, 1 if small else 3)]
 
 
 def compare(small: bool) -> dict[str, Any]:
     """Isotropic starts with one |ω|, for two shapes; with one δ."""
-    n, found = 64 if small else 16384, {}
-    found["amplitude"], found["shape"] = [], []
+    n, amplitude, shape = 64 if small else 16384, [], []
     for delta in SHAPES:
         for size in (AMPLITUDE,) if small else AMPLITUDES:
-            many = n if size >= SMALL else n // 32
-            sample = np.full(many, delta), mixed_basin.isotropic(many, size)
-            name = f"δ = {delta:g}, amplitude {size:g}"
-            found["amplitude"] += sampled({name: sample}, small, diffrax=size >= SMALLEST)
+            at, many = f"δ = {delta:g}, amplitude {size:g}", n if size >= SMALL else n // 32
+            amplitude += sampled(at, delta, size, many, small, diffrax=size >= SMALLEST)
     for delta in (-0.7, 0.3) if small else DELTAS:
-        sample = np.full(n, delta), mixed_basin.isotropic(n, AMPLITUDE)
         # The peers' regions hold for −1/2 < δ < 1 only.
-        found["shape"] += sampled({f"δ = {delta:g}": sample}, small, diffrax=delta > -0.5)
-    return {"rtol": RTOL, "budget": BUDGET} | found
+        shape += sampled(f"δ = {delta:g}", delta, AMPLITUDE, n, small, diffrax=delta > -0.5)
+    return {"rtol": RTOL, "budget": BUDGET, "amplitude": amplitude, "shape": shape}
