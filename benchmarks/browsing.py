@@ -166,12 +166,17 @@ class Visit:
         """The handle of the slider of a quantity."""
         return self.page.locator(f".dt-slider-{symbol} .noUi-handle").first
 
-    def drag(self, symbol: str, pixels: float, steps: int = 10) -> None:
-        """Move a slider with the mouse."""
+    def grasp(self, symbol: str) -> tuple[float, float]:
+        """Press the mouse on a slider; where that is."""
         box = self.slider(symbol).bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         self.page.mouse.move(x, y)
         self.page.mouse.down()
+        return x, y
+
+    def drag(self, symbol: str, pixels: float, steps: int = 10) -> None:
+        """Move a slider with the mouse."""
+        x, y = self.grasp(symbol)
         for k in range(1, steps + 1):
             self.page.mouse.move(x + pixels * k / steps, y)
             self.page.wait_for_timeout(15)

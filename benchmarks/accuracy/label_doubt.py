@@ -107,19 +107,19 @@ def _shown(case: Case, truth: int) -> Row:
 
 
 def closing_in(
-    case: Case, rng: np.random.Generator
+    case: Case, rng: np.random.Generator, rtol: float = TRUTH
 ) -> Iterator[tuple[Case, Int[np.ndarray, " n"]]]:
-    """Yield starts ever nearer to the boundary, with their outcomes, round by round."""
+    """Yield starts ever nearer to the boundary, with their outcomes at `rtol`, round by round."""
     case = case.some(slice(PAIRS))
     low, n = case.omegas, len(case.omegas)
     high = np.linalg.norm(low, axis=1)[:, None] * directions(n, rng)
-    label = case.labels(TRUTH, once=True)
-    other = case._replace(omegas=high).labels(TRUTH, once=True)
+    label = case.labels(rtol, once=True)
+    other = case._replace(omegas=high).labels(rtol, once=True)
     between = np.flatnonzero((label > 0) & (other > 0) & (label != other))
     case, low, high, label = case.some(between), low[between], high[between], label[between]
     for _ in range(ROUNDS if len(between) else 0):
         middle = case._replace(omegas=(low + high) / 2)
-        truth = middle.labels(TRUTH, once=True)
+        truth = middle.labels(rtol, once=True)
         yield middle, truth
         same = (truth == label)[:, None]
         low, high = np.where(same, middle.omegas, low), np.where(same, high, middle.omegas)
@@ -144,8 +144,8 @@ def compare(small: bool) -> list[Row]:
                 case = bodies(level, kind, size, number)
             at_random.append(judged(case))
         near = [judged(*round_) for round_ in closing_in(case, rng)]
-        row = {"level": level, "kind": kind, "top": kind in TOPS}
-        rows.append(row | {"random": merged(at_random), "near": merged(near)})
+        found = {"random": merged(at_random), "near": merged(near)}
+        rows.append({"level": level, "kind": kind} | found)
     return rows
 
 

@@ -36,8 +36,9 @@ def row(level: str, delta: float, amplitude: float, n: int) -> dict[str, Any]:
 
     labels, fixed = run(), run(value="unchecked", atol=RTOL * amplitude)
     residual = labels.outcome == dt.Outcome.RESIDUAL
-    if residual.sum() < FEW:
-        return {"level": level, "delta": delta, "amplitude": amplitude, "n": int(residual.sum())}
+    about = {"level": level, "delta": delta, "amplitude": amplitude, "n": int(residual.sum())}
+    if about["n"] < FEW:
+        return about
     exact = Truth(level)
     truth = np.array([float(exact.residual(delta, omega)) for omega in omegas[residual]])
     value, error = labels.omega_inf[residual], labels.omega_inf_error[residual]
@@ -46,12 +47,7 @@ def row(level: str, delta: float, amplitude: float, n: int) -> dict[str, Any]:
     before = np.abs(fixed.omega_inf[residual] / truth - 1)
     good = known & (error <= GOOD * np.abs(truth))
     relative = off[known] / np.abs(truth[known])
-    return {
-        "level": level,
-        "delta": delta,
-        "amplitude": amplitude,
-        "n": int(residual.sum()),
-        "truth unknown": int(np.sum(np.isnan(truth))),
+    return about | {
         "known": float(known.mean()),
         "good": float(good.mean()),
         "over": float(np.max(off[known] / error[known])),

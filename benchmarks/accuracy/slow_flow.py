@@ -11,12 +11,7 @@ from typing import Any
 import numpy as np
 
 import dipoletop as dt
-from benchmarks.accuracy.turn_by_turn import (
-    Predicted,
-    Resolved,
-    compared,
-    differences,
-)
+from benchmarks.accuracy.turn_by_turn import Predicted, Resolved, compared, differences
 from benchmarks.problems import slow_rotations
 from benchmarks.problems.random_bodies import directions
 from benchmarks.reporting import measure, pages

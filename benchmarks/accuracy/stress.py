@@ -132,7 +132,7 @@ def measured(small: bool) -> Row:
         n = (5000 if small else 1_000_000) // (1 if block == "mixed" else 4)
         row, clocks = measure.timed(checked, block, n)
         blocks.append(row | {"seconds": clocks["seconds"]})
-    about = {"rtols": RTOLS, "span": near["span"], "wall": near, "blocks": blocks}
+    about = {"span": near["span"], "wall": near, "blocks": blocks}
     return about | {"tolerances": tolerances(small)}
 
 

@@ -23,12 +23,7 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
     before = measure.peak_memory()
     grid = dt.symmetry_cell(points, points)
     basin, first = measure.timed(sweep, level, grid, engine)
-
-    def again() -> measure.Record:
-        return measure.timed(sweep, level, grid, engine)[1]
-
-    later = measure.summary(measure.interleaved({"sweep": again}, REPEATS)["sweep"])
-    peak = measure.peak_memory()
+    later = measure.summary([measure.timed(sweep, level, grid, engine)[1] for _ in range(REPEATS)])
     return {
         "level": basin.level,
         "engine": basin.attrs["engine"],
@@ -37,7 +32,7 @@ def report(level: str, points: int, engine: str) -> dict[str, Any]:
         "later": later,
         "starts_per_second": points**2 / later["seconds"]["median"],
         "steps": float(basin.steps.mean()),
-        "peak_bytes": peak,
+        "peak_bytes": measure.peak_memory(),
         "import_bytes": before,
     }
 

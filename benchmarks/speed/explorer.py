@@ -68,7 +68,7 @@ def measured(small: bool) -> Record:
 
 def single(visit: browsing.Visit, size: int, steps: int) -> Record:
     """Move the slider, wait for the finished picture, and measure when the pictures come."""
-    x, y = grasped(visit)
+    x, y = visit.grasp(SLIDER)
     times: dict[str, list[float]] = {"first": [], "full": [], "final": []}
     for k in range(1, steps + 4):
         visit.page.evaluate("() => { asked.length = 0; drawn.length = 0 }")
@@ -90,7 +90,7 @@ def single(visit: browsing.Visit, size: int, steps: int) -> Record:
 
 def moving(visit: browsing.Visit, seconds: float) -> Record:
     """Move the slider all the time, and measure the age of a picture's value when it is drawn."""
-    x, y = grasped(visit)
+    x, y = visit.grasp(SLIDER)
     visit.page.evaluate("() => { asked.length = 0; drawn.length = 0 }")
     moves = int(seconds / 0.02)
     for k in range(moves):
@@ -120,20 +120,11 @@ def same(one: float, other: float) -> bool:
     return math.isclose(one, other, abs_tol=1e-9)
 
 
-def grasped(visit: browsing.Visit) -> tuple[float, float]:
-    """Press the mouse on the slider, and return the position."""
-    box = visit.slider(SLIDER).bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    visit.page.mouse.move(x, y)
-    visit.page.mouse.down()
-    return x, y
-
-
 def shares(milliseconds: list[float]) -> Record:
     """Return the median and the 95 % quantile."""
     ordered = sorted(milliseconds)
     last = ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))]
-    return {"median": statistics.median(ordered), "95%": last, "count": len(ordered)}
+    return {"median": statistics.median(ordered), "95%": last}
 
 
 if __name__ == "__main__":

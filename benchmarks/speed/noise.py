@@ -7,6 +7,7 @@
 A triaxial body with an oblique dipole in thermal radiation, on one core.
 """
 
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -86,13 +87,10 @@ def _plain(starts: Any, count: int, step: float) -> Any:
     return jax.vmap(path)(jax.random.split(jax.random.key(2), len(starts)), starts)
 
 
+@jax.jit
 def by_diffrax(starts: Any, time: float, step: float) -> Any:
     """Final ω by diffrax: Heun's method, a virtual Brownian tree, constant steps."""
-    return _by_diffrax(jnp.asarray(starts), time, step)
 
-
-@jax.jit
-def _by_diffrax(starts: Any, time: float, step: float) -> Any:
     def path(key: Any, omega: Any) -> Any:
         tree = diffrax.VirtualBrownianTree(0.0, time, tol=step / 2, shape=(3,), key=key)
         drift = diffrax.ODETerm(lambda t, y, args: forces(y)[0])
@@ -117,13 +115,13 @@ WAYS = {
 def speeds(paths: int, steps: int, repeats: int) -> list[measure.Record]:
     """Processor time of a step of a path."""
     starts, rows = heated(paths), []
-    for way in WAYS.values():
-        np.asarray(way(starts, steps * STEP, STEP))
 
-    def case(way: Any) -> Any:
-        return lambda: measure.timed(lambda: np.asarray(way(starts, steps * STEP, STEP)))[1]
+    def case(way: Any) -> measure.Record:
+        return measure.timed(lambda: np.asarray(way(starts, steps * STEP, STEP)))[1]
 
-    runs = measure.interleaved({name: case(way) for name, way in WAYS.items()}, repeats)
+    cases: dict[Any, Any] = {name: partial(case, way) for name, way in WAYS.items()}
+    measure.interleaved(cases, 1)  # everybody is measured warm
+    runs = measure.interleaved(cases, repeats)
     least = {name: min(run["processor_seconds"] for run in found) for name, found in runs.items()}
     for name, seconds in least.items():
         row = {"way": name, "paths": paths, "steps": steps, "ns": 1e9 * seconds / paths / steps}
@@ -134,11 +132,9 @@ def speeds(paths: int, steps: int, repeats: int) -> list[measure.Record]:
 def biases(paths: int, time: float) -> list[measure.Record]:
     """The error of ⟨E⟩ and of ⟨L²⟩ after a time that begins in equilibrium."""
     rows, starts = [], heated(paths, 5)
-    cases = [("`noise.ensemble`", ours, (0.4, 0.2, 0.1))]
-    cases.append(("`vmap` of a scan, Heun", plain, (0.4, 0.2, 0.1)))
-    cases.append(("`noise.averaged_ensemble`", averaged, (0.4, 0.2, 0.1)))
-    for name, way, steps in cases:
-        for step in steps:
+    names = "`noise.ensemble`", "`vmap` of a scan, Heun", "`noise.averaged_ensemble`"
+    for name, way in zip(names, (ours, plain, averaged), strict=True):
+        for step in (0.4, 0.2, 0.1):
             omega = np.asarray(way(starts, time, step))
             energy = np.sum(MOMENTS * omega**2, axis=1) / 2
             square = np.sum((MOMENTS * omega) ** 2, axis=1)
@@ -163,12 +159,11 @@ def relaxation(paths: int) -> measure.Record:
 def measured(small: bool) -> measure.Record:
     """All cases, on one core."""
     with measure.confined(1):
-        if small:
-            sizes: Any = ((512, 64, 1), (512, 4.0), 512)
-        else:
-            sizes = ((1024, 2000, 3), (1 << 16, 20.0), 100_000)
-        speed, bias, last = sizes
-        return {"speeds": speeds(*speed), "biases": biases(*bias), "relaxation": relaxation(last)}
+        return {
+            "speeds": speeds(*((512, 64, 1) if small else (1024, 2000, 3))),
+            "biases": biases(*((512, 4.0) if small else (1 << 16, 20.0))),
+            "relaxation": relaxation(512 if small else 100_000),
+        }
 
 
 if __name__ == "__main__":
