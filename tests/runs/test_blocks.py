@@ -6,24 +6,26 @@ import pytest
 from settling import Settling
 
 import dipoletop as dt
+from benchmarks import engines
+from benchmarks.accuracy import label_doubt
+from benchmarks.problems.random_bodies import directions
 from dipoletop import Outcome
 from dipoletop._runs import blocks
 
 NEEDLES = 20_000
 
 
-def tops(n, deltas, sizes, seed=3):
+def tops(n, deltas, sizes):
     """Shapes and isotropic starts, |ω| log-uniform."""
-    rng = np.random.default_rng(seed)
-    ways = rng.normal(size=(n, 3))
-    size = np.exp(rng.uniform(*np.log(sizes), n))
-    starts = ways * (size / np.linalg.norm(ways, axis=1))[:, None]
+    rng = np.random.default_rng(3)
+    ways = directions(n, rng)
+    starts = np.exp(rng.uniform(*np.log(sizes), (n, 1))) * ways
     return jnp.asarray(rng.uniform(*deltas, n)), starts
 
 
-def bodies(n, seed=4):
+def bodies(n):
     """Bodies in principal axes, the dipole along one of them or along none."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(4)
     moments = np.sort(rng.uniform(0.4, 1, (n, 3)), axis=1)
     moments[:, 2] = np.minimum(moments[:, 2], moments[:, 0] + moments[:, 1])
     dipoles = np.eye(3)[rng.integers(0, 3, n)]
@@ -31,49 +33,31 @@ def bodies(n, seed=4):
     return dt.Body(moments[:, :, None] * np.eye(3), dipoles)
 
 
-@pytest.fixture
-def in_one_pass(monkeypatch):
+def in_one_pass(*args, **settings):
     """The same as `classify_many`, every run at the tolerance that is asked for."""
-
-    def classified(*args, **settings):
-        with monkeypatch.context() as patch:
-            patch.setattr(blocks, "LOOSE", 0.0)
-            return dt.classify_many(*args, value=False, **settings)
-
-    return classified
+    with engines.driven(once=True):
+        return dt.classify_many(*args, value=False, **settings)
 
 
-def near_boundary(level, deltas, sizes, in_one_pass, rounds=20):
-    """Shapes and starts nearer and nearer to the boundary, and their labels, by bisection."""
-    deltas, low = tops(2000, deltas, sizes)
-    high = np.linalg.norm(low, axis=1)[:, None] * tops(2000, (0, 1), (1, 1), seed=5)[1]
-    settings = {"max_steps": 4000, "slow_flow": False}
-
-    def labels(starts):
-        return in_one_pass(dt.equation_at(level, deltas), starts, **settings).outcome
-
-    label, other = labels(low), labels(high)
-    between = (label > 0) & (other > 0) & (label != other)
-    deltas, low, high, label = deltas[between], low[between], high[between], label[between]
-    starts, found = [], []
-    for _ in range(rounds):
-        middle = (low + high) / 2
-        starts.append(middle)
-        found.append(labels(middle))
-        same = (found[-1] == label)[:, None]
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return jnp.tile(deltas, rounds), np.concatenate(starts), np.concatenate(found)
+def near_boundary(level, deltas, sizes):
+    """Tops nearer and nearer to the boundary, and their labels in one pass, by bisection."""
+    deltas, starts = tops(2000, deltas, sizes)
+    case = label_doubt.Case(dt.equation_at(level, deltas), starts)
+    rounds = list(label_doubt.closing_in(case, np.random.default_rng(5), rtol=1e-8))
+    deltas = np.concatenate([middle.equations.delta for middle, _ in rounds])
+    starts = np.concatenate([middle.omegas for middle, _ in rounds])
+    return jnp.asarray(deltas), starts, np.concatenate([labels for _, labels in rounds])
 
 
 @pytest.mark.parametrize("level", ["order-1", "semi"])
 @pytest.mark.parametrize(
     ("deltas", "sizes"), [((-0.99, -0.01), (0.01, 0.4)), ((0.01, 0.7), (0.05, 0.4))]
 )
-def test_labels_are_those_of_one_pass(level, deltas, sizes, in_one_pass):
+def test_labels_are_those_of_one_pass(level, deltas, sizes):
     deltas, starts = tops(NEEDLES, deltas, sizes)
     equation = dt.equation_at(level, deltas)
     settings = {"max_steps": 1000, "slow_flow": False}
-    two, one = dt.classify_many(equation, starts, value=False, **settings), None
+    two = dt.classify_many(equation, starts, value=False, **settings)
     one = in_one_pass(equation, starts, **settings)
     for name in ("outcome", "certified", "stop"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
@@ -91,8 +75,8 @@ def test_labels_are_those_of_one_pass(level, deltas, sizes, in_one_pass):
         pytest.param("semi", (0.76, 0.98), (1e-3, 0.05), marks=pytest.mark.slow),
     ],
 )
-def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, in_one_pass, monkeypatch):
-    deltas, starts, expected = near_boundary(level, deltas, sizes, in_one_pass)
+def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, monkeypatch):
+    deltas, starts, expected = near_boundary(level, deltas, sizes)
     settings = {"value": False, "max_steps": 4000, "slow_flow": False}
     equation = dt.equation_at(level, deltas)
     found = dt.classify_many(equation, starts, **settings)
@@ -108,7 +92,7 @@ def test_labels_near_the_boundary_are_made_again(level, deltas, sizes, in_one_pa
 
 
 @pytest.mark.slow
-def test_labels_of_bodies_are_those_of_one_pass(in_one_pass):
+def test_labels_of_bodies_are_those_of_one_pass():
     _, starts = tops(600, (0, 1), (0.05, 0.5))
     equation = dt.SemiReduced(bodies(600))
     settings = {"max_steps": 2000, "slow_flow": False}
@@ -119,7 +103,7 @@ def test_labels_of_bodies_are_those_of_one_pass(in_one_pass):
 
 
 @pytest.mark.slow
-def test_the_jax_engine_makes_one_pass(in_one_pass):
+def test_the_jax_engine_makes_one_pass():
     """A second one would begin all runs again, since a program is compiled for their number."""
     deltas, starts = tops(300, (-0.9, 0.9), (0.02, 0.5))
     settings = {"max_steps": 500, "slow_flow": False}
@@ -131,7 +115,7 @@ def test_the_jax_engine_makes_one_pass(in_one_pass):
     assert np.mean(found.steps != one.steps) < 0.02
 
 
-def test_equations_that_are_not_known_are_run_in_one_pass(in_one_pass):
+def test_equations_that_are_not_known_are_run_in_one_pass():
     equation, starts = Settling(dt.axisymmetric(0.4)), np.full((8, 3), 0.3)
     found = dt.classify_many(equation, starts, value=False, max_steps=50)
     expected = in_one_pass(equation, starts, max_steps=50)

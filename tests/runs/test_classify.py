@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from settling import starts
+from settling import FIGURE_2A, starts
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop
@@ -14,21 +14,20 @@ OMEGA_INF = 0.09887029638156489613509  # Fig. 2a, extended precision
 
 
 def test_figure_2():
-    a = dt.classify(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, jnp.pi / 30))
+    a = dt.classify(dt.TransverseReduced(-0.2), FIGURE_2A)
     assert int(a.outcome) == RESIDUAL
     assert bool(a.certified)
     assert abs(float(a.omega_inf) / OMEGA_INF - 1) < 1e-8
     b = dt.classify(dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, jnp.pi / 3))
     assert (int(b.outcome), int(b.stop), float(b.omega_inf)) == (STOP, Stop.ROTATING, 0.0)
     # The full equation keeps 0.1193 from the same start; the consistent level is near that.
-    semi = dt.classify(dt.TransverseSemi(-0.2), dt.cylindrical(0.2, 0.2, jnp.pi / 30))
+    semi = dt.classify(dt.TransverseSemi(-0.2), FIGURE_2A)
     assert abs(float(semi.omega_inf) - 0.1193) < 0.004
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-12])
 def test_residual_value_follows_the_tolerance(rtol):
-    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)
-    found = dt.classify(dt.TransverseReduced(-0.2), start, rtol=rtol)
+    found = dt.classify(dt.TransverseReduced(-0.2), FIGURE_2A, rtol=rtol)
     assert abs(float(found.omega_inf) / OMEGA_INF - 1) < 5 * rtol
 
 
@@ -50,19 +49,17 @@ def test_the_engine_agrees_with_diffrax(level):
 
 def test_classify_jits_and_vmaps_and_takes_traced_values():
     run = jax.jit(lambda d, w: dt.classify(dt.TransverseReduced(d), w).outcome)
-    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)
-    assert int(run(-0.2, start)) == RESIDUAL
-    assert int(run(-0.2, start * jnp.nan)) == Outcome.FAILED
-    assert int(run(1.5, start)) == Outcome.FAILED
+    assert int(run(-0.2, FIGURE_2A)) == RESIDUAL
+    assert int(run(-0.2, FIGURE_2A * jnp.nan)) == Outcome.FAILED
+    assert int(run(1.5, FIGURE_2A)) == Outcome.FAILED
     across = jax.jit(lambda w: dt.cylindrical(w, 0.2, 0.1))
     assert jnp.all(jnp.isnan(across(-0.2)[:2]))
     assert jnp.all(jnp.isfinite(across(0.2)))
 
 
 def test_a_derivative_is_refused_with_a_way_to_have_it():
-    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)
     with pytest.raises(ValueError, match="be differentiated here"):
-        jax.grad(lambda d: dt.classify(dt.TransverseReduced(d), start).omega_inf)(-0.2)
+        jax.grad(lambda d: dt.classify(dt.TransverseReduced(d), FIGURE_2A).omega_inf)(-0.2)
 
 
 @pytest.mark.slow

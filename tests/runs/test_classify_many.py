@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from settling import Settling, starts
+from settling import FIGURE_2A, Settling, starts
 
 import dipoletop as dt
 from dipoletop import Outcome, Stop
@@ -215,8 +215,7 @@ def test_an_error_says_which_shapes_an_equation_must_take():
 
 @pytest.mark.parametrize("most", [2**31 - 1, np.int64(2**31 - 1), np.uint32(2**31 - 1)])
 def test_the_largest_budget_is_one(most):
-    start = dt.cylindrical(0.2, 0.2, jnp.pi / 30)[None]
-    found = dt.classify_many(dt.TransverseReduced(-0.2), start, max_steps=most)
+    found = dt.classify_many(dt.TransverseReduced(-0.2), FIGURE_2A[None], max_steps=most)
     assert found.outcome.tolist() == [RESIDUAL]
     assert found.steps[0] > 1
 

@@ -1,13 +1,14 @@
 """Derivatives of ω∞ against complex steps, and where there are none."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from settling import Settling
 
 import dipoletop as dt
+from benchmarks.accuracy.differences import SHIFTS, WEIGHTS
 from dipoletop._base.types import Verdict
 from dipoletop._runs.sensitivity import decay_time
 from dipoletop.equations._verdicts.transverse import STEEP_FROM
@@ -101,13 +102,10 @@ def test_single_starts_differentiate_in_every_way(cases):
 
     # The second derivative by differences of complex steps.
     h = 1e-3
-    steps = h * np.array([-3, -2, -1, 1, 2, 3])
     around = {name: np.repeat(values, 6) for name, values in one.items()}
-    around["delta"] = around["delta"] + steps
+    around["delta"] = around["delta"] + h * SHIFTS
     slopes = complex_step(**around, along="delta")
-    assert float(second) == pytest.approx(
-        np.array([-1, 9, -45, 45, -9, 1]) @ slopes / (60 * h), rel=1e-7
-    )
+    assert float(second) == pytest.approx(WEIGHTS @ slopes / h, rel=1e-7)
 
 
 @pytest.mark.slow
@@ -119,12 +117,10 @@ def test_semi_reduced_level_against_high_order_differences():
     delta, h = np.linspace(-0.5, 0.4, 8), 2e-3
     points = dt.Points(delta=delta, phi=phi)
     found = dt.sweep(problem, points, rtol=1e-11, derivatives=["delta"]).derivative("delta")
-    shifted = np.concatenate([delta + k * h for k in (-3, -2, -1, 1, 2, 3)])
+    shifted = np.concatenate([delta + k * h for k in SHIFTS])
     around = dt.sweep(problem, dt.Points(delta=shifted, phi=np.tile(phi, 6)), rtol=1e-13)
-    weights = np.array([-1, 9, -45, 45, -9, 1]) / (60 * h)
-    np.testing.assert_allclose(
-        found, weights @ around.omega_inf.reshape(6, 8), rtol=1e-8, atol=1e-8
-    )
+    exact = WEIGHTS @ around.omega_inf.reshape(6, 8) / h
+    np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -145,24 +141,15 @@ def test_variations_of_a_general_body_are_those_of_the_closed_form():
         np.testing.assert_allclose(one, two, rtol=1e-12)
 
 
-class Held(eqx.Module):
+class Held(Settling):
     """A body that stays as it is: the end of a run, without the run."""
-
-    body: dt.Body
 
     def __call__(self, t, y, args=None):
         return 0 * y
 
-    def lift(self, omega0):
-        return omega0
-
-    omega = lift
-
     def verdict(self, y):
-        body = self.body
-        return Verdict(
-            jnp.asarray(dt.Outcome.RESIDUAL), body.inertia[0, 0] * y[0], jnp.asarray(False)
-        )
+        value = self.body.inertia[0, 0] * y[0]
+        return Verdict(jnp.asarray(dt.Outcome.RESIDUAL), value, jnp.asarray(False))
 
 
 @pytest.mark.slow
@@ -436,7 +423,7 @@ def test_on_the_boundary_there_is_no_derivative():
     def problem(phi):
         return dt.TransverseReduced(-0.2), dt.cylindrical(0.2, 0.2, phi)
 
-    edge = 0.29626034320137482935  # from bench_stress.py
+    edge = 0.29626034320137482935  # from benchmarks.accuracy.stress
 
     def slopes(*phis):
         basin = dt.sweep(problem, dt.Points(phi=phis), derivatives=("phi",), rtol=1e-10)
@@ -474,9 +461,8 @@ def test_derivatives_at_repeated_moments(moments):
         points = dt.Points(change=np.tile(changes, 3), j1=j1, j2=j2, j23=j23)
         return dt.sweep(problem, points, progress=False, **settings)
 
-    shifts, weights = np.array([-3, -2, -1, 1, 2, 3]), np.array([-1, 9, -45, 45, -9, 1]) / 60
     step = 4e-4
-    exact = swept(step * shifts, rtol=1e-13).omega_inf.reshape(3, 6) @ weights / step
+    exact = swept(step * SHIFTS, rtol=1e-13).omega_inf.reshape(3, 6) @ WEIGHTS / step
     found = swept([0.0], rtol=1e-8, derivatives="change").derivative("change")
     np.testing.assert_allclose(found, exact, rtol=1e-7, atol=1e-9)
 
