@@ -214,9 +214,8 @@ class Sample:
     def __init__(
         self, n: int, amplitude: Numbers = 1.0, *, seed: int = 0, draw: Draw | None = None
     ) -> None:
-        must = "be a whole number"
         self.n = whole("n", n, 1, "be a positive whole number", MOST_STARTS)
-        self.seed = whole("seed", seed, -(2**63), must)
+        self.seed = whole("seed", seed, -(2**63), "be a whole number")
         if draw is not None and not callable(draw):
             refuse("draw", "be a function of a random key, or None", described(draw))
         self.amplitude = None if draw else amplitude
@@ -243,22 +242,13 @@ class Sample:
     def points(self, index: Int[np.ndarray, "n"]) -> Any:
         """Return the starts with these numbers, shape (n, 3), or a dict of arrays."""
         with jax.threefry_partitionable(True):  # a setting of the user may differ
-            return self._points(index)
-
-    def _points(self, index: Int[np.ndarray, "n"]) -> Any:
-        key = jax.random.key(self.seed, impl=GENERATOR)
-        # A key takes 32 bits at once.
-        high, low = (jnp.asarray(part, "uint32") for part in np.divmod(index, BLOCK))
-
-        def key_of(high: Array, low: Array) -> Array:
-            block = jnp.where(high > 0, jax.random.fold_in(key, high), key)
-            return jax.random.fold_in(block, low)
-
-        if np.all(index < BLOCK):
-            keys = jax.vmap(lambda low: jax.random.fold_in(key, low))(low)
-        else:
-            keys = jax.vmap(key_of)(high, low)
-        return jax.vmap(self.draw)(keys)
+            key = jax.random.key(self.seed, impl=GENERATOR)
+            # A key takes 32 bits at once.
+            high, low = (jnp.asarray(part, "uint32") for part in np.divmod(index, BLOCK))
+            if np.any(index >= BLOCK):
+                key = jax.vmap(lambda n: jnp.where(n > 0, jax.random.fold_in(key, n), key))(high)
+            keys = jax.vmap(jax.random.fold_in, (0 if key.ndim else None, 0))(key, low)
+            return jax.vmap(self.draw)(keys)
 
     def __repr__(self) -> str:
         drawn = f"amplitude={self.amplitude}"

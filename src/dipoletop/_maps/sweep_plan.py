@@ -235,8 +235,8 @@ def plan_of(
 
 def drawn_values(names: Iterable[str], points: Any, block: StartBlock) -> dict[str, np.ndarray]:
     """Return the starts and parameters of a sample's points, one for each lane of the block."""
-    (_, omegas), length = block, block[1].shape[1]
-    values = {name: omegas.T if name == START else points[name][:length] for name in names}
+    starts = block[1].T
+    values = {name: starts if name == START else points[name][: len(starts)] for name in names}
     return {name: np.asarray(column, float) for name, column in values.items()}
 
 

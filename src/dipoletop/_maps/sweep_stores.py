@@ -26,7 +26,6 @@ class MemoryStore:
 
     def __init__(self, plan: Plan, keep: Callable[[ComputedTile], None]) -> None:
         self._count, self._keep = plan.tiling.count, keep
-        self._finished: set[int] = set()
 
     def unfinished(self) -> list[int]:
         """Return every tile."""
@@ -37,13 +36,12 @@ class MemoryStore:
         return True
 
     def is_finished(self, tile: int) -> bool:
-        """Return whether a tile is in place."""
-        return tile in self._finished
+        """Return whether a tile that was to be computed is in place: always."""
+        return True
 
     def write(self, computed: ComputedTile) -> None:
         """Keep the columns of a tile."""
         self._keep(computed)
-        self._finished.add(computed.tile)
 
     def close(self) -> None:
         """Do nothing."""

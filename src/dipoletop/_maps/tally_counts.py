@@ -81,12 +81,15 @@ class Reduction:
 
         every = np.ones(outcome.size, bool)
         result[:, :CERTIFIED] = count(outcome.astype(int) - min(Outcome), every, len(Outcome))
-        result[:, CERTIFIED] = count(np.zeros(outcome.size, int), columns["certified"], 1)[:, 0]
+        result[:, CERTIFIED] = np.bincount(cell[columns["certified"]], minlength=cells)
+        residual = outcome == Outcome.RESIDUAL
+        decided = residual | (outcome == Outcome.STOP)
         for name, edges in self.edges.items():
             values = columns[name]
-            result[:, self.place(name)] = count(
-                bins_of(values, edges), is_counted(name, values, outcome), len(edges) + 1
-            )
+            bins = np.searchsorted(edges, values, side="right")
+            bins[values == edges[-1]] = len(edges) - 1
+            counted = (decided if name in MOTION else residual) & ~np.isnan(values)
+            result[:, self.place(name)] = count(bins, counted, len(edges) + 1)
         whole = np.zeros(self.shape(tiling), np.int64)
         whole[tuple(slice(n) for n in kept)] = result.reshape(*kept, self.width)
         return whole
@@ -109,22 +112,6 @@ class Reduction:
                 "chunk": plain["chunk"],
             },
         }
-
-
-def bins_of(
-    values: Float[np.ndarray, "n"] | Int[np.ndarray, "n"], edges: Float[np.ndarray, "edges"]
-) -> Int[np.ndarray, "n"]:
-    """Return the bins of values: 0 below the first edge, 1 … between, len(edges) above the last."""
-    places = np.searchsorted(edges, values, side="right")
-    return np.where(values == edges[-1], len(edges) - 1, places)
-
-
-def is_counted(column: str, values: np.ndarray, outcome: Int[np.ndarray, "n"]) -> np.ndarray:
-    """Return the mask of values that count: known ones of residual, or of all decided, starts."""
-    residual = outcome == Outcome.RESIDUAL
-    of_motion = column in MOTION
-    which = residual | (outcome == Outcome.STOP) if of_motion else residual
-    return which & ~np.isnan(values)
 
 
 def reduction_of(

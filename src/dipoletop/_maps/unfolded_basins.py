@@ -47,13 +47,15 @@ def unfold(basin: Basin) -> Basin:
     return unfolded
 
 
-def _axis(basin: Basin, name: str) -> Float[np.ndarray, "..."] | None:
-    return basin.coords[name] if name in basin.dims and name in basin.coords else None
+def _axis(basin: Basin, name: str) -> Float[np.ndarray, "n"] | None:
+    """Return the values on an axis with two numbers or more; None if there is no such axis."""
+    values = basin.coords.get(name) if name in basin.dims else None
+    return None if values is None or values.ndim > 1 or len(values) < 2 else values
 
 
-def _divides(phi: Float[np.ndarray, "..."] | None, period: float) -> bool:
+def _divides(phi: Float[np.ndarray, "n"] | None, period: float) -> bool:
     """Return whether φ = 0, h, 2h, … or ½h, 1½h, … divides the period evenly, its end excluded."""
-    if phi is None or phi.ndim > 1 or len(phi) < 2:
+    if phi is None:
         return False
     step = period / len(phi)
     places = phi / step - np.arange(len(phi))
@@ -65,10 +67,8 @@ def _is_in_middles(phi: Float[np.ndarray, "n"]) -> bool:
     return bool(phi[0] > (phi[1] - phi[0]) / 4)
 
 
-def _rises(w3: Float[np.ndarray, "..."] | None) -> bool:
-    if w3 is None or w3.ndim > 1 or len(w3) < 2:
-        return False
-    return bool(w3[0] >= 0 and np.all(np.diff(w3) > 0))
+def _rises(w3: Float[np.ndarray, "n"] | None) -> bool:
+    return w3 is not None and bool(w3[0] >= 0 and np.all(np.diff(w3) > 0))
 
 
 def _to_full_turn(basin: Basin) -> Basin:

@@ -145,7 +145,7 @@ def verify(path: Any) -> Verification:
         StoreDamaged: its metadata are damaged.
     """
     tiles = open_store(path)
-    for name in tiles.swept_names:
+    for name in tiles.header["values"]:
         tiles.values(name)
     left = tiles.unfinished()
     damaged = tiles.damaged(tiles.tiling.others(left))

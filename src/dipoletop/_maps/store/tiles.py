@@ -110,7 +110,6 @@ class Tiles:
         header: its header; see `headers`.
         tiling: the division of its columns into tiles.
         names: names of its columns.
-        swept_names: names of the swept values.
     """
 
     def __init__(self, folder: Path, header: Header) -> None:
@@ -122,8 +121,7 @@ class Tiles:
                 if metadata_digest(folder, name) != expected:
                     what = f"the metadata of {name}" if name else "its attributes"
                     raise StoreDamaged(folder, (), f"{what} are not as written")
-            self.swept_names = list(header["values"])
-            names, staging = (*self.names, RECORDS, *self.swept_names), folder / STAGING
+            names, staging = (*self.names, RECORDS, *header["values"]), folder / STAGING
             refuse_links(folder, staging)
             self._arrays = {name: StoredArray.open(folder / name, staging) for name in names}
         self._sweep = sweep_digest(header)
@@ -173,11 +171,8 @@ class Tiles:
             claims = self.claims()
         except StoreMismatch:  # a sweep of this process
             return True
-        try:
-            with claims.everything() as alone:
-                return alone is False
-        finally:
-            claims.close()
+        with contextlib.closing(claims), claims.everything() as alone:
+            return alone is False
 
     def written_at(self, tile: int) -> float:
         """Return the time when a finished tile was written, in seconds since the epoch."""
