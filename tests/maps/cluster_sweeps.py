@@ -3,6 +3,7 @@
 Workers are started anew, not forked, so a script is run that they can import.
 """
 
+import functools
 import json
 import os
 import signal
@@ -86,6 +87,12 @@ def main(folder):
         time.sleep(0.3)
         os.kill(second, signal.SIGTERM)
 
+    def refusal(**settings):
+        try:
+            dt.sweep(problem, GRID, client=client, **settings)
+        except ValueError as error:
+            return str(error)
+
     said = {}
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as local,
@@ -96,10 +103,8 @@ def main(folder):
         # The same sweep, written anew and not finished: workers have the store open already.
         for record in (folder / "large.zarr/dipoletop-tiles/done/c").glob("*/0"):
             record.unlink()
-        again = dt.sweep(
-            lambda w3, phi: problem(w3, phi), POINTS, store=folder / "large.zarr", client=client
-        )
-        said["again"] = large == again
+        again = functools.partial(problem)
+        said["again"] = large == dt.sweep(again, POINTS, store=folder / "large.zarr", client=client)
         bins = {"histograms": {"time": np.geomspace(1.0, 100.0, 9)}}
         counts = dt.tally(problem, POINTS, store=folder / "counts.zarr", client=client, **bins)
         said["counts"] = counts == dt.tally(problem, POINTS, **bins)
@@ -116,19 +121,11 @@ def main(folder):
         killer.join()
         keeper.join()
         said["killed"] = killed == dt.sweep(problem, GRID)
-        dt.sweep(problem, GRID, store=folder / "alone.zarr")
-        for name, settings in {
-            "another": {"store": folder / "alone.zarr", "rtol": 1e-9},
-            "no store": {},
-        }.items():
-            try:
-                dt.sweep(problem, GRID, client=client, **settings)
-            except ValueError as error:
-                said[name] = str(error)
-    try:
-        dt.sweep(problem, GRID, store=folder / "alone.zarr", client=client)
-    except ValueError as error:
-        said["closed"] = str(error)
+        alone = folder / "alone.zarr"
+        dt.sweep(problem, GRID, store=alone)
+        said["another"] = refusal(store=alone, rtol=1e-9)
+        said["no store"] = refusal()
+    said["closed"] = refusal(store=alone)
     print(json.dumps(said))
 
 

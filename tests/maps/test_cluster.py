@@ -28,10 +28,7 @@ def test_a_cluster_computes_what_one_process_does(tmp_path):
     )
     assert run.returncode == 0, run.stderr
     said = json.loads(run.stdout.splitlines()[-1])
-    assert said["large"]
-    assert said["again"]
-    assert said["counts"]
-    assert said["killed"]
+    assert [said[name] for name in ("large", "again", "counts", "killed")] == [True] * 4
     assert files(tmp_path / "killed.zarr") == files(tmp_path / "alone.zarr")
     assert "rtol is 1e-08 there and 1e-09 here" in said["another"]
     assert said["joined"] == [0, 4, 6]  # as for one thread, then all tiles

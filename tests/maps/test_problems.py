@@ -149,31 +149,19 @@ def test_variations_are_those_of_jax_and_name_what_varies():
     assert made[0].varying == ((False,), (True,))  # δ, the only array of the equation
 
 
-def numbers(basin):
-    return {name: basin.column(name).tobytes() for name in basin.columns}
-
-
 def test_a_problem_returns_what_classify_takes():
     at = dt.Grid(w3=[0.1, 0.3], phi=[0.2, 1.2])
-    expected = numbers(dt.sweep(lambda w3, phi: (dt.TransverseReduced(-0.2), W(w3)), at))
     found = dt.sweep(lambda w3, phi: [dt.TransverseReduced(-0.2), [0.2, 0, w3]], at)
-    assert numbers(found) == expected
+    assert found == dt.sweep(lambda w3, phi: reduced(w3, 0.0), at)
     fixed = dt.sweep(lambda w3, phi: (dt.TransverseReduced(-0.2), np.array([0.2, 0, 0.1])), at)
     assert np.array_equal(fixed.omega_inf, np.full((2, 2), found.omega_inf[0, 0]))
-
-
-def W(w3):
-    return jnp.stack([jnp.full_like(w3, 0.2), jnp.zeros_like(w3), w3])
 
 
 def test_a_wrong_number_in_the_problem_itself_is_refused():
     """It is known, although the problem is traced; a wrong number of a point fails there alone."""
     with pytest.raises(ValueError, match="`delta`"):
-        dt.sweep(lambda w3: (dt.TransverseReduced(2.0), W(w3)), dt.Grid(w3=[0.1]))
-    basin = dt.sweep(
-        lambda delta: (dt.TransverseReduced(delta), dt.cylindrical(0.2, 0.1, 0.1)),
-        dt.Grid(delta=[2.0, -0.2]),
-    )
+        dt.sweep(lambda w3: reduced(w3, 0.0, 2.0), dt.Grid(w3=[0.1]))
+    basin = dt.sweep(lambda delta: reduced(0.1, 0.1, delta), dt.Grid(delta=[2.0, -0.2]))
     assert basin.outcome[0] == dt.Outcome.FAILED != basin.outcome[1]
 
 

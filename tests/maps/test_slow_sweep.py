@@ -9,7 +9,6 @@ from dipoletop import Outcome, Regime
 from dipoletop._maps.columns import COLUMNS
 
 GRID = dt.Grid(amplitude=np.geomspace(1e-25, 1e-1, 25), theta=np.linspace(0.1, 1.4, 40))
-SMALL = dt.Grid(amplitude=np.geomspace(1e-3, 1e-1, 3), theta=np.linspace(0.1, 1.4, 4))
 
 
 def needle(amplitude, theta):
@@ -56,15 +55,6 @@ def test_without_predictions_every_run_is_integrated(slow):
         np.testing.assert_array_equal(plain.column(name)[followed], slow.column(name)[followed])
     assert np.min(plain.steps[~followed]) > 100
     assert np.mean(plain.outcome[~followed] == Outcome.UNDECIDED) > 0.9
-
-
-def test_a_sweep_without_predictions_goes_on_without_them(tmp_path):
-    store = tmp_path / "plain.zarr"
-    plain = dt.sweep(needle, SMALL, store=store, slow_flow=False)
-    with pytest.raises(dt.StoreMismatch, match="slow_flow is False there and auto here"):
-        dt.sweep(needle, SMALL, store=store)
-    again = dt.sweep(needle, SMALL, store=store, slow_flow=False)
-    np.testing.assert_array_equal(again.omega_inf, plain.omega_inf)
 
 
 @pytest.mark.slow

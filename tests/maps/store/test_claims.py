@@ -218,30 +218,21 @@ def test_what_is_told_of_a_full_disk_survives_the_way_to_another_process():
     assert (str(again), again.path, again.tiles) == (str(error), error.path, 2)
 
 
-@pytest.mark.parametrize("number", [errno.EACCES, errno.EAGAIN])
-def test_what_another_process_holds_is_not_granted(tmp_path, monkeypatch, number):
-    """Systems say so by one of two numbers."""
+@pytest.mark.parametrize(
+    ("number", "granted"), [(errno.EACCES, False), (errno.EAGAIN, False), (errno.ENOLCK, True)]
+)
+def test_only_what_another_process_holds_is_not_granted(tmp_path, monkeypatch, number, granted):
+    """Systems say so by one of two numbers; some network file systems have no locks.
 
-    def held(*_):
+    Without locks every claim is granted, and no partial file is taken for left behind.
+    """
+
+    def refused(*_):
         raise OSError(number, os.strerror(number))
 
     claims = Claims(tmp_path, tmp_path / "claims")
-    monkeypatch.setattr("dipoletop._maps.store.claims.fcntl.lockf", held)
-    assert not claims.take(3)
-    with claims.everything() as alone:
-        assert not alone
-    claims.close()
-
-
-def test_without_locks_nothing_is_taken_for_left_behind(tmp_path, monkeypatch):
-    """On some network file systems: every claim is granted, and no partial file is removed."""
-
-    def no_locks(*_):
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr("dipoletop._maps.store.claims.fcntl.lockf", no_locks)
-    claims = Claims(tmp_path, tmp_path / "claims")
-    assert claims.take(3)
+    monkeypatch.setattr("dipoletop._maps.store.claims.fcntl.lockf", refused)
+    assert claims.take(3) == granted
     with claims.everything() as alone:
         assert not alone
     claims.close()
