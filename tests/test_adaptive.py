@@ -46,9 +46,9 @@ def scene(x, y, xp=jnp):
     return xp.where(away < 0.06, -2.0, value)
 
 
-@jax.jit
-def picture(x, y):
-    return painted(scene(x, y))
+def problem_of(values):
+    """The problem of tops with these values."""
+    return jax.jit(lambda x, y: painted(values(x, y)))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def refined():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "PointSweeps", Watched)
-        found = refine(picture, GRID, coarse=16)
+        found = refine(problem_of(scene), GRID, coarse=16)
     return found, np.concatenate(visited)
 
 
@@ -99,11 +99,7 @@ def test_what_is_documented_as_missed_is_missed_and_a_finer_lattice_finds_it():
     def island(x, y, xp=jnp):
         return xp.where(xp.hypot(x - 0.53, y - 0.28) < 0.02, 2.0, bilinear(x, y))
 
-    @jax.jit
-    def problem(x, y):
-        return painted(island(x, y))
-
-    value = island(*PLANE, np)
+    problem, value = problem_of(island), island(*PLANE, np)
     assert np.sum(value > 1) > 10
     assert np.all(refine(problem, GRID, coarse=8).outcome == Outcome.RESIDUAL)
     assert np.array_equal(fate(refine(problem, GRID, coarse=31)), fates(value))
@@ -133,11 +129,7 @@ def test_cells_are_halved_until_the_interpolated_value_is_good_enough():
     def waves(x, y, xp=jnp):
         return 0.5 + 0.3 * xp.sin(8.0 * x * x) * xp.cos(5.0 * y)
 
-    @jax.jit
-    def problem(x, y):
-        return painted(waves(x, y))
-
-    value = waves(*PLANE, np)
+    problem, value = problem_of(waves), waves(*PLANE, np)
     rough, good = (refine(problem, GRID, coarse=8, omega_tol=tol) for tol in (None, 4e-3))
     errors = [np.max(np.abs(found.omega_inf - value)) for found in (rough, good)]
     assert errors[0] > 0.02

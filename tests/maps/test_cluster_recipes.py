@@ -49,6 +49,15 @@ def replaced(text, **others):
     return text
 
 
+def path_with(folder):
+    """Settings with which the programs in a folder are found first."""
+    return {"PATH": f"{folder}:{os.environ['PATH']}"}
+
+
+def seconds(text):
+    return DURATION.convert(text, None, None)
+
+
 def parsed(arguments):
     """The options of `dipoletop map`, as the command line reads them."""
     name, *rest = arguments
@@ -82,29 +91,23 @@ def test_shell_scripts_are_valid(script):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def run_array(folder, status):
-    """The script of the job array where a map ends with this status; and what it has called."""
-    bin_folder, calls = folder / "bin", folder / "calls"
-    bin_folder.mkdir(parents=True)
-    executable(bin_folder / "srun", 'exec "$@"')
-    executable(bin_folder / "scontrol", f'echo scontrol "$@" >> {calls}')
-    executable(bin_folder / "dipoletop", f'echo dipoletop "$@" >> {calls}', f"exit {status}")
-    path = f"{bin_folder}:{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "SLURM_JOB_ID": "4711"}
-    done = subprocess.run(["bash"], input=ARRAY, text=True, env=environment, check=False)
-    return done.returncode, [line.split() for line in calls.read_text().splitlines()]
-
-
 @pytest.mark.parametrize("status", [0, 2, 124, 143])
 def test_an_array_job_goes_back_to_the_queue_until_the_map_is_complete(tmp_path, status):
-    ended, (map_call, *others) = run_array(tmp_path, status)
-    assert ended == status
+    """Programs that tell of their calls stand for Slurm, and for a map that ends with a status."""
+    calls = tmp_path / "calls"
+    executable(tmp_path / "srun", 'exec "$@"')
+    executable(tmp_path / "scontrol", f'echo scontrol "$@" >> {calls}')
+    executable(tmp_path / "dipoletop", f'echo dipoletop "$@" >> {calls}', f"exit {status}")
+    environment = {**os.environ, **path_with(tmp_path), "SLURM_JOB_ID": "4711"}
+    done = subprocess.run(["bash"], input=ARRAY, text=True, env=environment, check=False)
+    assert done.returncode == status
+    map_call, *others = (line.split() for line in calls.read_text().splitlines())
     again = [["scontrol", "requeue", "4711"]]
     assert others == (again if status in (124, 143) else [])
     options = parsed(map_call[1:])
     assert options["store"]
     (walltime,) = re.findall(r"^#SBATCH --time=(.*)$", ARRAY, re.MULTILINE)
-    assert 60 <= DURATION.convert(walltime, None, None) - options["time_limit"] <= 900
+    assert 60 <= seconds(walltime) - options["time_limit"] <= 900
     assert "#SBATCH --requeue\n" in ARRAY
 
 
@@ -112,9 +115,8 @@ def test_an_array_job_goes_back_to_the_queue_until_the_map_is_complete(tmp_path,
 def test_processes_at_one_store_make_the_map_of_one(tmp_path, alone):
     executable(tmp_path / "dipoletop", f'exec {DIPOLETOP[0]} -c "{DIPOLETOP[2]}" "$@"')
     script = replaced(TWO_PROCESSES, **{"/shared/map": tmp_path / "map", "2048": SMALL})
-    path = f"{tmp_path}:{os.environ['PATH']}"
     with Processes(tmp_path) as processes:
-        process = processes.start(["bash", "-c", script], PATH=path)
+        process = processes.start(["bash", "-c", script], **path_with(tmp_path))
         assert process.status() == 0, process.said
         assert "Traceback" not in process.said
     assert files(tmp_path / "map-semi.zarr") == alone
@@ -142,10 +144,6 @@ def slurm_arguments():
         else ast.literal_eval(word.value)
         for word in call.keywords
     }
-
-
-def seconds(text):
-    return DURATION.convert(text, None, None)
 
 
 @pytest.mark.parametrize("cores", [1, 64])
@@ -196,14 +194,12 @@ def test_the_slurm_script_replaces_a_lost_job_and_computes_what_one_process_does
     jobs, preload = tmp_path / "jobs", tmp_path / "holding.py"
     jobs.touch()
     preload.write_text(hold.code, encoding="utf-8")
-    bin_folder = tmp_path / "bin"
-    bin_folder.mkdir()
     kept = f"{tmp_path}/job-$$.sh"
     run = f"cp $1 {kept}; setsid bash {kept} > {tmp_path}/job-$$.log 2>&1 &"
-    executable(bin_folder / "sbatch", run, f"echo $! >> {jobs}", 'echo "Submitted batch job $!"')
-    executable(bin_folder / "scancel", 'kill -- "-$1"')
+    executable(tmp_path / "sbatch", run, f"echo $! >> {jobs}", 'echo "Submitted batch job $!"')
+    executable(tmp_path / "scancel", 'kill -- "-$1"')
     settings = {
-        "PATH": f"{bin_folder}:{os.environ['PATH']}",
+        **path_with(tmp_path),
         "DASK_JOBQUEUE__SLURM__SCHEDULER_OPTIONS": "{'host': '127.0.0.1', 'dashboard': False}",
         "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "0.1s",
         "DASK_DISTRIBUTED__WORKER__PRELOAD": f"['{preload}']",

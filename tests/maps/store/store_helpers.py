@@ -56,8 +56,14 @@ def victims(good, kind):
     return sorts[kind]
 
 
+def header_of(place):
+    """The header of a store, with its digest."""
+    return dict(zarr.open_group(place / "dipoletop-tiles", mode="r").attrs)
+
+
 def rewrite(place, **changes):
     """Change a header as a program would that knows its digest."""
-    group = zarr.open_group(place / "dipoletop-tiles", mode="r+")
-    header = {**{k: v for k, v in group.attrs.items() if k != "digest"}, **changes}
-    group.attrs.update({**header, "digest": header_digest(header)})
+    header = header_of(place) | changes
+    del header["digest"]
+    header["digest"] = header_digest(header)
+    zarr.open_group(place / "dipoletop-tiles", mode="r+").attrs.update(header)

@@ -1,6 +1,5 @@
 """Stores that another program has changed, or made: nothing outside them is written or deleted."""
 
-import json
 import os
 import shutil
 import signal
@@ -8,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 from numcodecs.zstd import Zstd
-from store_helpers import GRID, reduced, rewrite
+from store_helpers import GRID, header_of, reduced, rewrite
 
 import dipoletop as dt
 from dipoletop._maps.store.arrays import _crc32c
@@ -98,8 +97,7 @@ def test_a_pipe_is_not_waited_for(copy):
 
 
 def test_a_terminal_is_not_controlled_by_a_store(copy):
-    header = json.loads((copy / "dipoletop-tiles" / "zarr.json").read_bytes())["attributes"]
-    rewrite(copy, attrs=header["attrs"] | {"level": "\x1b[2Jnothing"})
+    rewrite(copy, attrs=header_of(copy)["attrs"] | {"level": "\x1b[2Jnothing"})
     shown = repr(dt.Basin.load(copy, unfinished=True))
     assert "\x1b" not in shown
     assert "\\x1b[2Jnothing" in shown

@@ -4,8 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-import zarr
-from store_helpers import GRID, reduced, rewrite
+from store_helpers import GRID, header_of, reduced, rewrite
 
 import dipoletop as dt
 from stored_files import files
@@ -94,8 +93,7 @@ def test_seed_and_draw_of_a_sample_are_seen(tmp_path):
 
 def test_another_jax_may_be_why_a_program_differs(copy):
     """The store says that an older JAX made it."""
-    attrs = zarr.open_group(copy / "dipoletop-tiles", mode="r").attrs["attrs"]
-    rewrite(copy, attrs={**attrs, "version_jax": "0.0.1"})
+    rewrite(copy, attrs=header_of(copy)["attrs"] | {"version_jax": "0.0.1"})
     message = r"\(JAX 0.0.1 traced it there and JAX .* here, which alone may make a difference\)"
     with pytest.raises(dt.StoreMismatch, match=message):
         dt.sweep(thinner, GRID, store=copy)

@@ -1,12 +1,10 @@
 """Stores as xarray opens them: labelled, described, and with missing values where not computed."""
 
-import json
-
 import jax
 import numpy as np
 import pytest
 import xarray
-from store_helpers import GRID, RECORDS, numbers, reduced
+from store_helpers import GRID, RECORDS, header_of, numbers, reduced
 
 import dipoletop as dt
 
@@ -47,8 +45,7 @@ def test_a_store_is_the_dataset_of_its_basin(tmp_path, kind):
         masked[name] = masked[name].astype(expected[name].dtype).assign_attrs(masked[name].attrs)
     masked = masked.assign_coords(level=masked.attrs.pop("level"))
     xarray.testing.assert_identical(masked, expected)
-    header = json.loads((tmp_path / "s.zarr/dipoletop-tiles/zarr.json").read_bytes())["attributes"]
-    assert digest == header["programs"]["problem"]
+    assert digest == header_of(tmp_path / "s.zarr")["programs"]["problem"]
     assert expected.level == basin.level
 
     raw = xarray.open_zarr(tmp_path / "s.zarr", mask_and_scale=False)
