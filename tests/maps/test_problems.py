@@ -158,11 +158,9 @@ def test_a_problem_returns_what_classify_takes():
 
 
 def test_a_wrong_number_in_the_problem_itself_is_refused():
-    """It is known, although the problem is traced; a wrong number of a point fails there alone."""
+    """It is known, although the problem is traced."""
     with pytest.raises(ValueError, match="`delta`"):
         dt.sweep(lambda w3: reduced(w3, 0.0, 2.0), dt.Grid(w3=[0.1]))
-    basin = dt.sweep(lambda delta: reduced(0.1, 0.1, delta), dt.Grid(delta=[2.0, -0.2]))
-    assert basin.outcome[0] == dt.Outcome.FAILED != basin.outcome[1]
 
 
 def test_a_problem_may_compute_with_numbers_of_its_own():

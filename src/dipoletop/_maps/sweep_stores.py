@@ -102,8 +102,7 @@ class ZarrStore:
             tiles.refuse_damaged(damaged, " (`repair` computes it again)")
         sound = [tile for tile in finished if tile not in damaged]
         plan = self._plan
-        digests = in_parallel(plan.inputs, sound, plan.devices)
-        for tile, here in digests:
+        for tile, here in in_parallel(plan.inputs, sound, plan.devices):
             there = tiles.record(tile).inputs
             if here != there:
                 reason = (

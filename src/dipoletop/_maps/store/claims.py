@@ -13,11 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from .errors import StoreMismatch
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from .folders import fcntl  # None on Windows
 
 _in_use: set[tuple[int, int]] = set()  # files; such locks do not exclude one's own threads
 _guard = threading.Lock()
