@@ -27,7 +27,7 @@ from .columns import (
     with_level,
     without_versions,
 )
-from .grids import counted, described_axis
+from .grids import counted, described_axes
 from .selection import at_positions, places_of, positions_of
 from .store import saved_basins
 from .store.errors import StoreDamaged
@@ -337,10 +337,9 @@ class Basin(Pictured):
         return Basin(*saved_basins.load(path, flag("unfinished", unfinished)))
 
     def __repr__(self) -> str:
-        axes = [described_axis(name, values) for name, values in self.coords.items()]
         lines = [
             f"Basin({self.attrs.get('level', 'level not known')}; rtol {self.attrs.get('rtol')}",
-            f"{', '.join(axes) or ', '.join(self.dims)}; {counted(self.shape)}",
+            f"{described_axes(self.coords) or ', '.join(self.dims)}; {counted(self.shape)}",
             self._summary(),
         ]
         return "\n      ".join(lines) + ")"

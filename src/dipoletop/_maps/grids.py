@@ -88,7 +88,7 @@ class Grid:
         }
 
     def __repr__(self) -> str:
-        return f"Grid({_described(self.axes)}; {counted(self.shape)})"
+        return f"Grid({described_axes(self.axes)}; {counted(self.shape)})"
 
 
 class Points:
@@ -138,7 +138,7 @@ class Points:
         return {name: values[index] for name, values in self.columns.items()}
 
     def __repr__(self) -> str:
-        return f"Points({_described(self.columns)}; {counted(self.shape)})"
+        return f"Points({described_axes(self.columns)}; {counted(self.shape)})"
 
 
 def _axis(name: str, values: Numbers) -> np.ndarray:
@@ -151,11 +151,12 @@ def _axis(name: str, values: Numbers) -> np.ndarray:
     return array
 
 
-def _described(axes: dict[str, np.ndarray]) -> str:
-    return ", ".join(described_axis(name, values) for name, values in axes.items())
+def described_axes(axes: Mapping[str, np.ndarray]) -> str:
+    """Return a description of axes, such as "delta: -0.2, phi: 256 values in [0, 3.129]"."""
+    return ", ".join(_described_axis(name, values) for name, values in axes.items())
 
 
-def described_axis(name: str, values: np.ndarray) -> str:
+def _described_axis(name: str, values: np.ndarray) -> str:
     """Return a description of an axis, such as "phi: 256 values in [0, 3.129]"."""
     if values.ndim > 1:
         shape = str(values.shape[1:])

@@ -14,7 +14,7 @@ from .._base.refusals import refuse
 from .._base.statistics import wilson
 from .._base.types import Outcome
 from .columns import column_spec, coordinate_dims, labels, with_level
-from .grids import counted, described_axis
+from .grids import counted, described_axes
 from .store.errors import StoreMismatch
 from .store.layout import tiling_of_starts
 from .store.tiles import Tiles, open_store
@@ -158,10 +158,8 @@ class Tally:
             variables[f"histogram_{name}"] = ((*self.dims, axis), every)
             ends = np.concatenate([[-np.inf], self.edges(name), [np.inf]])
             unit = {"units": column_spec(name).unit}
-            coords |= {
-                f"{axis}_low": (axis, ends[:-1], unit),
-                f"{axis}_high": (axis, ends[1:], unit),
-            }
+            coords[f"{axis}_low"] = axis, ends[:-1], unit
+            coords[f"{axis}_high"] = axis, ends[1:], unit
         for name in self.dims:
             values = self.coords[name]
             dims = coordinate_dims(name, self.dims, values.ndim)
@@ -209,14 +207,13 @@ class Tally:
         return replace(self, dims=(), shape=(), counts=counts, reduction=reduction)
 
     def __repr__(self) -> str:
-        axes = [described_axis(name, values) for name, values in self.coords.items()]
         shares = [f"{name} {x.share:.2%}" for name, x in self.merged.fractions().items()]
         if self.starts < self.size:
             shares.append(f"not counted yet {1 - self.starts / self.size:.2%}")
         kept = ", ".join(self.dims) or "no axis"
         lines = [
             f"Tally({self.attrs.get('level', 'level not known')}; rtol {self.attrs.get('rtol')}",
-            f"{', '.join(axes) or 'a sample'}; {counted((self.size,))}; kept: {kept}",
+            f"{described_axes(self.coords) or 'a sample'}; {counted((self.size,))}; kept: {kept}",
             ", ".join(shares),
         ]
         if self.reduction.edges:

@@ -32,9 +32,8 @@ def finish(plan: Plan, store: Store, progress: bool | str | None, client: Any = 
 
     with contextlib.ExitStack() as stack:
         stack.callback(store.close)
-        if client is None:
-            once = functools.partial(_compute_once, plan, store)
-        else:
+        once = functools.partial(_compute_once, plan, store)
+        if client is not None:
             once = on_cluster(client, plan, store)
         waiting, totals = set(store.unfinished()), np.zeros(len(Outcome), int)
         bar = tqdm(

@@ -22,8 +22,6 @@ except ImportError:  # Windows
 PREFIX = ".dipoletop-"
 LOCK = "lock"
 """The file in a temporary folder that the process which made it has locked."""
-NEW = "new"
-"""The folder in a temporary one in which the new folder is filled."""
 _own: set[Path] = set()  # on some file systems a lock does not exclude one's own threads
 
 
@@ -67,8 +65,8 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             remove_left_folders(path.parent)
-            fresh = stack.enter_context(hidden_folder(path.parent)) / NEW / path.name
-            fresh.mkdir(parents=True)
+            fresh = stack.enter_context(hidden_folder(path.parent)) / path.name
+            fresh.mkdir()
         except (OSError, ValueError) as error:
             must = "be a path where a folder can be made"
             reason = f"{path} is not: {getattr(error, 'strerror', None) or error}"
@@ -84,7 +82,7 @@ def atomic_folder(argument: str, path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def hidden_folder(parent: Path) -> Iterator[Path]:
-    """Make a temporary folder, which no other process removes while this one lives."""
+    """Make an empty temporary folder, which no other process removes while this one lives."""
     # The name is short, and independent of the store's, which may have the largest allowed length.
     prefix = f"{PREFIX}{platform.node()[:60]}-{os.getpid()}-"
     with tempfile.TemporaryDirectory(prefix=prefix, dir=parent) as name:
@@ -93,7 +91,9 @@ def hidden_folder(parent: Path) -> Iterator[Path]:
         try:
             with open(folder / LOCK, "wb") as file:
                 _takes_lock(file)
-                yield folder
+                empty = folder / "new"  # beside the lock
+                empty.mkdir()
+                yield empty
         finally:
             _own.discard(folder)
 

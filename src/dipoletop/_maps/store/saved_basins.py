@@ -13,7 +13,7 @@ from ..columns import BasinParts, is_result
 from ..tiling import TILE, Tiling
 from .arrays import METADATA, refuse_links
 from .errors import StoreDamaged, StoreMismatch
-from .folders import NEW, absolute_path, atomic_folder, exists, hidden_folder
+from .folders import absolute_path, atomic_folder, exists, hidden_folder
 from .headers import Header, differences, first_difference, sweep_digest, with_value_digests
 from .layout import GROUP, create_arrays, tiling_of, tiling_of_starts
 from .tiles import TileRecord, Tiles, open_store, open_tiles
@@ -77,9 +77,7 @@ def _with_new_metadata(folder: Path, header: Header, values: Mapping[str, np.nda
     if not records or any(record.sweep != sweep_digest(header) for record in records):
         reason = f"the metadata of {folder} are damaged, and it has no tiles of this sweep"
         raise StoreMismatch("store", folder, THIS_SWEEP, reason)
-    with hidden_folder(folder.parent) as hidden:
-        fresh = hidden / NEW
-        fresh.mkdir(parents=True)
+    with hidden_folder(folder.parent) as fresh:
         create_arrays(fresh, header, values)
         # The header is written last; until then the store counts as damaged.
         header_file = fresh / GROUP / METADATA
