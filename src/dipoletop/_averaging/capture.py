@@ -26,8 +26,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.chebyshev import collocation_rule
-from .._base.checks import or_nan
-from .._base.linalg import running_sums
+from .._base.checks import namespace, or_nan
 from .._base.types import Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
@@ -37,10 +36,10 @@ from .planar_orbits import (
     Expansion,
     Scalar,
     Settled,
-    at_angle,
     follow,
     log_scale_of,
     settle,
+    state_after,
 )
 
 SMALLEST, LARGEST = 0.005, 0.995  # δ between which the distribution of X is computed
@@ -177,11 +176,19 @@ def distribution(delta: Scalar) -> Float[Array, "n"]:
     weights = jnp.asarray(weights / np.sum(weights))
     order = jnp.argsort(x)
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
-    # X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
-    # parts have this derivative; single values in the parts do not.
-    sums = jnp.interp(np.arange(PARTS + 1) / PARTS, running_sums(part), running_sums(part * x))
-    table = largest + jnp.log(PARTS * jnp.diff(sums))
-    return jnp.concatenate([jnp.stack([residual, largest + jnp.log(sums[-1])]), table])
+    return jnp.append(residual, largest + _log_means(part, x))
+
+
+def _log_means(weights: Any, x: Any) -> Any:
+    """Return ln of the mean of x, which rises, and of its means in `PARTS` parts of equal weight.
+
+    X takes each value at two s, so the derivative of a quantile is a mean of two. Means over the
+    parts have this derivative; single values in the parts do not.
+    """
+    xp = namespace(weights)
+    sums = (xp.append(0.0, xp.cumsum(values)) for values in (weights, weights * x))
+    sums = xp.interp(np.arange(PARTS + 1) / PARTS, *sums)
+    return xp.append(xp.log(sums[-1]), xp.log(PARTS * xp.diff(sums)))
 
 
 def _powers(delta: Any, xp: Any) -> Any:
@@ -207,13 +214,8 @@ def _of_rods() -> np.ndarray:
     phi = edge * (1 - _middles(FINE) ** 2)  # dense where X vanishes; X rises
     weights = np.cos(phi) ** 2 * _middles(FINE)
     weights, x = weights / np.sum(weights), np.sqrt(3 * np.cos(phi) ** 2 - 2)
-    sums = np.interp(np.arange(PARTS + 1) / PARTS, _sums(weights), _sums(weights * x))
     residual = (edge + math.sin(2 * edge) / 2) / (math.pi / 2)
-    return np.concatenate([[residual, np.log(sums[-1])], np.log(PARTS * np.diff(sums))])
-
-
-def _sums(values: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(values)])
+    return np.append(residual, _log_means(weights, x))
 
 
 def is_random(delta: Any, omega0: Any, xp: Any = jnp) -> Any:
@@ -272,8 +274,7 @@ def end_of_top(
     turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
     log_w = log_scale_of(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
     log_scale = or_nan(log_w - log_all, random)
-    decided = _share(known.residual)
-    residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, decided))
+    residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, _share(known.residual)))
     along = jnp.where(random, 0.5, _share(known.along))
     wobbling = jnp.where(random, 1 - chance.residual, jnp.where(stops, 0.0, _share(known.stops)))
     lost = ~random & ~stops & ~(known.residual | known.stops) | jnp.isnan(chance.residual)
@@ -323,7 +324,7 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
             return z_rate / phi_rate
 
         span = phi, jnp.ceil(phi / jnp.pi) * jnp.pi
-        z = at_angle(slope, span, jnp.where(arrives, z, height), MAX_STEPS)
+        z = state_after(slope, span, jnp.where(arrives, z, height), MAX_STEPS)
         return expansion.turns(2 * delta * z), arrives
 
     wobbles = delta > transverse.WOBBLING_FROM

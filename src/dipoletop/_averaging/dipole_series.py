@@ -86,7 +86,12 @@ def _factors(orbit: MomentumOrbit, steps: Descent) -> tuple[Real, Real, Real, Re
     x, q, g, root = orbit.x, orbit.q, orbit.g, steps.root
     c = jnp.sqrt(q / orbit.gaps[0])
     by_eta = g < 0.5
-    t, other = jnp.where(by_eta, jnp.sqrt(g), c), jnp.where(by_eta, c, jnp.sqrt(g))
+
+    def ordered(first: Real, second: Real) -> tuple[Real, Real]:
+        """Exchange two numbers if η is the smaller one."""
+        return jnp.where(by_eta, second, first), jnp.where(by_eta, first, second)
+
+    t, other = ordered(c, jnp.sqrt(g))
     s = jnp.where(by_eta, orbit.gaps[2] / orbit.gaps[0], x * g)
     excess = jnp.where(by_eta, x * orbit.gaps[0], orbit.gaps[2] / g) / (q * (1 + steps.ratios[0]))
     total = lag(steps, t, s, excess)
@@ -95,12 +100,7 @@ def _factors(orbit: MomentumOrbit, steps: Descent) -> tuple[Real, Real, Real, Re
     # 1 − e^{−2ψ}, where e^{−ψ} = √s/(1 + t) e^{total}; neither term is small beside the result.
     one_minus_near = (2 * t - s / (1 + t) * jnp.expm1(2 * total)) / (1 + t)
     one_minus_far = 1 - far**2 * jnp.where(by_eta, x, orbit.gaps[2] / q)
-    return (
-        jnp.where(by_eta, far, near),
-        jnp.where(by_eta, near, far),
-        jnp.where(by_eta, one_minus_far, one_minus_near),
-        jnp.where(by_eta, one_minus_near, one_minus_far),
-    )
+    return *ordered(near, far), *ordered(one_minus_near, one_minus_far)
 
 
 def _across(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "m"]:

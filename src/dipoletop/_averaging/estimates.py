@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.guards import safe_divisor, safe_sqrt
 from .._base.linalg import components, dot
 from .._base.types import Real
-from .free_rotation import averages, period
+from .free_rotation import averages, gaps_of, period
 from .motion import Point, SlowMotion
 from .principal_axes import FreeRotation
 from .slow_flow import from_logit
@@ -102,7 +102,7 @@ def rounding_error(rotation: FreeRotation, log: Real) -> Real:
 
 def place_error(rotation: FreeRotation, high: Bool[Array, ""]) -> Real:
     """Return the error of z = logit x of the start by rounding, which turns the axes."""
-    p12, p23, p13 = rotation.gaps
+    p13, p23, p12 = gaps_of(rotation.moments)
     zero = jnp.zeros_like(p12)
     inside = jnp.where(high, jnp.stack([zero, p12, p13]), jnp.stack([p13, p23, zero]))
     above = jnp.stack([p12, zero, -p23])

@@ -17,7 +17,7 @@ from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS
 from .principal_axes import FreeRotation
-from .unfolded_ends import orbit_of
+from .unfolded_ends import PlaneOrbit, orbit_of
 from .unfolding import PlanarMotion, entry_of, top_of
 
 FEWEST = 8  # the smallest number of times for which a program is compiled
@@ -46,14 +46,8 @@ def best_history(
             slow = history_at(variables, constants)
             values = tuple(jnp.where(captured, jnp.nan, x) for x in slow)
         else:
-            early = orbit_history(variables, constants, 2 * place)
-            late = turning_history(variables, constants, 2 * place)
-            values = tuple(map(_filled, early, late))
+            values = orbit_history(variables, constants, 2 * place)
     return tuple(x[:size] for x in values)
-
-
-def _filled(first: Float[Array, "T"], second: Float[Array, "T"]) -> Float[Array, "T"]:
-    return jnp.where(jnp.isnan(first), second, first)
 
 
 @compiled_soon
@@ -123,11 +117,21 @@ def capture_follows(
 def orbit_history(
     variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
 ) -> Values:
-    """Return the history of a start with a known phase, not averaged; NaN past its last state."""
+    """Return the history of a start with a known phase, not averaged while the orbit lasts.
+
+    Behind it only a disc that turns fast about its symmetry axis has a history, by the slow flow.
+    """
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)
     top = top_of(rotation, axial, units.weakness)
     orbit = orbit_of(top, top.start)
+    early = _on_orbit(orbit, units, times)
+    late = _after_orbit(rotation, orbit, units, times)
+    return tuple(jnp.where(jnp.isnan(a), b, a) for a, b in zip(early, late, strict=True))
+
+
+def _on_orbit(orbit: PlaneOrbit, units: Units, times: Float[Array, "T"]) -> Values:
+    """Return the history along an orbit; NaN past its last state."""
 
     def at(time: Real) -> tuple[Real, ...]:
         def early(sigma: Real) -> Real:
@@ -154,20 +158,15 @@ def orbit_history(
     )
 
 
-@compiled_soon
-def turning_history(
-    variables: Variables, constants: tuple[Float[Array, "T"], Real], axial: int
+def _after_orbit(
+    rotation: FreeRotation, orbit: PlaneOrbit, units: Units, times: Float[Array, "T"]
 ) -> Values:
     """Return the history of a disc after it has begun to turn fast about its symmetry axis.
 
     The slow flow begins where φ is a multiple of π for the last time: there a motion does not
     oscillate about its averages (`capture`). NaN at earlier times, and for other motions.
     """
-    times, strength = constants
-    rotation, units = scaled_rotation(variables, strength)
-    top = top_of(rotation, axial, units.weakness)
-    orbit = orbit_of(top, top.start)
-    last, _ = orbit.at(orbit.last)
+    top, (last, _) = orbit.top, orbit.at(orbit.last)
     turns = (top.delta < 0) & PlanarMotion(top.delta, top.ratio).turns(last)
     heading = -jnp.sign(top.delta * last[1])
     target = heading * jnp.pi * jnp.floor(heading * last[0] / jnp.pi)

@@ -102,29 +102,22 @@ def motion_of(
     """
     rotation = free_rotation(inertia, dipole, omega)
     moments, n, momentum = rotation.moments, rotation.dipole, rotation.momentum
-    gaps, y = rotation.gaps, momentum**2 / dot(momentum, momentum)
-    above = gaps[0] * y[0] - gaps[1] * y[2]  # h − p₂
-    high = (above > 0) | ((gaps[1] == 0) & (gaps[0] > 0))
+    _, p23, p12 = gaps_of(moments)
+    square = dot(momentum, momentum)
+    size, y = jnp.sqrt(square), momentum**2 / square
+    above = p12 * y[0] - p23 * y[2]  # h − p₂
+    high = (above > 0) | ((p23 == 0) & (p12 > 0))
     tiny = ROUNDING * float(jnp.finfo(moments.dtype).eps)
-    edge = jnp.where(high, gaps[0], gaps[1])  # Db
-    spin = _spin(moments, gaps, n, momentum, jnp.abs(above) <= tiny**2 * edge)
+    holds = jnp.abs(above) <= tiny**2 * jnp.where(high, p12, p23)  # Db
+    # With three distinct moments this is the separatrix: nearly all time is spent on axis 2.
+    unit, middle = momentum / size, jnp.zeros_like(momentum).at[1].set(1.0)
+    turned = cross(jnp.where((p12 > 0) & (p23 > 0), middle, unit), n)
+    spin = Spin(holds, size * dot(unit**2, 1 / moments), safe_sqrt(dot(turned, turned)))
     # Where the motion is a spin, another motion stands in, so that nothing is NaN.
     example = jnp.arange(2.0, 5.0, dtype=moments.dtype)
-    moments = jnp.where(spin.holds, example, moments)
-    momentum = jnp.where(spin.holds, jnp.ones_like(example), momentum)
-    return _orbit(moments, n, momentum, high & ~spin.holds), spin
-
-
-def _spin(
-    moments: Triple, gaps: Triple, n: Triple, momentum: Triple, holds: Bool[Array, ""]
-) -> Spin:
-    size = jnp.sqrt(dot(momentum, momentum))
-    unit = momentum / size
-    # With three distinct moments this is the separatrix: nearly all time is spent on axis 2.
-    distinct = (gaps[0] > 0) & (gaps[1] > 0)
-    middle = jnp.zeros_like(unit).at[1].set(1.0)
-    turned = cross(jnp.where(distinct, middle, unit), n)
-    return Spin(holds, size * dot(unit**2, 1 / moments), safe_sqrt(dot(turned, turned)))
+    moments = jnp.where(holds, example, moments)
+    momentum = jnp.where(holds, jnp.ones_like(example), momentum)
+    return _orbit(moments, n, momentum, high & ~holds), spin
 
 
 def _orbit(moments: Triple, n: Triple, momentum: Triple, high: Bool[Array, ""]) -> MomentumOrbit:

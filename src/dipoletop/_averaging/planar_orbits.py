@@ -84,10 +84,10 @@ def follow(
     return integrated(field, (0.0, jnp.inf), y0, pid, max_steps, 0.01, **options)
 
 
-def at_angle(slope: Any, span: tuple[Scalar, Scalar], y0: Array, max_steps: int) -> Array:
-    """Return the state after φ has gone through a span, with given slopes dy/dφ."""
+def state_after(rates: Any, span: tuple[Any, Any], y0: Array, max_steps: int) -> Array:
+    """Return the state after the independent variable, such as φ, has gone through a span."""
     pid = diffrax.PIDController(RTOL, RTOL)
-    return integrated(slope, span, y0, pid, max_steps).ys[-1]
+    return integrated(rates, span, y0, pid, max_steps).ys[-1]
 
 
 class Expansion(NamedTuple):

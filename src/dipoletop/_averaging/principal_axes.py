@@ -46,12 +46,6 @@ class FreeRotation(eqx.Module):
         ordered = self.moments, self.dipole**2
         return Side(*(jnp.where(high, values[::-1], values) for values in ordered))
 
-    @property
-    def gaps(self) -> Float[Array, "3"]:
-        """The differences p₁ − p₂, p₂ − p₃ and p₁ − p₃ of reciprocal moments, not negative."""
-        p13, p23, p12 = gaps_of(self.moments)
-        return jnp.stack([p12, p23, p13])
-
     def rounding_of(self, vector: Float[Array, "3"]) -> Float[Array, "3"]:
         """Estimate the error of the components of a vector by rounding; 0 of those that are 0."""
         turns = self.rounding * self.moments[2] * _reciprocal_gaps(self.moments)

@@ -166,15 +166,12 @@ class Interval(eqx.Module):
     @property
     def width(self) -> Real:
         """The length of the interval, x₊ − x₋."""
-        return self._between(self.low, self.high)
+        low, high = self.low, self.high
+        return jnp.where(high.x < 0.5, high.x - low.x, low.rest - high.rest)
 
     def limit(self, rises: Bool[Array, ""]) -> Bound:
         """Return the end to which a motion leads if x grows, or falls."""
         return jax.tree.map(lambda low, high: jnp.where(rises, high, low), self.low, self.high)
-
-    @staticmethod
-    def _between(low: Any, high: Any) -> Real:
-        return jnp.where(high.x < 0.5, high.x - low.x, low.rest - high.rest)
 
     def parameter(self, z: Real) -> Real:
         """Compute the parameter y at z = logit x."""

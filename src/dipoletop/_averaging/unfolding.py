@@ -35,7 +35,7 @@ from .._base.types import Real
 from ..equations._common import planar_rates
 from .free_rotation import gaps_of
 from .motion import HALVINGS, SlowMotion
-from .planar_orbits import ENTRY, Expansion, Settled, at_angle, follow, log_scale_of
+from .planar_orbits import ENTRY, Expansion, Settled, follow, log_scale_of, state_after
 from .principal_axes import FreeRotation
 
 PHASES = 256  # phases that sample a random start
@@ -200,7 +200,7 @@ class PlanarMotion(NamedTuple):
             phi_rate, *others = self(phi, jnp.stack([phi, *rest]))
             return jnp.stack(others) / phi_rate
 
-        return jnp.append(target, at_angle(slope, (y[0], target), y[1:], MAX_STEPS))
+        return jnp.append(target, state_after(slope, (y[0], target), y[1:], MAX_STEPS))
 
 
 def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> Settled:
