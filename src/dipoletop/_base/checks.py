@@ -199,6 +199,14 @@ def positive(
     return where_valid(name, array, on_host(array) > 0, "be positive")
 
 
+def not_negative(
+    name: str, value: Any, shape: tuple[int, ...] = (), **options: Any
+) -> Float[Array, "..."]:
+    """Return a real array of finite numbers, 0 or above; options are those of `finite`."""
+    array = finite(name, value, shape, **options)
+    return where_valid(name, array, on_host(array) >= 0, "not be negative")
+
+
 def subnormal(array: Any) -> np.ndarray:
     """Return a NumPy mask of the subnormal numbers.
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, on_host, where_valid
+from .._base.checks import finite, not_negative
 from .._base.compiling import compiled_soon
 from .._base.linalg import components
 from .._base.refusals import refuse
@@ -32,9 +32,7 @@ def cylindrical(w_perp: Any, w3: Any, phi: Any) -> Float[Array, "*batch 3"]:
         >>> dt.cylindrical(w_perp=0.2, w3=0.1, phi=0.0)
         Array([0.2, 0. , 0.1], dtype=float64)
     """
-    across = finite("w_perp", w_perp)
-    across = where_valid("w_perp", across, on_host(across) >= 0, "not be negative")
-    given = across, finite("w3", w3), finite("phi", phi, unit="rad")
+    given = not_negative("w_perp", w_perp), finite("w3", w3), finite("phi", phi, unit="rad")
     if len({x.shape for x in given} - {()}) > 1:
         shapes = ", ".join(str(x.shape) for x in given)
         refuse("w_perp", "have, with `w3` and `phi`, one batch size", f"they have shapes {shapes}")

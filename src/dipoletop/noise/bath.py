@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, instance, on_host, shape_of, where_valid
+from .._base.checks import finite, instance, not_negative, shape_of, where_valid
 from .._base.guards import safe_divisor
 from .._base.linalg import inverse, matvec, trace
 from .._base.refusals import refuse
@@ -51,10 +51,10 @@ class Bath(Shown):
     """D of the drag, ⟨MᵢMⱼ⟩ = 2Dᵢⱼδ."""
 
     def __init__(self, heat: Any = 0.0, drag: Any = 0.0, drag_heat: Any = None) -> None:
-        self.heat = _heat("heat", heat)
+        self.heat = not_negative("heat", heat, batch=False)
         self.drag = _drag(drag)
-        warmth = self.heat if drag_heat is None else _heat("drag_heat", drag_heat)
-        self.diffusion = warmth * self.drag
+        warm = self.heat if drag_heat is None else not_negative("drag_heat", drag_heat, batch=False)
+        self.diffusion = warm * self.drag
 
     @staticmethod
     def around(particle: Particle, *surroundings: Surrounding, axis: Any = None) -> "Bath":
@@ -103,16 +103,11 @@ class Bath(Shown):
         return (axes * jnp.sqrt(jnp.maximum(values, 0.0))[None]) @ axes.T
 
 
-def _heat(name: str, value: Any) -> Float[Array, ""]:
-    heat = finite(name, value, batch=False)
-    return where_valid(name, heat, on_host(heat) >= 0, "not be negative")
-
-
 def _drag(value: Any) -> Float[Array, "3 3"]:
     shape = shape_of(value)
-    drag = finite("drag", value, shape, batch=False)
     if shape == ():
-        return where_valid("drag", drag, on_host(drag) >= 0, "not be negative") * jnp.eye(3)
+        return not_negative("drag", value, batch=False) * jnp.eye(3)
+    drag = finite("drag", value, shape, batch=False)
     if shape != (3, 3):
         refuse("drag", "be a number or have shape (3, 3)", f"has shape {shape}")
     sound = jnp.max(jnp.abs(drag - drag.T)) <= 1e-12 * jnp.max(jnp.abs(drag))

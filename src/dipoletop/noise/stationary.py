@@ -8,7 +8,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from .._base.checks import ArrayLike, NumberLike, finite, on_host, positive, shape_of, where_valid
+from .._base.checks import ArrayLike, NumberLike, finite, not_negative, positive, shape_of
 from .._base.compiling import compiled_soon
 from .._base.refusals import refuse
 from .._base.roots import root
@@ -111,9 +111,8 @@ def grain_density(
         >>> print(f"{grain_density(1.0) / (2 / jnp.pi) ** 0.5 * jnp.e**0.5:.12f}")
         1.000000000000
     """
-    f, g = (positive(*pair, batch=False) for pair in (("drag", drag), ("excitation", excitation)))
-    r = _not_negative("ratio", ratio)
-
+    f, g = positive("drag", drag, batch=False), positive("excitation", excitation, batch=False)
+    r = not_negative("ratio", ratio, batch=False)
     return _density(Partial(_grain_energy, f, g, r), _speed("speed", speed, 3), 3)
 
 
@@ -126,10 +125,8 @@ def _energy(
     kappa: NumberLike, heat: NumberLike, drag: NumberLike, drag_heat: NumberLike
 ) -> Callable[[Values], Values]:
     """Return −ln f of `rotator_density` as a function of ω²."""
-    k, theta = _not_negative("kappa", kappa), _not_negative("heat", heat)
-    gamma, warm = (
-        positive(*pair, batch=False) for pair in (("drag", drag), ("drag_heat", drag_heat))
-    )
+    k, theta = not_negative("kappa", kappa, batch=False), not_negative("heat", heat, batch=False)
+    gamma, warm = positive("drag", drag, batch=False), positive("drag_heat", drag_heat, batch=False)
     return Partial(_rotator_energy, k, theta, gamma, warm)
 
 
@@ -160,17 +157,10 @@ def _density(energy: Callable[[Values], Values], speed: Values, dimensions: int)
 
 def _speed(name: str, value: Any, dimensions: int) -> Values:
     _dimensions(dimensions)
-    speed = finite(name, value, shape_of(value), batch=False)
-    if dimensions == 1:
-        return speed
-    return where_valid(name, speed, on_host(speed) >= 0, "not be negative")
+    check = finite if dimensions == 1 else not_negative
+    return check(name, value, shape_of(value), batch=False)
 
 
 def _dimensions(value: int) -> None:
     if value not in (1, 3):
         refuse("dimensions", "be 1 or 3", f"is {value!r}")
-
-
-def _not_negative(name: str, value: NumberLike) -> Real:
-    number = finite(name, value, batch=False)
-    return where_valid(name, number, on_host(number) >= 0, "not be negative")

@@ -27,7 +27,7 @@ from ..particles.units import BOLTZMANN, HBAR, speed_in_rad
 from .blackbody import Blackbody
 from .gas import Gas
 from .radiation_reaction import RadiationReaction
-from .surrounding import Surrounding, above_zero, not_negative
+from .surrounding import Surrounding, above_zero, zero_or_more
 
 NAMES = "radiation", "gas", "blackbody"
 WORDS = {"radiation": "its own radiation", "gas": "the gas", "blackbody": "thermal radiation"}
@@ -214,14 +214,14 @@ def balance(
     refuse_relativistic("spin", particle, omega)
     gas = pressure if isinstance(pressure, Gas) else None
     numbers = {
-        "pressure": gas.pressure if gas else not_negative("pressure", pressure, "Pa"),
+        "pressure": gas.pressure if gas else zero_or_more("pressure", pressure, "Pa"),
         "temperature": above_zero("temperature", temperature, "K"),
-        "loss": jnp.nan if loss is None or callable(loss) else not_negative("loss", loss),
-        "field": jnp.nan if field is None else not_negative("field", field, "V/m"),
+        "loss": jnp.nan if loss is None or callable(loss) else zero_or_more("loss", loss),
+        "field": jnp.nan if field is None else zero_or_more("field", field, "V/m"),
         "strength": jnp.nan if strength is None else above_zero("strength", strength, "Pa"),
     }
-    of_gas = jax.tree.leaves(gas)
-    shapes = [omega.shape[:-1], *map(jnp.shape, numbers.values()), *map(jnp.shape, of_gas)]
+    given = [*numbers.values(), *jax.tree.leaves(gas)]
+    shapes = [omega.shape[:-1], *map(jnp.shape, given)]
     try:
         batch = jnp.broadcast_shapes(*shapes)
     except ValueError:

@@ -12,7 +12,7 @@ from .._base.guards import safe_sqrt
 from .._base.types import Vector
 from ..particles import Particle
 from ..particles.units import BOLTZMANN, HBAR, LIGHT
-from .surrounding import Surrounding, diagonal_matrix, not_negative, solid_of, with_lanes
+from .surrounding import Surrounding, diagonal_matrix, solid_of, with_lanes, zero_or_more
 
 ZETA_3 = 1.202_056_903_159_594_2
 """ζ(3)."""
@@ -44,8 +44,8 @@ class Blackbody(Surrounding):
     name: ClassVar[str] = "blackbody"
 
     def __init__(self, temperature: Any, loss: Any) -> None:
-        self.temperature = not_negative("temperature", temperature, "K")
-        self.loss = loss if callable(loss) else not_negative("loss", loss)
+        self.temperature = zero_or_more("temperature", temperature, "K")
+        self.loss = loss if callable(loss) else zero_or_more("loss", loss)
 
     def friction(self, particle: Particle) -> Float[Array, "..."]:
         """Return Γ, the same about every axis, N m s."""

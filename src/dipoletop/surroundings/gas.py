@@ -32,9 +32,9 @@ from .surrounding import (
     Surrounding,
     above_zero,
     diagonal_matrix,
-    not_negative,
     solid_of,
     with_lanes,
+    zero_or_more,
 )
 
 AIR = 28.97 * DALTON
@@ -77,18 +77,15 @@ class Gas(Surrounding):
         surface_temperature: Any = None,
         diameter: Any = AIR_DIAMETER,
     ) -> None:
-        self.pressure = not_negative("pressure", pressure, "Pa")
+        self.pressure = zero_or_more("pressure", pressure, "Pa")
         self.temperature = above_zero("temperature", temperature, "K")
         self.molecular_mass = above_zero("molecular_mass", molecular_mass, "kg")
-        share = not_negative("accommodation", accommodation)
-        self.accommodation = where_valid(
-            "accommodation", share, on_host(share) <= 1, "be at most 1"
-        )
-        self.surface_temperature = (
-            self.temperature
-            if surface_temperature is None
-            else above_zero("surface_temperature", surface_temperature, "K")
-        )
+        share = zero_or_more("accommodation", accommodation)
+        below_one = on_host(share) <= 1
+        self.accommodation = where_valid("accommodation", share, below_one, "be at most 1")
+        self.surface_temperature = self.temperature
+        if surface_temperature is not None:
+            self.surface_temperature = above_zero("surface_temperature", surface_temperature, "K")
         self.diameter = above_zero("diameter", diameter, "m")
 
     @property

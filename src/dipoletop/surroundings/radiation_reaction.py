@@ -20,7 +20,7 @@ from .._base.linalg import cross, inverse, matvec, trace
 from .._base.types import Matrix, Vector
 from ..particles import RADIATION, Particle
 from ..particles.units import BOLTZMANN
-from .surrounding import Surrounding, not_negative, with_lanes
+from .surrounding import Surrounding, with_lanes, zero_or_more
 
 
 class RadiationReaction(Surrounding):
@@ -36,7 +36,7 @@ class RadiationReaction(Surrounding):
     name: ClassVar[str] = "radiation"
 
     def __init__(self, temperature: Any = 0.0) -> None:
-        self.temperature = not_negative("temperature", temperature, "K")
+        self.temperature = zero_or_more("temperature", temperature, "K")
 
     def torque(self, particle: Particle, omega: Vector) -> Vector:
         """Compute −k d₁×d₂ for the free rotation through Ω, shape (3, ...), N m."""

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._base.checks import finite, on_host, positive, shape_of, where_valid
+from .._base.checks import not_negative, positive, shape_of
 from .._base.linalg import diagonal
 from .._base.refusals import refuse
 from .._base.shown import Shown
@@ -70,10 +70,9 @@ def solid_of(particle: Particle, what: str) -> Solid:
     return particle.shape
 
 
-def not_negative(name: str, value: Any, unit: str | None = None) -> Float[Array, "..."]:
+def zero_or_more(name: str, value: Any, unit: str | None = None) -> Float[Array, "..."]:
     """Return finite numbers of any shape that are not negative."""
-    array = finite(name, value, shape_of(value), batch=False, unit=unit)
-    return where_valid(name, array, on_host(array) >= 0, "not be negative")
+    return not_negative(name, value, shape_of(value), batch=False, unit=unit)
 
 
 def above_zero(name: str, value: Any, unit: str | None = None) -> Float[Array, "..."]:
