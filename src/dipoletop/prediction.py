@@ -157,9 +157,8 @@ class Prediction(Pictured, eqx.Module):
         p = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(n, -1), self)
         inertia, omega = p.variables[:, :9].reshape(-1, 3, 3), p.variables[:, 12:]
         with np.errstate(all="ignore"):
-            lost = p.radiated_energy / (
-                np.einsum("ni,nij,nj->n", omega, inertia, omega)[:, None] / 2
-            )
+            whole = np.einsum("ni,nij,nj->n", omega, inertia, omega)[:, None] / 2
+            lost = p.radiated_energy / whole
         mean, error = float(np.mean(p.ratio)), float(np.max(p.error))
         ratio = f"{mean:.4g} on average" if many else with_error(mean, error * mean)
         if len(set(np.ravel(p.ratio_quantiles))) > 1:

@@ -222,9 +222,8 @@ def rotating_field(
     ratio = 1 / jnp.where(near, 1 + z[2], 1.0)
     x = jnp.stack([1 - z[0] ** 2 * ratio, -z[0] * z[1] * ratio, -z[0]])
     x = jnp.where(near, x, jnp.array([-1.0, 0.0, 0.0]))
-    return RotatingField(
-        finite("amplitude", amplitude), finite("frequency", frequency), jnp.stack([x, cross(z, x)])
-    )
+    size, rate = finite("amplitude", amplitude), finite("frequency", frequency)
+    return RotatingField(size, rate, jnp.stack([x, cross(z, x)]))
 
 
 def gas_drag(

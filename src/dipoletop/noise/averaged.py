@@ -155,11 +155,8 @@ def _prepared(
     moments, axes = principal_axes(body.inertia)
     moments = equal_where_rounded(moments)
     inner = Body(jnp.diag(moments), axes.T @ body.dipole)
-    turned = eqx.tree_at(
-        lambda bath: (bath.drag, bath.diffusion),
-        bath,
-        tuple(axes.T @ matrix @ axes for matrix in (bath.drag, bath.diffusion)),
-    )
+    tensors = tuple(axes.T @ matrix @ axes for matrix in (bath.drag, bath.diffusion))
+    turned = eqx.tree_at(lambda bath: (bath.drag, bath.diffusion), bath, tensors)
     kicks = Kicks(inner, turned, acting)
     momenta = moments[:, None] * (axes.T @ starts)
     unit = jnp.asarray(spread_directions(DIRECTIONS).T)

@@ -83,14 +83,9 @@ def _diffusion(body: Body, heat: Real, omega: Float[Array, "3"]) -> Diffusion:
     ya, yb, yc = orbit.x * to_b / to_a, orbit.x, q / to_a
     y = jnp.stack([ya * cn2, yb * sn2, yc * (1 - m * sn2)])
     # ⟨yⱼyₖ⟩, with dn² = (1 − m) + m cn², and the differences pⱼ − pₖ
-    pairs = jnp.stack(
-        [
-            yb * yc * (m1 * sn2 + m * sn2_cn2),
-            ya * yc * (m1 * cn2 + m * (cn2 - sn2_cn2)),
-            ya * yb * sn2_cn2,
-        ]
-    )
-    gaps = jnp.stack([to_b, to_a, a_to_b])
+    bc = yb * yc * (m1 * sn2 + m * sn2_cn2)
+    ac = ya * yc * (m1 * cn2 + m * (cn2 - sn2_cn2))
+    pairs, gaps = jnp.stack([bc, ac, ya * yb * sn2_cn2]), jnp.stack([to_b, to_a, a_to_b])
     losses = y / orbit.moments**2
     momentum = squares @ (jnp.sum(losses) - losses - gaps**2 * pairs)
     strength = jnp.where(spin.holds, jnp.nan, heat * kappa)

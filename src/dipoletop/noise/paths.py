@@ -81,30 +81,25 @@ def schedule(ts: Float[np.ndarray, "T"], longest: Callable[[float], float]) -> S
         ts: ascending times, from the start on.
         longest: the longest step that may begin at a time.
     """
-    begins, sizes, slots, total = [], [], [], 0
+    parts, total = [], 0
     for slot in range(1, len(ts)):
         t, end = float(ts[slot - 1]), float(ts[slot])
         while t < end:
             h = longest(t)
-            count = max(1, int(np.ceil((end - t) / h)))
-            if count > 1:  # as long as `longest` hardly changes
-                count = min(count, max(1, int(np.ceil((t - float(ts[0]) + h) / h / 4))))
+            rest = max(1, int(np.ceil((end - t) / h)))
+            # As many as `longest` hardly changes in.
+            count = min(rest, max(1, int(np.ceil((t - float(ts[0]) + h) / h / 4))))
             total += count
             if total > MOST_STEPS:
                 must = f"be reached in at most {MOST_STEPS} steps"
                 refuse("ts", must, f"are farther (a step lasts at most {h:.3g})")
-            rest = int(np.ceil((end - t) / h))
             size = (end - t) / rest if count == rest else h
-            begins.append(t + size * np.arange(count))
-            sizes.append(np.full(count, size))
-            slots.append(np.full(count, slot))
+            begins = t + size * np.arange(count)
+            parts.append(Schedule(begins, np.full(count, size), np.full(count, slot)))
             t = end if count == rest else t + size * count
-    missing = -total % DRAWN
-    last = float(ts[-1])
-    begins.append(np.full(missing, last))
-    sizes.append(np.zeros(missing))
-    slots.append(np.full(missing, len(ts) - 1))
-    return Schedule(np.concatenate(begins), np.concatenate(sizes), np.concatenate(slots))
+    none = float(ts[-1]), 0.0, len(ts) - 1
+    parts.append(Schedule(*(np.full(-total % DRAWN, value) for value in none)))
+    return Schedule(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def times(ts: Any) -> Float[np.ndarray, "T"]:

@@ -147,20 +147,17 @@ def ensemble(
         rate = max(fastest * max(spread - 1, 1.0), braking, float(np.finfo(float).tiny))
         step = ANGLE / rate
     longest = float(positive("step", step, batch=False))
-    follows = follows_attitude(equation)
-    states = [starts]
-    if follows:
-        if attitude is not None:
+    first = None if attitude is None else unit_quaternion("attitude", attitude)
+    if follows_attitude(equation):
+        if first is not None:
             refuse("attitude", "be None, as the equation has one", "is given")
-        states.append(jnp.broadcast_to(equation.start[:, None], (4, starts.shape[1])))
-    elif attitude is not None:
-        first = unit_quaternion("attitude", attitude)
-        states.append(jnp.broadcast_to(first[:, None], (4, starts.shape[1])))
+        first = equation.start
+    if first is not None:
+        lanes = jnp.broadcast_to(first[:, None], (4, starts.shape[1]))
+        starts = jnp.concatenate([starts, lanes])
     turning = _Turning(equation, kicks, attitude is not None)
-    plan = schedule(given, lambda t: longest)
-    found = follow(turning, jnp.concatenate(states), plan, seed)
-    quaternions = found[..., 3:] if len(states) > 1 else None
-    return Ensemble(given, found[..., :3], quaternions, body)
+    found = follow(turning, starts, schedule(given, lambda t: longest), seed)
+    return Ensemble(given, found[..., :3], None if first is None else found[..., 3:], body)
 
 
 _kicks = compiled_soon(Kicks)

@@ -95,9 +95,8 @@ class Particle(eqx.Module):
         self.radius, self.shape = None, None
         if shape is not None:
             must = "be a solid of `particles.shapes`, such as `Sphere`"
-            positive_si(
-                "shape", instance("shape", shape, shapes.Solid, must).half_lengths, "m", (3,)
-            )
+            solid = instance("shape", shape, shapes.Solid, must)
+            positive_si("shape", solid.half_lengths, "m", (3,))
             self.shape = jax.tree.map(on_device, shape)
             if radius is not None:
                 refuse("radius", "be None if a `shape` is given, whose radius counts", "is given")
@@ -219,10 +218,7 @@ class Particle(eqx.Module):
         Raises:
             ValueError: as for `Particle`; the message shows the Gaussian values.
         """
-        mass, inertia = (
-            without_unit("mass", mass, "g"),
-            without_unit("inertia", inertia, "g*cm**2"),
-        )
+        mass, inertia = without_unit("mass", mass, "g"), without_unit("inertia", inertia, "g*cm**2")
         radius, si = without_unit("radius", radius, "cm"), without_unit("dipole", dipole, "C*m")
         if si is not dipole:  # a quantity
             dipole = np.asarray(si) / STATCOULOMB_CM
@@ -381,11 +377,10 @@ class Particle(eqx.Module):
         """
         speed = speed_in_rad("speed", speed)
         speed = where_valid("speed", speed, on_host(speed) > 0, "be positive")
-        moment = (
-            moments.across(self.dipole, self.inertia)
-            if axis is None
-            else moments.about(axis, self.inertia)
-        )
+        if axis is None:
+            moment = moments.across(self.dipole, self.inertia)
+        else:
+            moment = moments.about(axis, self.inertia)
         return moment / (RADIATION * dot(self.dipole, self.dipole) * speed**2)
 
     @over_batch(_batch_axes)

@@ -233,13 +233,8 @@ def _octant() -> tuple[Float[np.ndarray, "3 n"], Float[np.ndarray, "1 n"]]:
     weight = x * rest * math.pi * np.cosh(t) * (t[1] - t[0])
     height, ring = x**2, rest * (1 + x)  # u² and 1 − u², u = cos ϑ
     cosine, sine = np.sin(math.pi / 2 * rest) ** 2, np.sin(math.pi / 2 * x) ** 2
-    squares = np.stack(
-        [
-            np.multiply.outer(ring, cosine),
-            np.multiply.outer(ring, sine),
-            np.multiply.outer(height, np.ones_like(x)),
-        ]
-    )
+    factors = (ring, cosine), (ring, sine), (height, np.ones_like(x))
+    squares = np.stack([np.multiply.outer(*pair) for pair in factors])
     return squares.reshape(3, -1), np.multiply.outer(weight, weight * math.pi / 2).reshape(1, -1)
 
 
