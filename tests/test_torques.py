@@ -86,12 +86,15 @@ def test_a_field_on_a_dipole_conserves_energy_and_the_momentum_along_it():
 # The radiation of a motion that a torque drives
 
 
-def swing(level, delta, field, start, ts, **settings):
-    """A run in a field, from the attitude LEVEL."""
+def in_field(level, delta, field):
+    """An equation in a field, from the attitude LEVEL on."""
     top = dt.equation_at(level, delta)
     pulled = torques.field_on_dipole(top, field)
-    equation = torques.with_torque(top, pulled, attitude=LEVEL)
-    return dt.simulate(equation, start, ts, rtol=1e-11, **settings)
+    return torques.with_torque(top, pulled, attitude=LEVEL)
+
+
+def swing(level, delta, field, start, ts, **settings):
+    return dt.simulate(in_field(level, delta, field), start, ts, rtol=1e-11, **settings)
 
 
 def assert_damped(run, roots):
@@ -124,9 +127,7 @@ ORDER_3 = pytest.param("order-3", marks=pytest.mark.slow)
 @pytest.mark.parametrize("level", ["order-1", "order-2", ORDER_3, "semi"])
 def test_radiation_of_a_swing_at_every_level(level):
     strength, small = 0.07, 1e-7
-    top = dt.equation_at(level, -0.5)
-    pulled = torques.field_on_dipole(top, [strength, 0.0, 0.0])
-    equation = torques.with_torque(top, pulled, attitude=LEVEL)
+    equation = in_field(level, -0.5, [strength, 0.0, 0.0])
     a, b = acceleration(level, 1.5, strength)
     rate = jax.jit(lambda y: equation(0.0, y)[2])
     for angle, speed in ((1.0, 0.0), (0.0, 1.0), (0.4, -0.7)):
@@ -141,10 +142,8 @@ def test_a_field_and_the_branch():
     E − d·E − d₁·d₂ + ∫|d₂|²dτ is constant, and d₁·d₂ = 0 where nothing turns.
     """
     delta, strength = 0.3, 0.07
-    small = swing(
-        *("full", delta, [strength, 0.0, 0.0], [0.0, 0.0, 1e-6], np.linspace(0.0, 40.0, 21)),
-        balance=True,
-    )
+    ts = np.linspace(0.0, 40.0, 21)
+    small = swing("full", delta, [strength, 0.0, 0.0], [0.0, 0.0, 1e-6], ts, balance=True)
     roots = np.roots([-1.0, 1 - delta, 0.0, strength])
     assert_damped(small, roots[roots.imag != 0])
     field, body = np.array([0.01, 0.02, 0.03]), dt.axisymmetric(delta)
@@ -277,14 +276,18 @@ def test_parameters_of_functions_are_arguments_with_derivatives():
 # A rotating field
 
 
+def following(pulled, time):
+    """A run of a braked sphere in a field that rotates at the rate 0.03."""
+    equation = torques.with_torque(dt.TransverseReduced(0.0), pulled, attitude=LEVEL)
+    equation = torques.with_torque(equation, torques.drag(1e-2))
+    return dt.simulate(equation, [0.0, 0.0, 0.03], [0.0, time])
+
+
 @pytest.mark.slow
 def test_a_dipole_follows_a_rotating_field_with_a_lag():
     """Against drag and radiation E sin φ = Γν + ν³; order 1 inserts Ω̈ = −Γν³, too."""
     strength, rate, gamma = 1e-3, 0.03, 1e-2
-    pulled = torques.rotating_field(strength, rate)
-    equation = torques.with_torque(dt.TransverseReduced(0.0), pulled, attitude=LEVEL)
-    equation = torques.with_torque(equation, torques.drag(gamma))
-    run = dt.simulate(equation, [0.0, 0.0, rate], [0.0, 4000.0])
+    run = following(torques.rotating_field(strength, rate), 4000.0)
     np.testing.assert_allclose(run.omega[-1], [0, 0, rate], atol=1e-8)
     turned = 2 * np.arctan2(run.attitude[-1, 3], run.attitude[-1, 0])
     lag = np.sin(rate * 4000.0 - turned)
@@ -294,10 +297,7 @@ def test_a_dipole_follows_a_rotating_field_with_a_lag():
 @pytest.mark.slow
 def test_a_field_that_is_too_weak_loses_the_dipole():
     """Without inertia the mean rate would be √(ν² − (E/Γ)²) less than ν; here the field is lost."""
-    pulled = torques.rotating_field(1e-4, 0.03, axis=[0, 0, 2.0])
-    equation = torques.with_torque(dt.TransverseReduced(0.0), pulled, attitude=LEVEL)
-    equation = torques.with_torque(equation, torques.drag(1e-2))
-    run = dt.simulate(equation, [0.0, 0.0, 0.03], [0.0, 2000.0])
+    run = following(torques.rotating_field(1e-4, 0.03, axis=[0, 0, 2.0]), 2000.0)
     assert run.omega[-1, 2] < 0.006
 
 
@@ -526,15 +526,15 @@ def fast(y):
     return jnp.where(y[0] > 0.052, int(Outcome.RESIDUAL), 0), y[0], (y[0] > 0.052) & False
 
 
+def pulsed(size):
+    """A top on which a pulse along its dipole acts."""
+    pulse, top = Pulse(jnp.stack([size, 0 * size, 0 * size])), dt.TransverseSemi(-0.2)
+    return torques.with_torque(top, pulse, verdict=fast, jumps=PULSE)
+
+
 @pytest.mark.slow
 def test_single_runs_and_their_derivatives_see_a_pulse():
     """ω₁ = 0.05 + M·0.01."""
-
-    def pulsed(size):
-        pulse = Pulse(jnp.stack([size, 0 * size, 0 * size]))
-        top = dt.TransverseSemi(-0.2)
-        return torques.with_torque(top, pulse, verdict=fast, jumps=PULSE)
-
     start, size = [0.05, 0.0, 0.0], jnp.asarray(0.5)
     found = jax.jit(lambda size: dt.classify(pulsed(size), start).omega_inf)(size)
     assert found == pytest.approx(0.055, rel=1e-9)
@@ -545,10 +545,7 @@ def test_single_runs_and_their_derivatives_see_a_pulse():
 @pytest.mark.parametrize("engine", ["native", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_sweep_does_not_step_over_a_pulse(engine):
     def problem(size):
-        pulse = Pulse(jnp.stack([size, 0 * size, 0 * size]))
-        top = dt.TransverseSemi(-0.2)
-        pulsed = torques.with_torque(top, pulse, verdict=fast, jumps=PULSE)
-        return pulsed, jnp.array([0.05, 0.0, 0.0])
+        return pulsed(size), jnp.array([0.05, 0.0, 0.0])
 
     sizes, settings = np.array([0.1, 0.5, 2.0]), {"value": "unchecked", "max_steps": 100}
     basin = dt.sweep(problem, dt.Grid(size=sizes), engine=engine, **settings)

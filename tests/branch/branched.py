@@ -1,4 +1,4 @@
-"""What equations of a user's own have in common that have a physical branch."""
+"""Motions along the branch that several tests follow, and equations of a user's own with one."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,6 +6,10 @@ import numpy as np
 
 import dipoletop as dt
 from dipoletop import Outcome
+
+TOP = dt.TransverseFull(-0.2)
+STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
+"""The two starts of figure 2, of which the second one stops."""
 
 
 class Branched(eqx.Module):

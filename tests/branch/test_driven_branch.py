@@ -47,12 +47,7 @@ def driven(gamma, w3, ts, rtol):
     return motion(*given)[0].omega[:, 2]
 
 
-WAVE = 0.2, 0.0, 0.01  # δ, γ, size
 START = [0.1, 0.1, 0.1]
-
-
-def waved(ts):
-    return motion(*map(jnp.asarray, (*WAVE, START, ts, 1e-10)))
 
 
 def test_a_wave_sets_a_body_in_motion():
@@ -105,7 +100,7 @@ def test_a_torque_that_drives_to_a_steady_rotation():
 def test_radiated_energy_and_work_over_several_windows():
     """E − d₁·d₂ + ∫(|d₂|² − ω·M)dτ is constant, whatever the time at which the run begins."""
     ts = np.linspace(7.0, 150.0, 30)
-    run, defect = waved(ts)
+    run, defect = motion(*map(jnp.asarray, (0.2, 0.0, 0.01, START, ts, 1e-10)))
     assert run.stats["num_steps"] > 3
     assert float(jnp.max(jnp.abs(defect))) < 1e-9
     rough = np.trapezoid(run.omega[:, 2] * 0.01 * np.sin(0.5 * ts), ts)
@@ -146,9 +141,8 @@ def test_the_rate_at_a_time_and_its_derivatives():
     by_g = -(1 + 0.5 * np.sin(0.5 * time)) * np.array(START)
     np.testing.assert_allclose(found, g * by_g, rtol=1e-10)
     np.testing.assert_allclose(slopes[0], by_g, rtol=1e-9)
-    np.testing.assert_allclose(
-        slopes[1], -g * 0.25 * np.cos(0.5 * time) * np.array(START), rtol=1e-9
-    )
+    by_time = -g * 0.25 * np.cos(0.5 * time) * np.array(START)
+    np.testing.assert_allclose(slopes[1], by_time, rtol=1e-9)
 
 
 def test_derivatives_by_the_first_time_and_by_a_torque():

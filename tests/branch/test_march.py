@@ -6,15 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from branched import Branched
+from branched import STARTS, TOP, Branched
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import dipoletop as dt
 from dipoletop._runs.sensitivity import decay_time
 
-TOP = dt.TransverseFull(-0.2)
-STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
 # 1000 braking times, T = 1/ω². Always as many times: what follows a motion compiles once.
 TIMES = jnp.concatenate([jnp.array([0.0, 60.0]), jnp.geomspace(100.0, 1000 / 0.08, 50)])
 

@@ -7,11 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from branched import STARTS, TOP
 
 import dipoletop as dt
-
-TOP = dt.TransverseFull(-0.2)
-STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
 
 
 def branch(equation, omega):
@@ -73,10 +71,8 @@ def test_the_general_equation_has_the_same_branch():
 @pytest.mark.parametrize("delta", [-0.9, -0.2, 0.6])
 def test_runaway_rate(delta):
     """1 and 1 − δ for the transverse top; in general the spectrum of the fast part at rest."""
-    bodies = (
-        dt.axisymmetric(delta),
-        dt.Body(np.diag([0.7, 1.0, 1.5 + delta / 3]), [0.6, 0.3, 0.8]),
-    )
+    oblique = dt.Body(np.diag([0.7, 1.0, 1.5 + delta / 3]), [0.6, 0.3, 0.8])
+    bodies = dt.axisymmetric(delta), oblique
     assert float(dt.TransverseFull(delta).runaway_rate) == min(1.0, 1 - delta)
     for body in bodies:
         rates = np.sort(np.linalg.eigvals(np.asarray(at_rest(body))).real)[-2:]

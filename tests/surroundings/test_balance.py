@@ -37,21 +37,20 @@ def test_particles_of_the_paper():
     for name, particle, axis in rotators():
         if name not in TIMES:
             continue
-        gas, hot, cold, own, equal = TIMES[name]
-        found = dt.balance(particle, SPIN * np.array(axis), pressure=0.1, loss=0.1)
+        (gas, hot, cold, own, equal), spin = TIMES[name], SPIN * np.array(axis)
+        found = dt.balance(particle, spin, pressure=0.1, loss=0.1)
         near(found.times["gas"], gas)
         near(found.times["blackbody"], hot)
         near(found.times["radiation"], own)
         near(found.equal_pressure, equal)
         assert found.dominant == "gas"
         if cold:
-            chilled = dt.balance(particle, SPIN * np.array(axis), temperature=77.0, loss=0.1)
+            chilled = dt.balance(particle, spin, temperature=77.0, loss=0.1)
             near(chilled.times["blackbody"], cold)
         # At these values the rates are equal.
-        at = {"pressure": found.equal_pressure, "temperature": found.equal_temperature}
-        same = dt.balance(particle, SPIN * np.array(axis), loss=0.1, pressure=at["pressure"])
+        same = dt.balance(particle, spin, loss=0.1, pressure=found.equal_pressure)
         np.testing.assert_allclose(same.rates["gas"], same.rates["radiation"], rtol=1e-12)
-        warm = dt.balance(particle, SPIN * np.array(axis), loss=0.1, temperature=at["temperature"])
+        warm = dt.balance(particle, spin, loss=0.1, temperature=found.equal_temperature)
         np.testing.assert_allclose(warm.rates["blackbody"], warm.rates["radiation"], rtol=1e-9)
 
 

@@ -9,27 +9,26 @@ from dipoletop.particles import RADIATION
 from dipoletop.surroundings import Blackbody, RadiationReaction
 
 INERTIA = np.array([[1.0, 0.1, 0.0], [0.1, 1.3, -0.05], [0.0, -0.05, 1.9]])
-DIRECTION = np.array([0.5, 0.6, -0.4])
+N = np.array([0.5, 0.6, -0.4]) / np.linalg.norm([0.5, 0.6, -0.4])
+"""The direction of the dipole."""
 OMEGA = np.array([0.7, -0.3, 0.5])
 BOLTZMANN = 1.380649e-23
 
 
 def particle(strength):
     """A particle of moments near 1 with κ = k d² = strength."""
-    size = np.sqrt(strength / RADIATION / (DIRECTION @ DIRECTION))
-    return dt.Particle(1.0, INERTIA, size * DIRECTION)
+    return dt.Particle(1.0, INERTIA, np.sqrt(strength / RADIATION) * N)
 
 
 def free(omega):
     """Ω̇ and d₂ over |d|, of the free rotation."""
-    n = DIRECTION / np.linalg.norm(DIRECTION)
     change = -np.linalg.solve(INERTIA, np.cross(omega, INERTIA @ omega))
-    return change, np.cross(omega, np.cross(omega, n)) + np.cross(change, n)
+    return change, np.cross(omega, np.cross(omega, N)) + np.cross(change, N)
 
 
 def test_torque_is_the_loss_of_angular_momentum():
-    n, (_, second) = DIRECTION / np.linalg.norm(DIRECTION), free(OMEGA)
-    expected = -0.01 * np.cross(np.cross(OMEGA, n), second)
+    _, second = free(OMEGA)
+    expected = -0.01 * np.cross(np.cross(OMEGA, N), second)
     found = RadiationReaction().torque(particle(0.01), jnp.asarray(OMEGA))
     np.testing.assert_allclose(found, expected, rtol=1e-13)
 
@@ -38,22 +37,18 @@ def test_noise_heats_as_much_as_the_dipole_radiates():
     bath = RadiationReaction(300.0)
     diffusion = np.asarray(bath.diffusion(particle(0.01), jnp.asarray(OMEGA)))
     _, second = free(OMEGA)
-    heat = BOLTZMANN * 300.0
-    np.testing.assert_allclose(
-        OMEGA @ diffusion @ OMEGA, heat * 0.01 * (second @ second), rtol=1e-12
-    )
-    momentum = INERTIA @ OMEGA
-    spin, n = momentum / np.linalg.norm(momentum), DIRECTION / np.linalg.norm(DIRECTION)
-    first = np.cross(OMEGA, n)
-    along = 0.01 * (first @ first - (first @ spin) ** 2)
-    np.testing.assert_allclose(spin @ diffusion @ spin, heat * along, rtol=1e-12)
+    strength, first = 0.01 * BOLTZMANN * 300.0, np.cross(OMEGA, N)
+    np.testing.assert_allclose(OMEGA @ diffusion @ OMEGA, strength * second @ second, rtol=1e-12)
+    spin = INERTIA @ OMEGA / np.linalg.norm(INERTIA @ OMEGA)
+    along = first @ first - (first @ spin) ** 2
+    np.testing.assert_allclose(spin @ diffusion @ spin, strength * along, rtol=1e-12)
 
 
 def test_friction_of_the_noise_is_the_reduced_equation():
     """P = L − k d×d₂ obeys dP = P×I⁻¹P − DΩ/kT but for terms of second order in k."""
 
     def defect(strength):
-        body = dt.Body(INERTIA, np.sqrt(strength) * DIRECTION / np.linalg.norm(DIRECTION))
+        body = dt.Body(INERTIA, np.sqrt(strength) * N)
         equation = dt.Reduced(body, order=1)
 
         def shifted(omega):
