@@ -24,10 +24,13 @@ def _approx(value, rel=1e-12):
     return pytest.approx(np.asarray(value), rel=rel, abs=0)  # values may be tiny
 
 
+def _variables(body, omega):
+    return jnp.asarray(np.concatenate([np.ravel(body.inertia), body.dipole, omega]))
+
+
 def _slow_flow(body, omega, is_needle=False):
     """The prediction by the slow flow alone, whatever its error."""
-    variables = np.concatenate([np.ravel(body.inertia), body.dipole, omega])
-    return forecast(jnp.asarray(variables), ONE, is_needle)
+    return forecast(_variables(body, omega), ONE, is_needle)
 
 
 @pytest.mark.slow
@@ -55,8 +58,7 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     averaged = _slow_flow(body, start)
     times = averaged.half_time * jnp.array([0.0, 0.25, 1.0])
     run = dt.simulate(dt.SemiReduced(body), start, times)
-    variables = jnp.concatenate([body.inertia.ravel(), body.dipole, start])
-    energy, *_ = history_at(variables, (times[1:], ONE))
+    energy, *_ = history_at(_variables(body, start), (times[1:], ONE))
     off = np.abs(run.energy[1:] / energy - 1)
     assert np.all(off > 0.2 * float(averaged.error))
     assert np.all(off < float(averaged.error))
@@ -395,8 +397,7 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     """On the middle moment by less than ω²: the slow flow tumbles, the body is captured."""
     body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
     assert _slow_flow(body, start).outcome == dt.Outcome.UNDECIDED
-    variables = jnp.concatenate([body.inertia.ravel(), body.dipole, start])
-    predicted = best_forecast(variables, ONE, False)
+    predicted = best_forecast(_variables(body, start), ONE, False)
     assert predicted.regime == dt.Regime.UNFOLDED
     assert predicted.probability[:2].sum() > 0.99
     capture = _slow_flow(_nearly(0.4, 0.0), start, is_needle=True)
@@ -429,15 +430,13 @@ def test_what_is_no_number_fails_at_once(omega):
 @pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.stages.MOST_PANELS", 5)
-    variables = jnp.concatenate([MOMENTS.ravel(), jnp.array([0.0, 0.0, 1.0]), 1e-20 * STARTS[0]])
-    anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, False))
-    predicted = anew(variables, ONE)
+    anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given))
+    predicted = anew(_variables(ON_3, 1e-20 * STARTS[0]), ONE, False)
     assert predicted.outcome == dt.Outcome.FAILED
     assert np.isnan(predicted.ratio)
     assert np.isnan(predicted.omega_inf)
     # The capture of a needle does not depend on the way to it; its time does.
-    needle = jnp.diag(jnp.array([0.6, 1.0, 1.0])).ravel(), jnp.array([0.0, 1.0, 0.0])
-    variables = jnp.concatenate([*needle, jnp.array([3e-20, 1e-20, 2e-20])])
-    captured = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given, True))(variables, ONE)
+    needle = dt.Body(np.diag([0.6, 1.0, 1.0]), [0.0, 1.0, 0.0])
+    captured = anew(_variables(needle, [3e-20, 1e-20, 2e-20]), ONE, True)
     assert captured.ratio > 0
     assert np.isnan(captured.half_time)

@@ -117,10 +117,8 @@ def _across(orbit: MomentumOrbit, steps: Descent, n: int) -> Complex[Array, "m"]
     up_a, up_b = na * odd / (1 - squares * q * e2), nb * odd / (1 + squares * q * e2)
     up_c = nc * e * powers / jnp.where(first, one_minus_e2, 1 - squares * e2)
     down_a = na * down / jnp.where(first, one_minus_g2, 1 - squares * g2)
-    down_b, down_c = (
-        nb * down / (1 + squares * g2),
-        nc * k**2 * root * down / (1 - squares * q * g2),
-    )
+    down_b = nb * down / (1 + squares * g2)
+    down_c = nc * k**2 * root * down / (1 - squares * q * g2)
     zero = jnp.zeros_like(powers)
     real = [-_interleaved(down_a, down_c, n)[::-1], up_c[:1], _interleaved(up_a, up_c[1:], n)]
     imaginary = [-_interleaved(down_b, zero, n)[::-1], zero[:1], -_interleaved(up_b, zero, n)]

@@ -75,11 +75,8 @@ def slow_end(rotation: FreeRotation, motion: SlowMotion) -> SlowEnd:
         short = residual & (excess < EXCESS)
         off = (RTOL + motion.error) / safe_divisor(excess)
         error += more + jnp.where(residual & ~short, off, 0.0)
-        half_time = jnp.where(
-            short,
-            _half_time_of_neighbours(rotation, axis),
-            motion.time_at((energy + last_energy) / 2),
-        )
+        half_time = motion.time_at((energy + last_energy) / 2)
+        half_time = jnp.where(short, _half_time_of_neighbours(rotation, axis), half_time)
     end = SlowEnd(
         _probability(rotation, motion, spins),
         *_certain(log / 2),

@@ -109,11 +109,11 @@ def place_error(rotation: FreeRotation, high: Bool[Array, ""]) -> Real:
     # Ω is known to rounding, and L = IΩ.
     momentum = rotation.momentum
     error = rotation.moments * rotation.rounding_of(momentum / rotation.moments)
-    parts = [
-        2 * dot(jnp.abs(w * momentum), error) / safe_divisor(jnp.abs(dot(w, momentum**2)))
-        for w in (inside, above)
-    ]
-    return parts[0] + parts[1]
+
+    def part(w: Float[Array, "3"]) -> Real:
+        return 2 * dot(jnp.abs(w * momentum), error) / safe_divisor(jnp.abs(dot(w, momentum**2)))
+
+    return part(inside) + part(above)
 
 
 def rate_error(rotation: FreeRotation, high: Bool[Array, ""], rates: Float[Array, "3"]) -> Real:

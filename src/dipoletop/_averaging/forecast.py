@@ -23,7 +23,7 @@ from .estimates import (
     rounding_error,
     start_error,
 )
-from .motion import SlowMotion, motion_from
+from .motion import slow_motion
 from .principal_axes import FreeRotation, free_rotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
 from .unfolding import LARGEST as FARTHEST_RATIO
@@ -72,10 +72,8 @@ def fields_of(values: Float[Array, "20"]) -> Forecast:
     probability, quantiles, rest = jnp.split(values, [8, 13])
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
     outcome, omega_inf = decided(probability, omega_inf, error)
-    times = half_time, radiated, lifetime
-    return Forecast(
-        outcome, probability, omega_inf, ratio, quantiles, *times, regime.astype(int), error
-    )
+    late = half_time, radiated, lifetime, regime.astype(int), error
+    return Forecast(outcome, probability, omega_inf, ratio, quantiles, *late)
 
 
 def decided(
@@ -112,16 +110,9 @@ def scaled_rotation(variables: Variables, strength: Real) -> tuple[FreeRotation,
     coupling = strength * jnp.sum(dipole**2)
     weakness = coupling / moment * (momentum / moment)
     unit = moment / momentum / (2 * weakness)
-    scaled = dataclasses.replace(
-        rotation, moments=rotation.moments / moment, momentum=rotation.momentum / momentum
-    )
+    moments, unit_momentum = rotation.moments / moment, rotation.momentum / momentum
+    scaled = dataclasses.replace(rotation, moments=moments, momentum=unit_momentum)
     return scaled.tipped(weakness), Units(momentum, moment, unit, weakness)
-
-
-def slow_motion(rotation: FreeRotation) -> SlowMotion:
-    """Return the slow motion of a body with at least two different moments."""
-    high, z = rotation.place
-    return motion_from(rotation.side(high), high, z)
 
 
 def _values(is_needle: bool | None, variables: Variables, strength: Real) -> Float[Array, "20"]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -13,11 +12,11 @@ from .._base.guards import safe_divisor
 from .._base.roots import root
 from .._base.types import Real, Regime
 from .ends import turns_fast
-from .forecast import Units, Variables, coverage, scaled_rotation, slow_motion
+from .forecast import Units, Variables, coverage, scaled_rotation
 from .free_rotation import mean_square_speed
-from .motion import HALVINGS
+from .motion import HALVINGS, slow_motion
 from .principal_axes import FreeRotation
-from .unfolded_ends import PlaneOrbit, orbit_of
+from .unfolded_ends import PlaneOrbit, handed_over, orbit_of
 from .unfolding import PlanarMotion, entry_of, top_of
 
 FEWEST = 8  # the smallest number of times for which a program is compiled
@@ -147,8 +146,8 @@ def _on_orbit(orbit: PlaneOrbit, units: Units, times: Float[Array, "T"]) -> Valu
         return tuple(or_nan(x, known) for x in values)
 
     momentum, speed, energy = jax.vmap(at)(times / units.time)
-    flat = jnp.hypot(orbit.top.omega[0], orbit.top.omega[1])  # √u₀
-    momentum, energy = momentum * flat * orbit.top.moment, energy * flat**2 * orbit.top.moment / 2
+    flat, moment = orbit.top.flat, orbit.top.moment
+    momentum, energy = momentum * flat * moment, energy * flat**2 * moment / 2
     unit = units.momentum / units.moment
     return (
         energy * units.momentum * unit,
@@ -174,12 +173,8 @@ def _after_orbit(
     before = jnp.maximum(orbit.last - turn, 0.0)
     sigma = root(lambda s: heading * (orbit.at(s)[0][0] - target), before, orbit.last, HALVINGS)
     state, u_time = orbit.at(sigma)
-    flat = jnp.hypot(top.omega[0], top.omega[1])
-    omega = top.omega_at(state, top.log_u) * flat
-    momentum = top.frame.T @ (top.moments * omega) * top.moment
-    size = jnp.linalg.norm(momentum)
-    handed = eqx.tree_at(lambda each: each.momentum, rotation, momentum / size)
-    handed = handed.replaced_where(~turns)
+    handed, size = handed_over(rotation, top, state)
+    handed, size = handed.replaced_where(~turns), size * top.flat * top.moment
     later = times / units.time - u_time * jnp.exp(-state[2]) * orbit.unit
     slow = _slow_values(handed, units.weakness * size)
     found = jax.vmap(slow)(jnp.maximum(later, 1e-300) * size**2)

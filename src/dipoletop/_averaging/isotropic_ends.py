@@ -58,11 +58,9 @@ class _Sides(NamedTuple):
         moments, dipole = self.moments[rows], self.dipole[rows]
         omega = SMALL * momentum_at(moments, x) / moments
         inertia = moments[:, :, None] * np.eye(3)
-        parts = [
-            ends_of_many(inertia[part], dipole[part], omega[part])
-            for part in _parts(len(rows), progress)
-        ]
-        return Forecast(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        parts = _parts(len(rows), progress)
+        ends = [ends_of_many(inertia[part], dipole[part], omega[part]) for part in parts]
+        return Forecast(*map(np.concatenate, zip(*ends, strict=True)))
 
 
 def isotropic_ends(
@@ -76,9 +74,7 @@ def isotropic_ends(
         progress: whether to show a progress bar.
     """
     # With the axes in reversed order, the side round J₁ is described like the one round J₃.
-    sides = _Sides(
-        np.concatenate([moments, moments[:, ::-1]]), np.concatenate([dipole, dipole[:, ::-1]])
-    )
+    sides = _Sides(*(np.concatenate([axes, axes[:, ::-1]]) for axes in (moments, dipole)))
     nodes, weights = isotropic_shapes(sides.moments, STARTS)
     rows = np.repeat(np.arange(len(sides.moments)), STARTS)
     ends = sides.ends(rows, np.tile(nodes, len(sides.moments)), progress)

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Int
 from .._base.guards import safe_divisor
 from .._base.roots import root
 from .._base.types import Real
+from .principal_axes import FreeRotation
 from .slow_flow import Side
 from .stages import Piece, Stage, State, crosses_over, piece_of, stage_from
 
@@ -133,6 +134,12 @@ class SlowMotion(eqx.Module):
         late = above > stage.count
         later = jnp.where(late, excess / jnp.where(r > 0, r, 1.0), 0.0)
         return jnp.exp(-state.log) * (state.u + later)
+
+
+def slow_motion(rotation: FreeRotation) -> SlowMotion:
+    """Return the slow motion of a body with at least two different moments."""
+    high, z = rotation.place
+    return motion_from(rotation.side(high), high, z)
 
 
 def motion_from(side: Side, starts_high: Bool[Array, ""], z: Real) -> SlowMotion:

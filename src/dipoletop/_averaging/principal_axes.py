@@ -82,9 +82,8 @@ class FreeRotation(eqx.Module):
         has_axis, axis = self.symmetry_axis
         end_over_end = has_axis & self.is_along(axis) & (self.momentum[axis] == 0)
         largest = jnp.argmax(jnp.abs(self.momentum))
-        return end_over_end | jnp.any(on_axis), jnp.where(
-            end_over_end, largest, jnp.argmax(on_axis)
-        )
+        axis = jnp.where(end_over_end, largest, jnp.argmax(on_axis))
+        return end_over_end | jnp.any(on_axis), axis
 
     def is_along(self, axis: Int[Array, ""]) -> Bool[Array, ""]:
         """Whether the dipole lies along a principal axis."""

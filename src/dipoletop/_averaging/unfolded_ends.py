@@ -22,7 +22,7 @@ from .._base.types import RESIDUAL_FATES, Fate, Real
 from .capture import LEVELS
 from .capture_times import clock_from
 from .ends import SlowEnd, certainty_of, slow_end
-from .motion import HALVINGS, SlowMotion, motion_from
+from .motion import HALVINGS, SlowMotion, slow_motion
 from .planar_orbits import Settled, follow
 from .principal_axes import FreeRotation
 from .unfolding import LARGEST, PHASES, PlanarMotion, Top, entry_of, phases, settle
@@ -178,6 +178,15 @@ def orbit_of(top: Top, start: Float[Array, "3"]) -> PlaneOrbit:
     return PlaneOrbit(top, orbit.interpolation, orbit.ts[-1], settled)
 
 
+def handed_over(
+    rotation: FreeRotation, top: Top, state: Float[Array, "3"]
+) -> tuple[FreeRotation, Real]:
+    """Return the free rotation in a state, with |L| = 1, and its |L| over J₁√u₀."""
+    momentum = top.frame.T @ (top.moments * top.omega_at(state, top.log_u))
+    size = jnp.linalg.norm(momentum)
+    return eqx.tree_at(lambda each: each.momentum, rotation, momentum / size), size
+
+
 def _log_momentum(top: Top, log_u: Real) -> Real:
     """Return the logarithm of J₁√u over L₀."""
     return log_u / 2 - top.log_unit + jnp.log(top.moment)
@@ -227,12 +236,8 @@ def _stops(
     nothing = jnp.full_like(top.delta, -jnp.inf)
     turning = plane.turns(at.state) & (top.delta < 0)
     y = plane.section(jnp.where(turning, at.state, jnp.array([0.3, 5.0, 0.0])), jnp.zeros(()))
-    omega = top.omega_at(y, top.log_u)
-    momentum = top.frame.T @ (top.moments * omega)
-    size = jnp.linalg.norm(momentum)
-    handed = eqx.tree_at(lambda each: each.momentum, rotation, momentum / size)
-    high, z = handed.place
-    end = slow_end(handed, motion_from(handed.side(high), high, z))
+    handed, size = handed_over(rotation, top, y)
+    end = slow_end(handed, slow_motion(handed))
     log_ratio = jnp.log(size) + _log_momentum(top, top.log_u) + end.log_ratio
     stays = certainty_of(Fate.AXIS_2)  # across dipole and symmetry axis
     ends = jnp.where(plane.repels(at.state), certainty_of(Fate.TUMBLING_LOW), stays)

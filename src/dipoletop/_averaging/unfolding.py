@@ -67,9 +67,14 @@ class Top(NamedTuple):
     """The logarithm of the unit of `omega` times κ/J₁."""
 
     @property
+    def flat(self) -> Real:
+        """The part √u₀ of `omega` across axis 3."""
+        return jnp.hypot(self.omega[0], self.omega[1])
+
+    @property
     def log_u(self) -> Real:
         """The logarithm of u."""
-        return 2 * (jnp.log(jnp.hypot(self.omega[0], self.omega[1])) + self.log_unit)
+        return 2 * (jnp.log(self.flat) + self.log_unit)
 
     @property
     def ratio(self) -> Real:
@@ -227,10 +232,9 @@ def entry_q(delta: Real, asymmetry: Real) -> Real:
 def asymmetry_at_entry(top: Top) -> Real:
     """Estimate η/u where a needle that turns fast comes to `entry_q`, with W of η = 0."""
     d = top.delta
-    w1, w2, w3 = components(top.omega)
-    log_perp = jnp.log(jnp.hypot(w1, w2)) + top.log_unit
+    w3 = top.omega[2]
     log_w3 = jnp.log(jnp.abs(jnp.where(w3 == 0, 1.0, w3))) + top.log_unit
-    log_w = log_scale_of(d, log_perp, log_w3, jnp.zeros_like(d))
+    log_w = log_scale_of(d, top.log_u / 2, log_w3, jnp.zeros_like(d))
     expansion = Expansion(-1.5 * d / (1 - d))
 
     def asymmetry(log_q: Real) -> Real:
