@@ -178,8 +178,7 @@ class RotatingField(Shown):
             refuse("torque", "be given to `with_torque`, which knows the dipole", "is called")
         phase = self.frequency * t
         field = self.amplitude * (jnp.cos(phase) * self.axes[0] + jnp.sin(phase) * self.axes[1])
-        back = jnp.concatenate([attitude[:1], -attitude[1:]])
-        return cross(self.dipole, rotate(back, field))
+        return FieldOnDipole(self.dipole, field)(t, omega, attitude)
 
 
 def rotating_field(

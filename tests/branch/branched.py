@@ -12,6 +12,12 @@ STARTS = {phi: dt.cylindrical(0.2, 0.2, phi) for phi in (np.pi / 30, np.pi / 3)}
 """The two starts of figure 2, of which the second one stops."""
 
 
+def isotropic(seed, size, count=48):
+    """Starts of all directions."""
+    ways = np.random.default_rng(seed).normal(size=(count, 3))
+    return size * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+
+
 class Branched(eqx.Module):
     """A sphere with the state (ω, ω̇), which is at rest where ω is small."""
 

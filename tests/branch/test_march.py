@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from branched import STARTS, TOP, Branched
+from branched import STARTS, TOP, Branched, isotropic
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -15,11 +15,6 @@ from dipoletop._runs.sensitivity import decay_time
 
 # 1000 braking times, T = 1/ω². Always as many times: what follows a motion compiles once.
 TIMES = jnp.concatenate([jnp.array([0.0, 60.0]), jnp.geomspace(100.0, 1000 / 0.08, 50)])
-
-
-def isotropic(seed, size):
-    ways = np.random.default_rng(seed).normal(size=(48, 3))
-    return size * ways / np.linalg.norm(ways, axis=1, keepdims=True)
 
 
 @pytest.fixture(scope="module")

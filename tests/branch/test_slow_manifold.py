@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from branched import STARTS, TOP
+from branched import STARTS, TOP, isotropic
 
 import dipoletop as dt
 
@@ -91,10 +91,7 @@ def at_rest(body):
 @pytest.mark.parametrize("wanted", [1e-10, 1e-5])
 def test_a_requested_accuracy(wanted):
     """The estimate covers the error, and what misses the request is not given."""
-    rng = np.random.default_rng(2)
-    sizes = np.geomspace(0.05, 4.0, 12)[:, None]
-    ways = rng.normal(size=(12, 3))
-    starts = jnp.asarray(sizes * ways / np.linalg.norm(ways, axis=1, keepdims=True))
+    starts = jnp.asarray(isotropic(2, np.geomspace(0.05, 4.0, 12)[:, None], 12))
 
     def at(rtol):
         return [dt.slow_manifold(TOP, start, rtol=rtol, with_error=True) for start in starts]

@@ -10,6 +10,9 @@ from dipoletop.particles import magnetic_dipole, paper_particles
 from dipoletop.surroundings import Gas
 
 SPIN = 2e9 * np.pi
+SILICA = paper_particles()[0].particle
+BODY = dt.axisymmetric(-0.2)
+BARE = dt.Particle(1e-18, 1e-33 * np.eye(3), [8e-27, 0, 0])
 # Times in s at 1 GHz: gas at 1e-3 mbar, thermal radiation at 300 K and 77 K, the body's own
 # radiation; the pressure in Pa at which gas and radiation are equal.
 TIMES = {
@@ -62,16 +65,16 @@ def test_only_dast_is_braked_by_its_own_radiation():
 
 
 def test_limits_of_the_motion():
-    silica, dast, _, fibre, cdse, _ = (each.particle for each in paper_particles())
-    found = dt.balance(silica, SPIN, strength=1e8)
+    _, dast, _, fibre, cdse, _ = (each.particle for each in paper_particles())
+    found = dt.balance(SILICA, SPIN, strength=1e8)
     np.testing.assert_allclose(found.stress, 8e7, rtol=0.1)
     np.testing.assert_allclose(found.thermal_spin, 2e6, rtol=0.05)
     np.testing.assert_allclose(dt.balance(fibre, SPIN).stress, 7e8, rtol=0.05)
     np.testing.assert_allclose(dt.balance(dast, SPIN).stress, 6e7, rtol=0.1)
-    assert "exceeds the strength" in repr(dt.balance(silica, 2 * SPIN, strength=1e8))
+    assert "exceeds the strength" in repr(dt.balance(SILICA, 2 * SPIN, strength=1e8))
     assert "the rotation is random" in repr(dt.balance(cdse, SPIN / 10))
-    assert "not rarefied" in repr(dt.balance(silica, SPIN, pressure=1e5))
-    assert "quanta" in repr(dt.balance(silica, SPIN, temperature=0.01))
+    assert "not rarefied" in repr(dt.balance(SILICA, SPIN, pressure=1e5))
+    assert "quanta" in repr(dt.balance(SILICA, SPIN, temperature=0.01))
 
 
 def test_a_size_alone_means_the_stable_axis_across_the_dipole():
@@ -102,8 +105,7 @@ def test_arrays_of_speeds_and_pressures():
 
 
 def test_what_is_not_known_is_nan():
-    bare = dt.Particle(1e-18, 1e-33 * np.eye(3), [8e-27, 0, 0])
-    found = dt.balance(bare, SPIN)
+    found = dt.balance(BARE, SPIN)
     assert found.dominant == "radiation"
     assert found.rates["gas"] == 0
     assert np.isnan(found.rates["blackbody"])
@@ -112,15 +114,14 @@ def test_what_is_not_known_is_nan():
 
 
 def test_another_gas_and_derivatives():
-    silica = paper_particles()[0].particle
     helium = Gas(1e-7, 300.0, molecular_mass=6.64e-27, accommodation=0.4)
-    found = dt.balance(silica, SPIN, pressure=helium)
-    air = dt.balance(silica, SPIN, pressure=1e-7)
+    found = dt.balance(SILICA, SPIN, pressure=helium)
+    air = dt.balance(SILICA, SPIN, pressure=1e-7)
     ratio = 0.4 * np.sqrt(6.64e-27 / (28.97 * 1.66053906892e-27))
     np.testing.assert_allclose(found.rates["gas"] / air.rates["gas"], ratio, rtol=1e-12)
 
     def rate(pressure):
-        return dt.balance(silica, SPIN, pressure=pressure).rates["gas"]
+        return dt.balance(SILICA, SPIN, pressure=pressure).rates["gas"]
 
     slope = jax.grad(rate)(1e-7)
     np.testing.assert_allclose(slope, air.rates["gas"] / 1e-7, rtol=1e-12)
@@ -137,32 +138,24 @@ def test_a_prediction_says_what_it_leaves_out():
 
 
 REFUSED = {
-    "dt.balance(silica, 0.0)": "`spin` must be positive",
-    "dt.balance(silica, [0.0, 0, 0])": "`spin` must not be zero",
-    "dt.balance(silica, 1e16)": "`spin` must have a rim slower than 0.1 c, since",
-    "dt.balance(silica, [1.0, 2.0])": r"`spin` must be a number or have shape \(3,\)",
-    "dt.balance(silica, 1.0, pressure=-1.0)": "`pressure` must not be negative, but is -1",
-    "dt.balance(silica, 1.0, temperature=0.0)": "`temperature` must be positive, but is 0",
-    "dt.balance(silica, 1.0, temperature=np.nan)": "`temperature` must be finite",
-    "dt.balance(silica, 1.0, loss=-0.1)": "`loss` must not be negative",
-    "dt.balance(silica, 1.0, strength='much')": "`strength` must be a real",
-    "dt.balance(bare, 1.0, pressure=1.0)": "`particle` must have a `shape`, on which the drag",
-    "dt.balance(bare, 1.0, loss=0.1)": "`particle` must have a `shape`, on which the absorption",
-    "dt.balance(silica, np.ones((2, 3)), pressure=[1.0, 2.0, 3.0])": "`spin` must broadcast with",
+    "dt.balance(SILICA, 0.0)": "`spin` must be positive",
+    "dt.balance(SILICA, [0.0, 0, 0])": "`spin` must not be zero",
+    "dt.balance(SILICA, 1e16)": "`spin` must have a rim slower than 0.1 c, since",
+    "dt.balance(SILICA, [1.0, 2.0])": r"`spin` must be a number or have shape \(3,\)",
+    "dt.balance(SILICA, 1.0, pressure=-1.0)": "`pressure` must not be negative, but is -1",
+    "dt.balance(SILICA, 1.0, temperature=0.0)": "`temperature` must be positive, but is 0",
+    "dt.balance(SILICA, 1.0, temperature=np.nan)": "`temperature` must be finite",
+    "dt.balance(SILICA, 1.0, loss=-0.1)": "`loss` must not be negative",
+    "dt.balance(SILICA, 1.0, strength='much')": "`strength` must be a real",
+    "dt.balance(BARE, 1.0, pressure=1.0)": "`particle` must have a `shape`, on which the drag",
+    "dt.balance(BARE, 1.0, loss=0.1)": "`particle` must have a `shape`, on which the absorption",
+    "dt.balance(SILICA, np.ones((2, 3)), pressure=[1.0, 2.0, 3.0])": "`spin` must broadcast with",
     "Gas(1.0, accommodation=1.5)": "`accommodation` must be at most 1, but is 1.5",
-    "dt.predict(body, [1e-9, 0, 0], pressure=1.0)": "`pressure` must be None for a Body",
+    "dt.predict(BODY, [1e-9, 0, 0], pressure=1.0)": "`pressure` must be None for a Body",
 }
 
 
 @pytest.mark.parametrize("call", REFUSED)
 def test_refusals(call):
-    names = {
-        "dt": dt,
-        "np": np,
-        "Gas": Gas,
-        "silica": paper_particles()[0].particle,
-        "bare": dt.Particle(1e-18, 1e-33 * np.eye(3), [8e-27, 0, 0]),
-        "body": dt.axisymmetric(-0.2),
-    }
     with pytest.raises(ValueError, match=f"Argument {REFUSED[call]}"):
-        eval(call, names)
+        eval(call)

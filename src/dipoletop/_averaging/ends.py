@@ -200,7 +200,8 @@ def needle_end(
     """
     delta, omega = needle_start(rotation, weakness)
     end = end_of_top(delta, omega, chance, by_chance=by_chance)
-    shift = _log_speed(rotation)
+    # The logarithm of |ω₀|J₃/L₀ leads from |ω∞|/|ω₀| to L∞/L₀.
+    shift = jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
     energy = rotation.momentum @ (rotation.momentum / rotation.moments) / 2
     squares = jnp.mean(jnp.exp(2 * (end.capture.log_table + shift)))
     residual = end.along + end.against
@@ -245,11 +246,6 @@ def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Ar
     frame = jnp.stack([rotation.dipole, jnp.cross(long, rotation.dipole), long])
     omega = frame @ (rotation.momentum / rotation.moments)
     return 1 - rotation.moments[0] / rotation.moments[2], weakness * omega
-
-
-def _log_speed(rotation: FreeRotation) -> Real:
-    """Return the logarithm of |ω₀|J₃/L₀, the factor from |ω∞|/|ω₀| to L∞/L₀."""
-    return jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
 
 
 def turns_fast(rotation: FreeRotation, point: Point, weakness: Real) -> Bool[Array, "*times"]:

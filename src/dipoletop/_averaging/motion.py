@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool
 
 from .._base.guards import safe_divisor
 from .._base.roots import root
 from .._base.types import Real
 from .principal_axes import FreeRotation
 from .slow_flow import Side
-from .stages import Piece, Stage, State, crosses_over, piece_of, stage_from
+from .stages import Stage, State, crosses_over, piece_of, stage_from
 
 HALVINGS = 60
 
@@ -81,17 +81,15 @@ class SlowMotion(eqx.Module):
         """Return the first or the second stage."""
         return jax.tree.map(lambda leaf: leaf[index], self.stages)
 
-    def _piece(self, stage: Int[Array, ""], index: Int[Array, ""]) -> Piece:
-        """Return a piece of a stage, without a copy of all of them for each of many times."""
-        return piece_of(self.stages.timed_panels, self.stages.count[stage], (stage, index))
-
     def at(self, log_time: Real) -> Point:
         """Compute the motion at t = exp(log_time)."""
         second = self.crosses & (log_time > self.stage(0).end.log_time)
         which = second.astype(int)
         knots = jax.vmap(lambda each: (jnp.isfinite(each.knots), each.states.log_time))
         reached = jnp.where(*knots(self.stages), jnp.inf)[which]
-        piece = self._piece(which, jnp.searchsorted(reached, log_time) - 1)
+        # By both indices at once, so that no stage is copied for each of many times.
+        place = which, jnp.searchsorted(reached, log_time) - 1
+        piece = piece_of(self.stages.timed_panels, self.stages.count[which], place)
         small = dataclasses.replace(self.stages, panels=None)
         stage = jax.tree.map(lambda leaf: leaf[which], small)
         zero = jnp.zeros_like(log_time)

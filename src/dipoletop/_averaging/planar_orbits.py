@@ -56,23 +56,24 @@ def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
         return jnp.append(plane(t, y[:2]), -2 * jnp.sin(y[0]) ** 2)
 
     def ends(t: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
-        at = _verdict(delta, y)
-        known = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
-        return known | (at.outcome == Outcome.STOP)
+        return jnp.logical_or(*_end_at(delta, y)[:2])
 
     y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends).ys[-1]
-    at = _verdict(delta, y)
-    residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
-    last = jnp.where(residual, at.omega_inf, AMPLITUDE) / AMPLITUDE
+    residual, stops, omega_inf = _end_at(delta, y)
+    last = jnp.where(residual, omega_inf, AMPLITUDE) / AMPLITUDE
     log_ratio = or_nan(jnp.log(jnp.abs(last)) + y[2] / 2, residual)
-    stops = at.outcome == Outcome.STOP
     return Settled(residual, stops, residual & (last > 0), log_ratio, y)
 
 
-def _verdict(delta: Scalar, y: Array) -> Any:
-    """Compute the semi-reduced verdict on a point of the plane, and ω∞ for ω⊥ = `AMPLITUDE`."""
+def _end_at(delta: Scalar, y: Array) -> tuple[Array, Array, Array]:
+    """Return the semi-reduced verdict on a point of the plane.
+
+    That is whether the end is residual, whether it is a stop, and ω∞ for ω⊥ = `AMPLITUDE`.
+    """
     across = AMPLITUDE * jnp.stack([jnp.cos(y[0]), jnp.sin(y[0])])
-    return transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
+    at = transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
+    residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
+    return residual, at.outcome == Outcome.STOP, at.omega_inf
 
 
 def follow(
