@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
 from scipy.stats import kstest
 
 import dipoletop as dt
-from dipoletop._averaging.capture import PARTS, capture, end_of_top
+from dipoletop._averaging.capture import PARTS, _of_rods, capture, end_of_top
 from dipoletop._averaging.planar_orbits import ENTRY, Expansion
 
 # δ: probability of residual rotation, mean, 5, 25, 50, 75, 95 % of X: 20 000 phases by themselves.
@@ -46,6 +47,27 @@ def test_distribution_is_that_of_sampled_phases():
     of_all = needle.log_quantiles_of_all([0.1, 0.5])
     assert of_all[0] == -jnp.inf
     np.testing.assert_allclose(of_all[1], needle.log_quantiles([within])[0], rtol=1e-12)
+
+
+def test_the_distribution_of_rods_is_that_of_its_integral():
+    """X² = 3cos²φ − 2 with the weight cos²φ: its share, its mean, its means in parts."""
+
+    def total(first, last, power=1.0):
+        weighted = lambda phi: np.cos(phi) ** 2 * max(3 * np.cos(phi) ** 2 - 2, 0.0) ** power  # noqa: E731
+        return quad(weighted, first, last, epsabs=1e-13)[0]
+
+    edge = np.arccos(np.sqrt(2 / 3))
+    share, mean, *parts = _of_rods()
+    whole = total(0.0, edge, 0.0)
+    np.testing.assert_allclose(share, whole / (np.pi / 4), rtol=1e-12)
+    np.testing.assert_allclose(np.exp(mean), total(0.0, edge, 0.5) / whole, rtol=1e-6)
+    for part in (1, PARTS // 2, PARTS - 1):  # X falls with φ
+        ends = [
+            brentq(lambda phi, k=k: total(0.0, phi, 0.0) / whole - 1 + k / PARTS, 0.0, edge)
+            for k in (part + 1, part)
+        ]
+        of_part = total(*ends, 0.5) / total(*ends, 0.0)
+        np.testing.assert_allclose(np.exp(parts[part]), of_part, rtol=1e-5)
 
 
 @pytest.mark.parametrize("delta", [0.05, 0.4, 0.9])
