@@ -118,7 +118,7 @@ def orbit_history(
 ) -> Values:
     """Return the history of a start with a known phase, not averaged while the orbit lasts.
 
-    Behind it only a disc that turns fast about its symmetry axis has a history, by the slow flow.
+    After it, only a disc that turns fast about its symmetry axis has a history, by the slow flow.
     """
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)

@@ -144,7 +144,7 @@ FORMATS = click.Choice(["png", "pdf", "svg"])
 
 
 def those_given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """The values of those of the named options that were given."""
+    """The named options that were given, with their values."""
     return {name: options[name] for name in names if options.get(name) is not None}
 
 

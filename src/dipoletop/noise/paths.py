@@ -87,7 +87,7 @@ def schedule(ts: Float[np.ndarray, "T"], longest: Callable[[float], float]) -> S
         while t < end:
             h = longest(t)
             rest = max(1, int(np.ceil((end - t) / h)))
-            # As many as `longest` hardly changes in.
+            # So few steps that `longest` hardly changes meanwhile.
             count = min(rest, max(1, int(np.ceil((t - float(ts[0]) + h) / h / 4))))
             total += count
             if total > MOST_STEPS:
