@@ -8,8 +8,9 @@ import pytest
 
 import dipoletop as dt
 from dipoletop import Fate
-from dipoletop._averaging.forecast import best_forecast, forecast
-from dipoletop._averaging.histories import history_at
+from dipoletop._averaging.histories import slow_history
+from dipoletop._averaging.laws import Needle, averaged_end, averaged_law_and_end
+from dipoletop._averaging.predicted_ends import Start
 from dipoletop.particles import DEBYE, RADIATION
 
 MOMENTS = np.diag([0.6, 0.75, 1.0])
@@ -28,9 +29,9 @@ def _variables(body, omega):
     return jnp.asarray(np.concatenate([np.ravel(body.inertia), body.dipole, omega]))
 
 
-def _slow_flow(body, omega, is_needle=False):
+def _slow_flow(body, omega, needle=Needle.NO):
     """The prediction by the slow flow alone, whatever its error."""
-    return forecast(_variables(body, omega), ONE, is_needle)
+    return averaged_end(_variables(body, omega), ONE, needle)
 
 
 @pytest.mark.slow
@@ -58,7 +59,7 @@ def test_the_estimate_holds_where_an_oblique_dipole_oscillates():
     averaged = _slow_flow(body, start)
     times = averaged.half_time * jnp.array([0.0, 0.25, 1.0])
     run = dt.simulate(dt.SemiReduced(body), start, times)
-    energy, *_ = history_at(_variables(body, start), (times[1:], ONE))
+    energy, *_ = slow_history(_variables(body, start), (times[1:], ONE))
     off = np.abs(run.energy[1:] / energy - 1)
     assert np.all(off > 0.2 * float(averaged.error))
     assert np.all(off < float(averaged.error))
@@ -397,10 +398,10 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     """On the middle moment by less than ω²: the slow flow tumbles, the body is captured."""
     body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
     assert _slow_flow(body, start).outcome == dt.Outcome.UNDECIDED
-    predicted = best_forecast(_variables(body, start), ONE, False)
+    predicted = averaged_law_and_end(Start(_variables(body, start), ONE), Needle.NO)[1]
     assert predicted.regime == dt.Regime.UNFOLDED
     assert predicted.probability[:2].sum() > 0.99
-    capture = _slow_flow(_nearly(0.4, 0.0), start, is_needle=True)
+    capture = _slow_flow(_nearly(0.4, 0.0), start, needle=Needle.OF_ANY_PHASE)
     assert float(predicted.ratio) == _approx(capture.ratio, rel=1e-2)
 
 
@@ -430,13 +431,13 @@ def test_what_is_no_number_fails_at_once(omega):
 @pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.stages.MOST_PANELS", 5)
-    anew = eqx.filter_jit(lambda *given: forecast.__wrapped__(*given))
-    predicted = anew(_variables(ON_3, 1e-20 * STARTS[0]), ONE, False)
+    anew = eqx.filter_jit(lambda *given: averaged_end.__wrapped__(*given))
+    predicted = anew(_variables(ON_3, 1e-20 * STARTS[0]), ONE, Needle.NO)
     assert predicted.outcome == dt.Outcome.FAILED
     assert np.isnan(predicted.ratio)
     assert np.isnan(predicted.omega_inf)
     # The capture of a needle does not depend on the way to it; its time does.
     needle = dt.Body(np.diag([0.6, 1.0, 1.0]), [0.0, 1.0, 0.0])
-    captured = anew(_variables(needle, [3e-20, 1e-20, 2e-20]), ONE, True)
+    captured = anew(_variables(needle, [3e-20, 1e-20, 2e-20]), ONE, Needle.BY_CHANCE)
     assert captured.ratio > 0
     assert np.isnan(captured.half_time)

@@ -30,12 +30,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.forecast import LARGEST_ERROR, best_forecast
-from ._averaging.histories import best_history
-from ._averaging.principal_axes import free_rotation
+from ._averaging.laws import averaged_law_and_end, law_of, needle_of
+from ._averaging.predicted_ends import LARGEST_ERROR, End, Start
 from ._base.checks import (
     ArrayLike,
     concrete,
@@ -46,13 +45,12 @@ from ._base.checks import (
     on_host,
     where_valid,
 )
-from ._base.compiling import compiled_soon
 from ._base.pictured import Pictured
 from ._base.quantities import ANGULAR
 from ._base.refusals import refuse
 from ._base.summaries import duration, with_error
 from ._base.types import PREDICTED_FATES, Outcome, Regime
-from ._runs.resolved_forecast import HANDOVER, resolved_forecast, resolved_history
+from ._runs.resolved_law import HANDOVER, Resolved, resolved_law
 from .bodies import Body
 from .particles import RADIATION, Particle
 from .particles.starts import refuse_relativistic
@@ -77,7 +75,7 @@ class History(NamedTuple):
     """√⟨Ω²⟩."""
 
 
-class Prediction(Pictured, eqx.Module):
+class Prediction(Pictured, End):
     """How a rotation ends, and how long that takes.
 
     Quantities are dimensionless for a `Body`, and in SI units for a `Particle`.
@@ -104,16 +102,6 @@ class Prediction(Pictured, eqx.Module):
             fields describe the body in vacuum at temperature 0, where only radiation acts.
     """
 
-    outcome: Int[Array, "*batch"]
-    probability: Float[Array, "*batch 8"]
-    omega_inf: Float[Array, "*batch"]
-    ratio: Float[Array, "*batch"]
-    ratio_quantiles: Float[Array, "*batch 5"]
-    half_time: Float[Array, "*batch"]
-    radiated_energy: Float[Array, "*batch"]
-    lifetime: Float[Array, "*batch"]
-    regime: Int[Array, "*batch"]
-    error: Float[Array, "*batch"]
     variables: Float[Array, "*batch 15"] = eqx.field(repr=False)
     """Inertia, dipole and ω₀, in one vector."""
     strength: float = eqx.field(static=True)
@@ -140,13 +128,10 @@ class Prediction(Pictured, eqx.Module):
         unit = "s" if self.strength != 1 else None
         given = finite("times", times, (-1,), batch=False, unit=unit)
         given = where_valid("times", given, given > 0, "be positive")
-        strength = jnp.asarray(self.strength, given.dtype)
-        variables, regime = jnp.asarray(self.variables), jnp.asarray(self.regime)
-        if concrete(variables, regime) and regime == Regime.RESOLVED:
-            is_needle = _is_needle(variables[:9].reshape(3, 3), variables[9:12])
-            values = resolved_history(variables, (given, strength), is_needle)
-        else:
-            values = best_history(variables, (given, strength), regime)
+        start = Start(jnp.asarray(self.variables), jnp.asarray(self.strength, given.dtype))
+        resolved = concrete(start, self.regime) and self.regime == Regime.RESOLVED
+        law = Resolved() if resolved else law_of(start, jnp.asarray(self.regime))
+        values = law.history(start, given)
         return History(given, *values)
 
     def __repr__(self) -> str:
@@ -264,15 +249,19 @@ def predict(
     if concrete(variables):
         refuse_relativistic("omega0", body, omega)
     compared = _compared(body, omega, pressure, temperature, loss)
-    is_needle = _is_needle(body.inertia, body.dipole)
-    numbers = best_forecast(variables, coupling, is_needle)
-    if concrete(variables) and float(numbers.error) > HANDOVER:
-        numbers = resolved_forecast(variables, coupling, is_needle, numbers.ratio) or numbers
-        if numbers.error > LARGEST_ERROR:
+    start, needle = (
+        Start(variables, coupling),
+        needle_of(body.inertia, body.dipole, omega, coupling),
+    )
+    _, end = averaged_law_and_end(start, needle)
+    if concrete(start) and float(end.error) > HANDOVER:
+        law = resolved_law(start, end.ratio)
+        end = (law and law.end(start)) or end
+        if end.error > LARGEST_ERROR:
             must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
-            was = f"makes it {float(numbers.error):.2g} (`classify` follows every turn)"
+            was = f"makes it {float(end.error):.2g} (`classify` follows every turn)"
             refuse("omega0", must, was)
-    return Prediction(*numbers, variables=variables, strength=strength, balance=compared)
+    return Prediction(**vars(end), variables=variables, strength=strength, balance=compared)
 
 
 def _compared(
@@ -287,20 +276,3 @@ def _compared(
         name = next(iter(given))
         refuse(name, "be None for a Body, which has no unit of torque", "is given")
     return balance(body, omega, **given)
-
-
-def _is_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> bool | None:
-    """Return whether a body is a needle (`needle_end`); None if the body is traced.
-
-    If only derivatives are traced the body is concrete, which halves the compilation.
-    """
-    inertia, dipole = jax.lax.stop_gradient((inertia, dipole))
-    if not concrete(inertia, dipole):
-        return None
-    with jax.ensure_compile_time_eval():  # under `jit`, too
-        return bool(_moves_as_a_needle(inertia, dipole))
-
-
-@compiled_soon
-def _moves_as_a_needle(inertia: Float[Array, "3 3"], dipole: Float[Array, "3"]) -> Bool[Array, ""]:
-    return free_rotation(inertia, dipole, jnp.zeros_like(dipole)).is_needle

@@ -10,8 +10,15 @@ from scipy.integrate import solve_ivp
 import dipoletop as dt
 from dipoletop import prediction
 from dipoletop._averaging.capture import capture
-from dipoletop._averaging.forecast import best_forecast, coverage, forecast, unfolded_forecast
+from dipoletop._averaging.laws import (
+    Needle,
+    averaged_end,
+    averaged_law_and_end,
+    coverage,
+    unfolded_end,
+)
 from dipoletop._averaging.planar_orbits import Expansion
+from dipoletop._averaging.predicted_ends import Start
 from dipoletop._averaging.unfolding import PlanarMotion, entry_q, phases, settle
 
 ONE = jnp.asarray(np.float64(1))
@@ -99,7 +106,7 @@ def test_starts_of_known_phase_end_as_resolved_runs_do():
         runs = dt.classify_many(dt.SemiReduced(_body(delta, eta)), starts, value="unchecked")
         for k, start in enumerate(starts):
             axial = 0 if delta > 0 else 2
-            end = unfolded_forecast(_variables(delta, eta, start), ONE, axial, False)
+            end = unfolded_end(_variables(delta, eta, start), ONE, axial, False)
             if end.outcome == dt.Outcome.UNDECIDED:  # neighbours end otherwise
                 assert end.error == 0.5
                 continue
@@ -142,15 +149,15 @@ def test_slow_flow_and_unfolding_agree_within_their_errors():
     for delta in (0.4, 0.8):
         for asymmetry in (1e-2, 1.0, 1e2, 1e6):
             variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
-            slow = forecast(variables, ONE, False)
+            slow = averaged_end(variables, ONE, Needle.NO)
             turns, errors = coverage(variables, ONE)
-            best = best_forecast(variables, ONE, False)
+            best = averaged_law_and_end(Start(variables, ONE), Needle.NO)[1]
             regimes.append(int(best.regime))
             if not jnp.isfinite(errors[0]):
                 assert best.regime == dt.Regime.SLOW_FLOW
                 continue
             assert turns[0]
-            end = unfolded_forecast(variables, ONE, 0, True)
+            end = unfolded_end(variables, ONE, 0, True)
             assert abs(float(end.ratio / slow.ratio - 1)) < slow.error + end.error
             np.testing.assert_allclose(end.ratio_quantiles[1:], slow.ratio, rtol=float(slow.error))
             assert best.error == jnp.minimum(slow.error, end.error)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dipoletop._averaging.forecast import forecast
+from dipoletop._averaging.laws import Needle, averaged_end
 from dipoletop._averaging.untimed_ends import ends_of_many
 from dipoletop._base.types import Outcome
 
@@ -38,8 +38,10 @@ def test_ends_are_those_of_single_motions():
     inertias = moments[:, :, None] * np.eye(3)
     many = ends_of_many(inertias, dipoles, omegas)
     variables = np.concatenate([inertias.reshape(n, 9), dipoles, omegas], axis=1)
-    single = [forecast(jnp.asarray(row), jnp.asarray(np.float64(1)), False) for row in variables]
-    for name, values in many._asdict().items():
+    single = [
+        averaged_end(jnp.asarray(row), jnp.asarray(np.float64(1)), Needle.NO) for row in variables
+    ]
+    for name, values in vars(many).items():
         expected = [np.asarray(getattr(one, name)) for one in single]
         known = ~np.isnan(values) | (name not in ("half_time", "lifetime"))
         # An error is taken at the knots, and that of one motion covers its times.

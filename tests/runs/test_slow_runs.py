@@ -1,5 +1,7 @@
 """Slow runs: predictions against integration, what is predicted and what is not, its cost."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +10,7 @@ from settling import Settling
 
 import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
-from dipoletop._averaging.forecast import Forecast
-from dipoletop._averaging.untimed_ends import ends_of_many
+from dipoletop._averaging.untimed_ends import ends_of_many, unknown_ends
 from dipoletop._runs.run_lengths import SlowMotions, slow_motions
 from dipoletop._runs.slow_runs import Origins, _stops, errors_of_needles
 
@@ -259,9 +260,10 @@ def test_ways_to_stop():
     deltas, dipoles, numbers, ways = zip(*cases, strict=True)
     inertia = np.stack([np.diag([1.0, 1.0, 1 - delta]) for delta in deltas])
     motions = SlowMotions(inertia, np.array(dipoles), np.ones((len(cases), 3)), True, False)
-    sure = Forecast(*[np.zeros(len(cases))] * 10)._replace(probability=np.eye(8)[list(numbers)])
+    unknown = unknown_ends(np.zeros(len(cases)))
+    sure = replace(unknown, probability=np.eye(8)[list(numbers)])
     assert _stops(sure, motions).tolist() == list(ways)
-    mixed = sure._replace(probability=np.full((len(cases), 8), 1 / 8))
+    mixed = replace(unknown, probability=np.full((len(cases), 8), 1 / 8))
     assert set(_stops(mixed, motions)) == {Stop.NONE}
 
 

@@ -35,7 +35,6 @@ from .planar_orbits import (
     MAX_STEPS,
     Expansion,
     Scalar,
-    Settled,
     follow,
     log_scale_of,
     settle,
@@ -238,67 +237,82 @@ def _log_sizes(omega0: Any, xp: Any = jnp) -> tuple[Any, Any]:
     return xp.log(flat), xp.log(xp.where(w3 == 0, 1.0, xp.abs(w3)))
 
 
-def end_of_top(
-    delta: Scalar, omega0: Float[Array, "3"], chance: Capture, *, by_chance: bool = False
-) -> TopEnd:
-    """Return how a start of the averaged top (4.13)–(4.15) ends: |ω∞| = X W.
+def end_of_top(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
+    """Return how a start of the averaged top (4.13)–(4.15) ends.
 
-    W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
-    |ω₀|^{1+κ}. Errors are of the order |ω₀|. A start with q = 2δ|ω₃|/ω⊥² below `ENTRY` (1 + |a|) is
-    followed in the plane instead, from its own phase; so is one with ω₃ = 0.
+    A start with q = 2δ|ω₃|/ω⊥² below `ENTRY` (1 + |a|) has a known phase; so has one with ω₃ = 0.
 
     Args:
         delta: δ between 0 and 1; NaN outside.
         omega0: ω₀, not 0, of any small size: it enters by logarithms.
         chance: the `capture` of this δ.
-        by_chance: whether chance decides for certain (`is_random`): no phase is followed then.
     """
+    random = is_random(delta, omega0)
+    soon = jnp.array([1.0, 0.0, 0.0])  # on the residual line, in place of a phase that is not known
+    ends = (
+        end_by_chance(delta, omega0, chance),
+        end_of_phase(delta, jnp.where(random, soon, omega0)),
+    )
+    return jax.tree.map(lambda x, y: jnp.where(random, x, y), *ends)
+
+
+def end_by_chance(delta: Scalar, omega0: Float[Array, "3"], chance: Capture) -> TopEnd:
+    """Return how a start whose phase is random (`is_random`) ends: |ω∞| = X W.
+
+    W² = (2δ)^{−2κ} K^{1+κ}, κ = (1−δ)/(3δ), where K is the constant of (4.21), so W scales like
+    |ω₀|^{1+κ}. Errors are of the order |ω₀|.
+    """
+    w1, w2, w3 = omega0
+    flat = jnp.where((w1 == 0) & (w2 == 0), 1.0, jnp.hypot(w1, w2))
+    log_perp, log_w3 = _log_sizes(omega0)
+    turned = jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat)
+    log_scale = log_scale_of(_within(delta), log_perp, log_w3, turned) - _log_size(omega0)
+    moved = chance.log_mean + log_scale, chance.log_table + log_scale
+    half, none = chance.residual / 2, jnp.zeros_like(log_scale)
+    found = chance._replace(log_mean=moved[0], log_table=moved[1])
+    wobbling = 1 - chance.residual
+    return TopEnd(half, half, wobbling, none, none, log_scale, found, jnp.asarray(True))
+
+
+def end_of_phase(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
+    """Return how a start whose phase is known ends: it is followed in the plane."""
     w1, w2, w3 = omega0
     symmetry_axis = (w1 == 0) & (w2 == 0)
     across = (w1 == 0) & (w3 == 0) & ~symmetry_axis
-    log_perp, log_w3 = _log_sizes(omega0)
-    flat = jnp.where(symmetry_axis, 1.0, jnp.hypot(w1, w2))
-    log_all = jnp.logaddexp(2 * log_perp, jnp.where(w3 == 0, -jnp.inf, 2 * log_w3)) / 2
-    d = jnp.where((delta > 0) & (delta < 1), delta, 0.5)
-    random = is_random(delta, omega0)
     stops = symmetry_axis | across
-
-    log_z = jnp.where(random, 0.0, log_w3 - 2 * log_perp)
-    z = jnp.where(random | (w3 == 0), 0.0, jnp.sign(w3) * jnp.exp(log_z))
-    phi = jnp.where(random | stops, 0.0, jnp.arctan2(w2, w1))
-    if by_chance:
-        nowhere = jnp.zeros((), bool)
-        known = Settled(nowhere, nowhere, nowhere, jnp.zeros_like(d), jnp.zeros(3))
-    else:
-        known = settle(d, phi, z)
-    turned = jnp.where(random, jnp.sign(w3) * 2 * (w1 / flat) * (w2 / flat), 0.0)
-    log_w = log_scale_of(d, log_perp, jnp.where(random, log_w3, log_perp), turned)
-    log_scale = or_nan(log_w - log_all, random)
-    residual = jnp.where(random, chance.residual, jnp.where(stops, 0.0, _share(known.residual)))
-    along = jnp.where(random, 0.5, _share(known.along))
-    wobbling = jnp.where(random, 1 - chance.residual, jnp.where(stops, 0.0, _share(known.stops)))
-    lost = ~random & ~stops & ~(known.residual | known.stops) | jnp.isnan(chance.residual)
-    log_ratio = jnp.where(residual > 0, log_perp - log_all + known.log_ratio, jnp.nan)
-
-    def either(chance: Array) -> Array:
-        return jnp.where(random, chance + log_scale, jnp.full_like(chance, log_ratio))
-
-    found = Capture(
-        or_nan(residual, ~lost),
-        either(chance.log_mean),
-        either(chance.log_table),
-        jnp.where(random, chance.error, COMPUTED),
-    )
+    log_perp, log_w3 = _log_sizes(omega0)
+    z = jnp.where(w3 == 0, 0.0, jnp.sign(w3) * jnp.exp(log_w3 - 2 * log_perp))
+    phi = jnp.where(stops, 0.0, jnp.arctan2(w2, w1))
+    known = settle(_within(delta), phi, z)
+    residual = jnp.where(stops, 0.0, _share(known.residual))
+    wobbling = jnp.where(stops, 0.0, _share(known.stops))
+    found = (delta > 0) & (delta < 1) & (stops | known.residual | known.stops)
+    log_ratio = log_perp - _log_size(omega0) + known.log_ratio
+    log_ratio = jnp.where(residual > 0, log_ratio, jnp.nan)
+    along = _share(known.along)
+    table = jnp.full(PARTS, log_ratio)
+    error = jnp.full_like(log_ratio, COMPUTED)
     return TopEnd(
-        or_nan(residual * along, ~lost),
-        or_nan(residual * (1 - along), ~lost),
-        or_nan(wobbling, ~lost),
+        or_nan(residual * along, found),
+        or_nan(residual * (1 - along), found),
+        or_nan(wobbling, found),
         _share(symmetry_axis),
         _share(across),
-        log_scale,
-        found,
-        random,
+        jnp.full_like(log_ratio, jnp.nan),
+        Capture(or_nan(residual, found), log_ratio, table, error),
+        jnp.asarray(False),
     )
+
+
+def _within(delta: Scalar) -> Scalar:
+    """Return δ, or another one if it is not between 0 and 1."""
+    return jnp.where((delta > 0) & (delta < 1), delta, 0.5)
+
+
+def _log_size(omega0: Float[Array, "3"]) -> Scalar:
+    """Return ln |ω₀|."""
+    log_perp, log_w3 = _log_sizes(omega0)
+    return jnp.logaddexp(2 * log_perp, jnp.where(omega0[2] == 0, -jnp.inf, 2 * log_w3)) / 2
 
 
 def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar]:

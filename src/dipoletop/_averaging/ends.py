@@ -15,7 +15,7 @@ from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.types import PREDICTED_FATES, Fate, Real
 from .capture import LEVELS as QUANTILES
-from .capture import Capture, end_of_top
+from .capture import TopEnd
 from .capture_times import clock_of_needle
 from .estimates import estimated_error, rate_error
 from .free_rotation import gaps_of
@@ -179,12 +179,7 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
 
 
 def needle_end(
-    rotation: FreeRotation,
-    weakness: Real,
-    chance: Capture,
-    motion: SlowMotion | None = None,
-    *,
-    by_chance: bool = False,
+    rotation: FreeRotation, weakness: Real, end: TopEnd, motion: SlowMotion | None = None
 ) -> SlowEnd:
     """Return how the rotation of a needle ends.
 
@@ -194,12 +189,9 @@ def needle_end(
     Args:
         rotation: its two larger moments are equal.
         weakness: κL₀/J₃².
-        chance: the `capture` of its δ.
-        motion: its slow motion, if times are wanted.
-        by_chance: whether chance decides for certain, as in `end_of_top`.
+        end: the end of the `needle_start` in the limit of small amplitude.
+        motion: its slow motion, if the half time of a random phase is wanted.
     """
-    delta, omega = needle_start(rotation, weakness)
-    end = end_of_top(delta, omega, chance, by_chance=by_chance)
     # The logarithm of |ω₀|J₃/L₀ leads from |ω∞|/|ω₀| to L∞/L₀.
     shift = jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
     energy = rotation.momentum @ (rotation.momentum / rotation.moments) / 2
@@ -208,6 +200,7 @@ def needle_end(
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
     half_time, error = jnp.full_like(energy, jnp.nan), end.capture.error
     if motion is not None:
+        delta, _ = needle_start(rotation, weakness)
         q = entry_q(delta, jnp.zeros_like(delta))
         log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
         square = jnp.exp(jnp.where(end.random, log_square, 0.0))

@@ -1,20 +1,21 @@
-"""The motion of a body at given times, by the law that predicts its end."""
+"""The motion of a body at given times, by the slow flow and by the unfolded system."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._base.checks import concrete, or_nan
+from .._base.checks import or_nan
 from .._base.compiling import compiled_soon, special_numbers
 from .._base.guards import safe_divisor
 from .._base.roots import root
-from .._base.types import Real, Regime
+from .._base.types import Real
 from .ends import turns_fast
-from .forecast import Units, Variables, coverage, scaled_rotation
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS, slow_motion
+from .predicted_ends import Start, Units, Variables, scaled_rotation
 from .principal_axes import FreeRotation
 from .unfolded_ends import PlaneOrbit, handed_over, orbit_of
 from .unfolding import PlanarMotion, entry_of, top_of
@@ -26,31 +27,19 @@ Values = tuple[Float[Array, "T"], ...]
 
 
 @special_numbers()
-def best_history(
-    variables: Variables, constants: tuple[Float[Array, "T"], Real], regime: Array
-) -> Values:
-    """Return the history by the law of the prediction: the slow flow or the unfolded system."""
-    times, strength = constants
+def at_times(
+    program: Callable[..., Any], start: Start, times: Float[Array, "T"], *more: Any
+) -> Any:
+    """Return what a program gives at times, whose number it sees as a power of 2 at least."""
     size = times.size
-    # Few programs are compiled: for numbers of times that are powers of 2.
-    more = max(FEWEST, 1 << (size - 1).bit_length()) - size
-    constants = jnp.pad(times, (0, more), constant_values=1.0), strength
-    if not concrete(variables, regime) or regime != Regime.UNFOLDED:
-        values = history_at(variables, constants)
-    else:
-        turns, errors = coverage(variables, strength)
-        place = int(jnp.argmin(errors))
-        if turns[place]:
-            captured = capture_follows(variables, constants, 2 * place)
-            slow = history_at(variables, constants)
-            values = tuple(jnp.where(captured, jnp.nan, x) for x in slow)
-        else:
-            values = orbit_history(variables, constants, 2 * place)
-    return tuple(x[:size] for x in values)
+    left = max(FEWEST, 1 << (size - 1).bit_length()) - size
+    padded = jnp.pad(times, (0, left), constant_values=1.0)
+    found = program(start.variables, (padded, start.strength), *more)
+    return jax.tree.map(lambda x: x[:size], found)
 
 
 @compiled_soon
-def history_at(variables: Variables, constants: tuple[Float[Array, "T"], Real]) -> Values:
+def slow_history(variables: Variables, constants: tuple[Float[Array, "T"], Real]) -> Values:
     """Return E, |L|, h and √⟨Ω²⟩ at given times."""
     times, strength = constants
     rotation, units = scaled_rotation(variables, strength)

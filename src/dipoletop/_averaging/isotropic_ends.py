@@ -14,13 +14,14 @@ share of this side, a pair of lunes.
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from .._base.types import RESIDUAL_FATES
-from .forecast import Forecast
 from .free_rotation import quarter_period
+from .predicted_ends import End
 from .untimed_ends import ends_of_many
 
 STARTS = 16
@@ -53,14 +54,14 @@ class _Sides(NamedTuple):
 
     def ends(
         self, rows: Int[np.ndarray, "M"], x: Float[np.ndarray, "M"], progress: bool = False
-    ) -> Forecast:
+    ) -> End:
         """Return how the motions of some rows end, from given x."""
         moments, dipole = self.moments[rows], self.dipole[rows]
         omega = SMALL * momentum_at(moments, x) / moments
         inertia = moments[:, :, None] * np.eye(3)
         parts = _parts(len(rows), progress)
         ends = [ends_of_many(inertia[part], dipole[part], omega[part]) for part in parts]
-        return Forecast(*map(np.concatenate, zip(*ends, strict=True)))
+        return jax.tree.map(lambda *each: np.concatenate(each), *ends)
 
 
 def isotropic_ends(
@@ -78,7 +79,7 @@ def isotropic_ends(
     nodes, weights = isotropic_shapes(sides.moments, STARTS)
     rows = np.repeat(np.arange(len(sides.moments)), STARTS)
     ends = sides.ends(rows, np.tile(nodes, len(sides.moments)), progress)
-    kinds = _merged(ends.probability).reshape(len(weights), STARTS, 8)
+    kinds = _merged(np.asarray(ends.probability)).reshape(len(weights), STARTS, 8)
     shares = _shares(sides, nodes, kinds)
     ratio = np.sum(weights * ends.ratio.reshape(weights.shape), axis=1)
     error = np.max(ends.error.reshape(weights.shape), axis=1)
@@ -108,7 +109,7 @@ def _shares(
     for _ in range(ROUNDS if len(rows) else 0):
         points = low[:, None] + (high - low)[:, None] * parts
         found = sides.ends(np.repeat(rows, len(parts)), points.ravel()).probability
-        after = _merged(found).reshape(*points.shape, 8)
+        after = _merged(np.asarray(found)).reshape(*points.shape, 8)
         changed = _differ(after, kinds[rows, before][:, None])
         passed = np.where(np.any(changed, axis=1), np.argmax(changed, axis=1), len(parts))
         edges = np.concatenate([low[:, None], points, high[:, None]], axis=1)

@@ -6,6 +6,7 @@ digits).
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,13 +16,23 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.compiling import FOR_MANY, compiled_soon, special_numbers
 from .._base.parallel import pool
-from .._base.types import Outcome, Real
-from .capture import Capture, capture_from, computed_at, distribution, is_random
+from .._base.types import Outcome, Real, Regime
+from .capture import (
+    Capture,
+    TopEnd,
+    capture_from,
+    computed_at,
+    distribution,
+    end_by_chance,
+    end_of_phase,
+    is_random,
+)
 from .ends import needle_end, needle_start, slow_end
 from .estimates import error_of_phase, estimated_error, start_error
-from .forecast import (
+from .motion import SlowMotion
+from .predicted_ends import (
     LARGEST_ERROR,
-    Forecast,
+    End,
     Units,
     Variables,
     fields_of,
@@ -29,7 +40,6 @@ from .forecast import (
     ordinary,
     scaled_rotation,
 )
-from .motion import SlowMotion
 from .principal_axes import FreeRotation
 from .slow_flow import Side
 from .stages import Stage, State, crosses_over, stage_from
@@ -64,7 +74,7 @@ def ends_of_many(
     *,
     wanted: Bool[np.ndarray, "N"] | None = None,
     threads: int = 1,
-) -> Forecast:
+) -> End:
     """Return how N free rotations end, in NumPy, for k = 1; the times are NaN.
 
     Args:
@@ -83,13 +93,14 @@ def ends_of_many(
     if (lanes := np.flatnonzero(follow & (begin.delta == 0))).size:
         put_ends(ends, lanes, _followed(in_chunks, jax.tree.map(lambda x: x[lanes], begin)))
     needle = follow & (begin.delta != 0)
-    for by_chance, (ends_of, chunk) in enumerate(zip(_needle_ends, (FEW, CHUNK), strict=True)):
-        if (lanes := np.flatnonzero(needle & (begin.by_chance == by_chance))).size:
-            shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
-            chances = jax.tree.map(lambda *x: np.stack(x), *map(_capture, shared))
-            some = jax.tree.map(lambda x, n=lanes: x[n], starts)
-            some += (jax.tree.map(lambda x, n=places: x[n], chances),)
-            put_ends(ends, lanes, in_chunks(ends_of, some, chunk))
+    if (lanes := np.flatnonzero(needle & ~begin.by_chance)).size:
+        some = jax.tree.map(lambda x: x[lanes], starts)
+        put_ends(ends, lanes, in_chunks(_ends_of_phases, some, FEW))
+    if (lanes := np.flatnonzero(needle & begin.by_chance)).size:
+        shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
+        chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(_capture, shared))
+        some = jax.tree.map(lambda x: x[lanes], starts)
+        put_ends(ends, lanes, in_chunks(_ends_by_chance, (*some, chances)))
     return ends
 
 
@@ -110,16 +121,20 @@ def _starts(inertia: Any, dipole: Any, omega0: Any) -> tuple[np.ndarray, np.ndar
     return np.concatenate(variables, axis=1), np.ones(size)
 
 
-def unknown_ends(error: Float[np.ndarray, "N"]) -> Forecast:
+def unknown_ends(error: Float[np.ndarray, "N"]) -> End:
     """Return N ends of which nothing but the error is known."""
-    unknown = Forecast(*np.full(10, np.nan))._replace(outcome=Outcome.UNDECIDED.value, regime=0)
-    shapes = Forecast(*[()] * 10)._replace(probability=(8,), ratio_quantiles=(5,))
-    size = error.size
-    ends = Forecast(*(np.full((size, *shape), x) for x, shape in zip(unknown, shapes, strict=True)))
-    return ends._replace(error=error)
+
+    def unknown(*shape: int) -> Float[np.ndarray, "..."]:
+        return np.full((error.size, *shape), np.nan)
+
+    outcome, regime = (
+        np.full(error.size, word.value) for word in (Outcome.UNDECIDED, Regime.RESOLVED)
+    )
+    numbers = unknown(8), unknown(), unknown(), unknown(5), unknown(), unknown(), unknown()
+    return End(outcome, *numbers, regime, error)
 
 
-def _followed(in_chunks: Any, begin: _Begin) -> Forecast:
+def _followed(in_chunks: Any, begin: _Begin) -> End:
     """Return the ends of starts that are no needles, by their motion on both sides."""
     still: Any = State(*np.zeros((2, len(begin.z))))  # pyright: ignore[reportArgumentType]
     no = np.zeros(len(begin.z), bool)
@@ -181,7 +196,7 @@ _stage = _of_lanes(functools.partial(stage_from, timed=False))
 
 
 @_of_lanes
-def _slow_ends(begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, ""]) -> Forecast:
+def _slow_ends(begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, ""]) -> End:
     """Return the end by the slow flow."""
     rotation, units, high = begin.rotation, begin.units, begin.high
     apart = ordinary(rotation)
@@ -191,17 +206,22 @@ def _slow_ends(begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, 
     return fields_of(numbers_of(rotation, units, slow_end(apart, motion), averaging))
 
 
-def _needle_end(by_chance: bool, variables: Variables, strength: Real, chance: Capture) -> Forecast:
-    """Return the end of a needle, given the distribution of its capture."""
+@_of_lanes
+def _ends_of_phases(variables: Variables, strength: Real) -> End:
+    """Return the end of a needle of known phase."""
+    return _of_needle(variables, strength, end_of_phase)
+
+
+@_of_lanes
+def _ends_by_chance(variables: Variables, strength: Real, chance: Capture) -> End:
+    """Return the end of a needle of random phase, given the distribution of its capture."""
+    return _of_needle(variables, strength, functools.partial(end_by_chance, chance=chance))
+
+
+def _of_needle(variables: Variables, strength: Real, end_of: Callable[..., TopEnd]) -> End:
     rotation, units = scaled_rotation(variables, strength)
-    end = needle_end(rotation, units.weakness, chance, by_chance=by_chance)
+    end = needle_end(rotation, units.weakness, end_of(*needle_start(rotation, units.weakness)))
     return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
-
-
-_needle_ends: list[Any] = [
-    _of_lanes(functools.partial(_needle_end, by_chance)) for by_chance in (False, True)
-]
-"""The functions for a known and for a random phase."""
 
 
 def _capture(delta: float) -> Capture:

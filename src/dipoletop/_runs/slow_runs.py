@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from typing_extensions import TypeAliasType
 
 from .._averaging.capture import is_random
-from .._averaging.forecast import CERTAIN, LARGEST_ERROR, Forecast
+from .._averaging.predicted_ends import CERTAIN, LARGEST_ERROR, End
 from .._averaging.untimed_ends import ends_of_many, least_errors, put_ends, unknown_ends
 from .._base.refusals import refuse
 from .._base.types import (
@@ -146,13 +146,13 @@ class Origins(NamedTuple):
             body = motions.inertia[some], motions.dipole[some], motions.omega[some]
             wanted = motions.has_law[some]
             put_ends(ends, some, ends_of_many(*body, wanted=wanted, threads=threads))
-        known = (ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR)
+        known = np.asarray((ends.outcome != Outcome.FAILED) & (ends.error <= LARGEST_ERROR))
         # The error of the integration until then is not estimated.
         unknown = (self.passed > 0) & (ends.outcome != Outcome.STOP)
-        ends = ends._replace(omega_inf=np.where(unknown, np.nan, ends.omega_inf))
+        ends = replace(ends, omega_inf=np.where(unknown, np.nan, ends.omega_inf))
         return Predictions(motions, ends, known)
 
-    def _sure_ends(self) -> tuple[Forecast, Bool[np.ndarray, "N"]]:
+    def _sure_ends(self) -> tuple[End, Bool[np.ndarray, "N"]]:
         """Return the ends of tops that need no computation, and which are the others.
 
         Below δ_c2 almost every needle becomes residual; its sense is a matter of chance.
@@ -237,7 +237,7 @@ class Predictions(NamedTuple):
     """The predicted ends of N runs."""
 
     motions: SlowMotions
-    ends: Forecast
+    ends: End
     known: Bool[np.ndarray, "N"]
     """Whether a law holds, with an error that lets it decide."""
 
@@ -277,7 +277,7 @@ def is_open(runs: Classification, label_only: bool) -> Bool[np.ndarray, "N"]:
     return undecided if label_only else undecided | np.asarray(lacks_value)
 
 
-def _stops(ends: Forecast, motions: SlowMotions) -> Any:
+def _stops(ends: End, motions: SlowMotions) -> Any:
     """Return the way in which tops stop, unless chance decides it.
 
     A top with its dipole across its symmetry axis precesses about that axis while it decays.

@@ -5,6 +5,7 @@ hold. The semi-reduced equation is integrated instead. Its verdict gives the out
 rotation is integrated until it is constant, a stop until averages hold and describe the rest.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -13,20 +14,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._averaging.ends import QUANTILES, certainty_of
-from .._averaging.forecast import (
-    Forecast,
-    Variables,
-    best_forecast,
-    decided,
-    forecast,
-    scaled_rotation,
-)
 from .._averaging.free_rotation import mean_square_speed
-from .._averaging.histories import Values, best_history, in_units
+from .._averaging.histories import Values, in_units
+from .._averaging.laws import (
+    Law,
+    Needle,
+    SlowFlow,
+    averaged_law_and_end,
+    needle_of,
+)
+from .._averaging.predicted_ends import End, Start, decided, scaled_rotation
 from .._averaging.slow_flow import from_logit
+from .._base.checks import ArrayLike
 from .._base.compiling import compiled_soon
 from .._base.tolerances import MAX_STEPS
-from .._base.types import RESIDUAL_FATES, Fate, Outcome, Real, Regime, Vector
+from .._base.types import RESIDUAL_FATES, Fate, Outcome, Regime, Vector
 from ..bodies import Body
 from ..equations.rigid import SemiReduced
 from .classification import Classification
@@ -47,11 +49,11 @@ POINTS, ROUNDS = 65, 3  # a search for a time narrows its bracket to POINTS**-RO
 class _Course:
     """A rotation integrated stretch by stretch, in units of J₃ and κ/J₃."""
 
-    def __init__(self, start: Variables, strength: Real, is_needle: bool | None) -> None:
-        inertia, dipole, omega = start[:9].reshape(3, 3), start[9:12], start[12:]
+    def __init__(self, start: Start) -> None:
+        inertia, dipole, omega = start.parts
         moment, size = jnp.linalg.eigvalsh(inertia)[2], jnp.linalg.norm(dipole)
-        unit = strength * size**2 / moment
-        self.start, self.strength, self.is_needle = start, strength, is_needle
+        unit = start.strength * size**2 / moment
+        self.start = start
         self.unit = float(unit)  # of time, κ/J₃
         self.equation = SemiReduced(Body(inertia / moment, dipole / size))
         # The ends of the stretches, and ω there.
@@ -59,21 +61,30 @@ class _Course:
         self.omegas: list[Vector] = [omega * unit]
 
     @property
-    def variables(self) -> Variables:
-        """The variables at the end of the last stretch."""
-        return jnp.append(self.start[:12], self.omegas[-1] / self.unit)
+    def reached(self) -> Start:
+        """The end of the last stretch."""
+        omega = self.omegas[-1] / self.unit
+        return self.start._replace(variables=jnp.append(self.start.variables[:12], omega))
 
-    def slow_forecast(self) -> Forecast | None:
-        """Return the prediction by the slow flow from there on; None if it does not hold."""
-        found = forecast(self.variables, self.strength, self.is_needle)
-        return found if found.error < HANDOVER and found.regime != Regime.UNFOLDED else None
+    def slow_end(self) -> End | None:
+        """Return how the slow flow ends from there on; None if it does not hold."""
+        if self.needle is not Needle.NO:
+            return None
+        found = SlowFlow(Needle.NO).end(self.reached)
+        return found if found.error < HANDOVER else None
 
-    def averages(self) -> Forecast:
-        """Return the prediction from there on, by the slow flow if it holds."""
-        slow = self.slow_forecast()
-        return slow or best_forecast(self.variables, self.strength, self.is_needle)
+    def averaged(self) -> tuple[Law, End]:
+        """Return the law from there on, the slow flow if it holds, and the end by it."""
+        if end := self.slow_end():
+            return SlowFlow(Needle.NO), end
+        return averaged_law_and_end(self.reached, self.needle)
 
-    def is_long(self, ratio: Real) -> bool:
+    @property
+    def needle(self) -> Needle:
+        """What is known of the end of the last stretch."""
+        return needle_of(*self.reached.parts, self.start.strength)
+
+    def is_long(self, ratio: ArrayLike) -> bool:
         """Return whether the run would exceed the budget of steps if L∞/L₀ = `ratio`."""
         body = self.equation.body
         one = (np.asarray(x)[None] for x in (body.inertia, body.dipole, self.omegas[0]))
@@ -82,12 +93,12 @@ class _Course:
 
     def energy(self, omega: Vector) -> float:
         """Return E of a state in the units of `start`."""
-        inertia, omega = self.start[:9].reshape(3, 3), omega / self.unit
+        inertia, omega = self.start.parts[0], omega / self.unit
         return float(omega @ inertia @ omega) / 2
 
     def momentum(self, omega: Vector) -> float:
         """Return |L| of a state, in the units of `start`."""
-        return float(jnp.linalg.norm(self.start[:9].reshape(3, 3) @ omega)) / self.unit
+        return float(jnp.linalg.norm(self.start.parts[0] @ omega)) / self.unit
 
     def run(self) -> Classification:
         """Return the outcome by integration alone, since averages do not hold here."""
@@ -131,80 +142,74 @@ class _Course:
         return float(times[0] + (times[1] - times[0]) * (above - energy) / (above - below))
 
 
-def resolved_forecast(
-    start: Variables, strength: Real, is_needle: bool | None, ratio: Real
-) -> Forecast | None:
-    """Return how a rotation ends, by integration; None if that takes too long.
+def resolved_law(start: Start, ratio: ArrayLike) -> "Resolved | None":
+    """Return the law of integration; None if it takes too long for an estimated L∞/L₀."""
+    return None if _Course(start).is_long(ratio) else Resolved()
 
-    Args:
-        start: inertia, dipole and ω₀ in one vector.
-        strength: the k of κ = k d².
-        is_needle: whether the body is a needle.
-        ratio: an estimate of L∞/L₀, which gives the number of steps.
-    """
-    course = _Course(start, strength, is_needle)
-    if course.is_long(ratio):
-        return None
-    run = course.run()
-    first = course.energy(course.omegas[0])
-    if _is_residual(run):
-        last = course.residual_state(run)
-        half = (first + course.energy(last)) / 2
-        if not course.follow(lambda omega: course.energy(omega) < half):
+
+class Resolved:
+    """Integration turn by turn, until averages hold."""
+
+    def end(self, start: Start) -> End | None:
+        """Return how a rotation ends; None if that takes too long."""
+        course = _Course(start)
+        run = course.run()
+        first = course.energy(course.omegas[0])
+        if _is_residual(run):
+            last = course.residual_state(run)
+            half = (first + course.energy(last)) / 2
+            if not course.follow(lambda omega: course.energy(omega) < half):
+                return None
+            return _residual(course, run, course.time_of(half) * course.unit)
+        if run.outcome != Outcome.STOP or not _follow_stop(course):
             return None
-        return _residual(course, run, course.time_of(half) * course.unit)
-    if run.outcome != Outcome.STOP or not _follow_stop(course):
-        return None
-    late = course.averages()
-    stops = late.probability.at[RESIDUAL_FATES].set(0.0)
-    if not bool(jnp.sum(stops) > 0):  # the two laws contradict each other
-        return None
-    stops = stops / jnp.sum(stops)
-    zero = jnp.zeros_like(late.ratio)
-    outcome, _ = decided(stops, zero, late.error)
-    # The late law, with t counted from the start; a rotation that falls at once has no plateau.
-    lifetime = late.lifetime - course.times[-1] * course.unit
-    return late._replace(
-        outcome=outcome,
-        probability=stops,
-        omega_inf=zero,
-        ratio=zero,
-        ratio_quantiles=jnp.zeros_like(late.ratio_quantiles),
-        half_time=jnp.asarray(course.time_of(first / 2) * course.unit),
-        radiated_energy=jnp.asarray(first),
-        lifetime=jnp.where(lifetime > 0, lifetime, jnp.nan),
-        regime=jnp.asarray(Regime.RESOLVED.value),
-    )
+        _, late = course.averaged()
+        stops = jnp.asarray(late.probability).at[RESIDUAL_FATES].set(0.0)
+        if not bool(jnp.sum(stops) > 0):  # the two laws contradict each other
+            return None
+        stops = stops / jnp.sum(stops)
+        zero = jnp.zeros_like(late.ratio)
+        outcome, _ = decided(stops, zero, jnp.asarray(late.error))
+        # The late law, with t counted from the start; a rotation that falls at once has no plateau.
+        lifetime = late.lifetime - course.times[-1] * course.unit
+        return dataclasses.replace(
+            late,
+            outcome=outcome,
+            probability=stops,
+            omega_inf=zero,
+            ratio=zero,
+            ratio_quantiles=jnp.zeros_like(late.ratio_quantiles),
+            half_time=jnp.asarray(course.time_of(first / 2) * course.unit),
+            radiated_energy=jnp.asarray(first),
+            lifetime=jnp.where(lifetime > 0, lifetime, jnp.nan),
+            regime=jnp.asarray(Regime.RESOLVED.value),
+        )
 
-
-def resolved_history(
-    start: Variables, constants: tuple[Float[Array, "T"], Real], is_needle: bool | None
-) -> Values:
-    """Return E, |L|, h and √⟨Ω²⟩ of a rotation with a resolved forecast at given times."""
-    times, strength = np.asarray(constants[0]), constants[1]
-    course = _Course(start, strength, is_needle)
-    run = course.run()
-    if residual := _is_residual(run):
-        least = course.energy(course.residual_state(run))
-        least += SETTLED * course.energy(course.omegas[0])
-        reached = course.follow(lambda omega: course.energy(omega) < least)
-    else:
-        reached = _follow_stop(course)
-    scaled, end = times / course.unit, course.times[-1]
-    values = np.full((4, times.size), np.nan)
-    early = scaled <= end
-    if np.any(early):
-        unique, places = np.unique(scaled[early], return_inverse=True)
-        states = course.at(unique)[places] / course.unit
-        values[:, early] = _of_states(start, states, strength)
-    if reached and residual:
-        last = course.residual_state(run) / course.unit
-        values[:, ~early] = _of_states(start, last[None], strength)
-    elif reached and not np.all(early):
-        after = jnp.asarray((scaled[~early] - end) * course.unit)
-        late = best_history(course.variables, (after, strength), course.averages().regime)
-        values[:, ~early] = np.stack(late)
-    return tuple(jnp.asarray(row) for row in values)
+    def history(self, start: Start, times: Float[Array, "T"]) -> Values:
+        """Return the motion, which is averaged only after it was integrated."""
+        course = _Course(start)
+        run = course.run()
+        if residual := _is_residual(run):
+            least = course.energy(course.residual_state(run))
+            least += SETTLED * course.energy(course.omegas[0])
+            reached = course.follow(lambda omega: course.energy(omega) < least)
+        else:
+            reached = _follow_stop(course)
+        scaled, end = np.asarray(times) / course.unit, course.times[-1]
+        values = np.full((4, times.size), np.nan)
+        early = scaled <= end
+        if np.any(early):
+            unique, places = np.unique(scaled[early], return_inverse=True)
+            states = course.at(unique)[places] / course.unit
+            values[:, early] = _of_states(start, states)
+        if reached and residual:
+            last = course.residual_state(run) / course.unit
+            values[:, ~early] = _of_states(start, last[None])
+        elif reached and not np.all(early):
+            after = jnp.asarray((scaled[~early] - end) * course.unit)
+            law, _ = course.averaged()
+            values[:, ~early] = np.stack(law.history(course.reached, after))
+        return tuple(jnp.asarray(row) for row in values)
 
 
 def _is_residual(run: Classification) -> bool:
@@ -224,22 +229,22 @@ def _follow_stop(course: _Course) -> bool:
         nonlocal passed
         if course.energy(omega) >= half:
             return False
-        if course.slow_forecast():
+        if course.slow_end():
             return True
         passed += 1
-        return passed > UNFOLDED_STRETCHES and bool(course.averages().error < HANDOVER)
+        return passed > UNFOLDED_STRETCHES and bool(course.averaged()[1].error < HANDOVER)
 
     return course.follow(enough)
 
 
-def _residual(course: _Course, run: Classification, half_time: float) -> Forecast:
-    """Return the forecast of a residual rotation."""
+def _residual(course: _Course, run: Classification, half_time: float) -> End:
+    """Return the end of a residual rotation."""
     omega, last = course.omegas[0], course.residual_state(run)
     ratio = jnp.asarray(course.momentum(last) / course.momentum(omega))
     omega_inf = jnp.asarray(run.omega_inf)
     sense = jnp.where(omega_inf > 0, Fate.POSITIVE, Fate.NEGATIVE)
-    _, units = scaled_rotation(course.start, course.strength)
-    return Forecast(
+    _, units = scaled_rotation(*course.start)
+    return End(
         outcome=jnp.asarray(Outcome.RESIDUAL.value),
         probability=certainty_of(sense),
         omega_inf=omega_inf / course.unit,
@@ -255,13 +260,12 @@ def _residual(course: _Course, run: Classification, half_time: float) -> Forecas
 
 
 @compiled_soon
-def _of_states(
-    start: Variables, omegas: Float[Array, "T 3"], strength: Real
-) -> Float[Array, "4 T"]:
+def _of_states(start: Start, omegas: Float[Array, "T 3"]) -> Float[Array, "4 T"]:
     """Return E, |L|, h and √⟨Ω²⟩ of the free rotations through given states."""
 
     def values(omega: Vector) -> Float[Array, "4"]:
-        rotation, units = scaled_rotation(jnp.append(start[:12], omega), strength)
+        variables = jnp.append(start.variables[:12], omega)
+        rotation, units = scaled_rotation(variables, start.strength)
         high, z = rotation.place
         x, rest = from_logit(z)
         squared = mean_square_speed(rotation.side(high).moments, x, rest)
