@@ -9,7 +9,7 @@ import pytest
 import dipoletop as dt
 from dipoletop import Fate
 from dipoletop._averaging.histories import slow_history
-from dipoletop._averaging.laws import Needle, averaged_end, averaged_law_and_end
+from dipoletop._averaging.laws import Needle, SlowFlow, averaged_end, averaged_law_and_end
 from dipoletop._averaging.predicted_ends import Start
 from dipoletop.particles import DEBYE, RADIATION
 
@@ -398,7 +398,7 @@ def test_the_error_of_tumbling_next_to_the_separatrix_is_seen_on_the_way():
     """On the middle moment by less than ω²: the slow flow tumbles, the body is captured."""
     body, start = _nearly(0.4, -1e-13), 1e-3 * STARTS[1]
     assert _slow_flow(body, start).outcome == dt.Outcome.UNDECIDED
-    predicted = averaged_law_and_end(Start(_variables(body, start), ONE), Needle.NO)[1]
+    predicted = averaged_law_and_end(Start(_variables(body, start), ONE), SlowFlow(Needle.NO))[1]
     assert predicted.regime == dt.Regime.UNFOLDED
     assert predicted.probability[:2].sum() > 0.99
     capture = _slow_flow(_nearly(0.4, 0.0), start, needle=Needle.OF_ANY_PHASE)

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._averaging.ends import QUANTILES as QUANTILES
-from ._averaging.laws import averaged_law_and_end, law_of, needle_of
+from ._averaging.laws import averaged_law_and_end, first_law, law_of
 from ._averaging.predicted_ends import LARGEST_ERROR, End, Start
 from ._base.checks import (
     ArrayLike,
@@ -249,11 +249,9 @@ def predict(
     if concrete(variables):
         refuse_relativistic("omega0", body, omega)
     compared = _compared(body, omega, pressure, temperature, loss)
-    start, needle = (
-        Start(variables, coupling),
-        needle_of(body.inertia, body.dipole, omega, coupling),
-    )
-    _, end = averaged_law_and_end(start, needle)
+    start = Start(variables, coupling)
+    first = first_law(body.inertia, body.dipole, omega, coupling)
+    _, end = averaged_law_and_end(start, first)
     if concrete(start) and float(end.error) > HANDOVER:
         law = resolved_law(start, end.ratio)
         end = (law and law.end(start)) or end

@@ -12,6 +12,7 @@ from dipoletop import prediction
 from dipoletop._averaging.capture import capture
 from dipoletop._averaging.laws import (
     Needle,
+    SlowFlow,
     averaged_end,
     averaged_law_and_end,
     coverage,
@@ -151,7 +152,7 @@ def test_slow_flow_and_unfolding_agree_within_their_errors():
             variables = _variables(delta, asymmetry * 1e-10, 1e-5 * DIRECTION)
             slow = averaged_end(variables, ONE, Needle.NO)
             turns, errors = coverage(variables, ONE)
-            best = averaged_law_and_end(Start(variables, ONE), Needle.NO)[1]
+            best = averaged_law_and_end(Start(variables, ONE), SlowFlow(Needle.NO))[1]
             regimes.append(int(best.regime))
             if not jnp.isfinite(errors[0]):
                 assert best.regime == dt.Regime.SLOW_FLOW

@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.chebyshev import collocation_rule
 from .._base.checks import namespace, or_nan
+from .._base.compiling import compiled_soon
 from .._base.types import Real
 from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
@@ -156,6 +157,21 @@ def capture_from(delta: Scalar, found: Float[Array, "4 n"]) -> Capture:
     return Capture(residual, log_mean, table, or_nan(error, inside))
 
 
+def known_capture(delta: float) -> Capture:
+    """Return the capture of a known δ; what it is computed from is kept for the process."""
+    points, _ = computed_at(delta, np)
+    found = np.stack([_kept_distribution(float(point)) for point in np.broadcast_to(points, 4)])
+    return _capture_from(jnp.asarray(delta), jnp.asarray(found))
+
+
+@functools.lru_cache(maxsize=1024)
+def _kept_distribution(delta: float) -> np.ndarray:
+    return np.asarray(_distribution(jnp.asarray(delta)))
+
+
+_capture_from = compiled_soon(capture_from)
+
+
 @jax.jit
 def distribution(delta: Scalar) -> Float[Array, "n"]:
     """Compute the probability of residual rotation, ln of the mean X, and ln X in `PARTS` parts."""
@@ -176,6 +192,9 @@ def distribution(delta: Scalar) -> Float[Array, "n"]:
     order = jnp.argsort(x)
     x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
     return jnp.append(residual, largest + _log_means(part, x))
+
+
+_distribution = compiled_soon(distribution)
 
 
 def _log_means(weights: Any, x: Any) -> Any:
@@ -343,7 +362,7 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
 
     wobbles = delta > transverse.WOBBLING_FROM
     sides = jnp.stack([jnp.ones_like(delta), jnp.where(wobbles, -1.0, 1.0)])
-    turns, arrives = jax.vmap(arrival)(sides)
+    turns, arrives = jax.lax.map(arrival, sides)  # `vmap` takes longer to compile
     # Next to δ_c2, where the gap is 0 up to rounding, the second orbit may not arrive.
     gap = jnp.where(wobbles & arrives[1], turns[1] - turns[0], 0.0)
     gap = jnp.maximum(gap - jnp.floor(gap + 1e-6), 0.0)

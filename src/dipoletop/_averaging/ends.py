@@ -27,6 +27,9 @@ from .unfolding import entry_q
 
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
+BEFORE_ENTRY = 1.5
+"""E over ω⊥²/2 at the entry above which the entry is sure to come later: u falls by less there
+within one turn."""
 
 
 class SlowEnd(NamedTuple):
@@ -179,7 +182,12 @@ def sphere_end(rotation: FreeRotation) -> SlowEnd:
 
 
 def needle_end(
-    rotation: FreeRotation, weakness: Real, end: TopEnd, motion: SlowMotion | None = None
+    rotation: FreeRotation,
+    weakness: Real,
+    end: TopEnd,
+    motion: SlowMotion | None = None,
+    *,
+    followed: bool = True,
 ) -> SlowEnd:
     """Return how the rotation of a needle ends.
 
@@ -191,6 +199,8 @@ def needle_end(
         weakness: κL₀/J₃².
         end: the end of the `needle_start` in the limit of small amplitude.
         motion: its slow motion, if the half time of a random phase is wanted.
+        followed: whether random phases are followed from their entry into the plane on. If not, a
+            half time after it is NaN.
     """
     # The logarithm of |ω₀|J₃/L₀ leads from |ω∞|/|ω₀| to L∞/L₀.
     shift = jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
@@ -205,9 +215,13 @@ def needle_end(
         log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
         square = jnp.exp(jnp.where(end.random, log_square, 0.0))
         last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
-        clock = clock_of_needle(delta, last)
-        averaging = estimated_error(rotation, motion, weakness)
-        half_time, late = clock.time_at(motion, (energy + last_energy) / 2, averaging, square)
+        half, late = (energy + last_energy) / 2, jnp.zeros_like(error)
+        if followed:
+            averaging = estimated_error(rotation, motion, weakness)
+            clock = clock_of_needle(delta, last)
+            half_time, late = clock.time_at(motion, half, averaging, square)
+        else:
+            half_time = or_nan(motion.time_at(half), half > BEFORE_ENTRY * square / 2)
         half_time = or_nan(half_time, end.random & ~motion.failed)
         error += jnp.where(end.random, late, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift

@@ -8,6 +8,7 @@ considered for concrete values only.
 import dataclasses
 import enum
 import functools
+import math
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -22,11 +23,13 @@ from .._base.types import Real, Regime
 from .capture import (
     LARGEST,
     SMALLEST,
+    Capture,
     capture,
     end_by_chance,
     end_of_phase,
     end_of_top,
     is_random,
+    known_capture,
 )
 from .ends import SlowEnd, needle_end, needle_start, slow_end
 from .estimates import error_at, estimated_error, rounding_error, start_error
@@ -74,34 +77,6 @@ class Needle(enum.Enum):
     UNKNOWN = enum.auto()
 
 
-@special_numbers()
-def needle_of(inertia: Array, dipole: Array, omega: Array, strength: Real) -> Needle:
-    """Return what is known of a start; all, if only derivatives are traced.
-
-    A needle that spins about its symmetry axis is not captured, and counts as no needle.
-    """
-    inertia, dipole, omega = jax.lax.stop_gradient((inertia, dipole, omega))
-    if not concrete(inertia, dipole):
-        return Needle.UNKNOWN
-    with jax.ensure_compile_time_eval():  # under `jit`, too
-        some = omega if (is_known := concrete(omega)) else np.ones(3)
-        start = jnp.concatenate([jnp.ravel(x) for x in (inertia, dipole, some)])
-        is_captured, is_random = _is_captured(start, strength)
-        if not is_captured:
-            return Needle.NO
-        if not is_known:
-            return Needle.OF_ANY_PHASE
-        return Needle.BY_CHANCE if is_random else Needle.OF_KNOWN_PHASE
-
-
-@compiled_soon
-def _is_captured(variables: Variables, strength: Real) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Return whether a needle is captured, and whether by chance."""
-    rotation, units = scaled_rotation(variables, strength)
-    delta, omega = needle_start(rotation, units.weakness)
-    return rotation.is_needle & jnp.any(omega[:2] != 0), is_random(delta, omega)
-
-
 @dataclasses.dataclass(frozen=True)
 class SlowFlow:
     """Averages over free rotation; a needle is captured by chance, or at once from its phase."""
@@ -117,11 +92,23 @@ class SlowFlow:
         return at_times(slow_history, start, times)
 
 
-class KnownPhase:
-    """The plane in which a needle of known phase moves."""
+@dataclasses.dataclass(frozen=True)
+class ByChance(SlowFlow):
+    """The capture of a needle whose phase is random."""
+
+    delta: float = math.nan
 
     def end(self, start: Start) -> End:
-        """Return how a needle ends."""
+        """Return how a rotation ends."""
+        end = end_of_needle(*start, known_capture(self.delta))
+        return averaged_end(*start, self.needle) if np.isnan(end.half_time) else end
+
+
+class KnownPhase:
+    """The motion of a needle whose phase is known."""
+
+    def end(self, start: Start) -> End:
+        """Return how a rotation ends."""
         end = averaged_end(*start, Needle.OF_KNOWN_PHASE)
         return dataclasses.replace(end, half_time=half_time_from(*start, jnp.asarray(end.ratio)))
 
@@ -153,32 +140,68 @@ class Unfolded:
 
 
 @special_numbers()
-def averaged_law_and_end(start: Start, needle: Needle) -> tuple[Law, End]:
-    """Return the law of slow rotations whose error is smallest, and the end by it."""
-    law = SlowFlow(needle)
-    if needle is Needle.OF_KNOWN_PHASE and concrete(start):
-        law = KnownPhase()
-    end = law.end(start)
-    if not concrete(end) or needle in (Needle.BY_CHANCE, Needle.OF_KNOWN_PHASE):
-        return law, end
+def first_law(inertia: Array, dipole: Array, omega: Array, strength: Real) -> Law:
+    """Return the law by averages of a start, for a needle that of its phase if it is known.
+
+    Of what is traced, derivatives do not matter. A needle that spins about its symmetry axis is not
+    captured, and counts as no needle.
+    """
+    is_traced = not concrete(inertia, dipole, omega)
+    inertia, dipole, omega = jax.lax.stop_gradient((inertia, dipole, omega))
+    if not concrete(inertia, dipole):
+        return SlowFlow()
+    with jax.ensure_compile_time_eval():  # under `jit`, too
+        some = omega if (is_known := concrete(omega)) else np.ones(3)
+        start = jnp.concatenate([jnp.ravel(x) for x in (inertia, dipole, some)])
+        is_captured, is_random, delta = _is_captured(start, strength)
+        if not is_captured:
+            return SlowFlow(Needle.NO)
+        if not is_known:
+            return SlowFlow(Needle.OF_ANY_PHASE)
+        needle = Needle.BY_CHANCE if is_random else Needle.OF_KNOWN_PHASE
+        if is_traced:
+            return SlowFlow(needle)
+        return ByChance(needle, float(delta)) if is_random else KnownPhase()
+
+
+@compiled_soon
+def _is_captured(
+    variables: Variables, strength: Real
+) -> tuple[Bool[Array, ""], Bool[Array, ""], Real]:
+    """Return whether a needle is captured, whether by chance, and its δ."""
+    rotation, units = scaled_rotation(variables, strength)
+    delta, omega = needle_start(rotation, units.weakness)
+    is_captured = rotation.is_needle & jnp.any(omega[:2] != 0)
+    return is_captured, is_random(delta, omega), delta
+
+
+@special_numbers()
+def averaged_law_and_end(start: Start, first: Law) -> tuple[Law, End]:
+    """Return the law of slow rotations whose error is smallest, and the end by it.
+
+    Args:
+        start: the start.
+        first: its `first_law`.
+    """
+    end: Any = first.end(start)
+    if not concrete(end) or isinstance(first, ByChance | KnownPhase):
+        return first, end
     moments = np.linalg.eigvalsh(np.asarray(start.variables)[:9].reshape(3, 3))
     # The smallest relative gap of moments is below any error of the unfolded system.
     if np.min(np.diff(moments)) / moments[2] > float(end.error):
-        return law, end
+        return first, end
     other, least_error = unfolded_law(start)
     if least_error < end.error and (found := other.end(start)).error < end.error:
         return other, found
-    return law, end
+    return first, end
 
 
 def law_of(start: Start, regime: Any) -> Law:
     """Return the law of slow rotations of a given regime."""
     if not concrete(start, regime) or regime != Regime.UNFOLDED:
         return SlowFlow()
-    needle = needle_of(*start.parts, start.strength)
-    if needle is Needle.OF_KNOWN_PHASE:
-        return KnownPhase()
-    return SlowFlow() if needle is Needle.BY_CHANCE else unfolded_law(start)[0]
+    law = first_law(*start.parts, start.strength)
+    return unfolded_law(start)[0] if type(law) is SlowFlow else law
 
 
 def unfolded_law(start: Start) -> tuple[Unfolded, float]:
@@ -223,6 +246,17 @@ def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Arra
     else:
         end = other() if needle is Needle.NO else captured()
     return numbers_of(rotation, units, end, estimated_error(apart, motion, units.weakness))
+
+
+@compiled_soon
+def end_of_needle(variables: Variables, strength: Real, chance: Capture) -> End:
+    """Return how a needle ends whose capture is known; the half time is NaN if it comes late."""
+    rotation, units = scaled_rotation(variables, strength)
+    motion = slow_motion(rotation)
+    end = end_by_chance(*needle_start(rotation, units.weakness), chance)
+    end = needle_end(rotation, units.weakness, end, motion, followed=False)
+    error = estimated_error(rotation, motion, units.weakness)
+    return fields_of(numbers_of(rotation, units, end, error))
 
 
 @compiled_soon

@@ -20,12 +20,10 @@ from .._base.types import Outcome, Real, Regime
 from .capture import (
     Capture,
     TopEnd,
-    capture_from,
-    computed_at,
-    distribution,
     end_by_chance,
     end_of_phase,
     is_random,
+    known_capture,
 )
 from .ends import needle_end, needle_start, slow_end
 from .estimates import error_of_phase, estimated_error, start_error
@@ -98,7 +96,7 @@ def ends_of_many(
         put_ends(ends, lanes, in_chunks(_ends_of_phases, some, FEW))
     if (lanes := np.flatnonzero(needle & begin.by_chance)).size:
         shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
-        chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(_capture, shared))
+        chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(known_capture, shared))
         some = jax.tree.map(lambda x: x[lanes], starts)
         put_ends(ends, lanes, in_chunks(_ends_by_chance, (*some, chances)))
     return ends
@@ -222,19 +220,3 @@ def _of_needle(variables: Variables, strength: Real, end_of: Callable[..., TopEn
     rotation, units = scaled_rotation(variables, strength)
     end = needle_end(rotation, units.weakness, end_of(*needle_start(rotation, units.weakness)))
     return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
-
-
-def _capture(delta: float) -> Capture:
-    """Return the capture of a given δ; what it is computed from is kept for the process."""
-    points, _ = computed_at(delta, np)
-    found = np.stack([_distribution(float(point)) for point in np.broadcast_to(points, 4)])
-    return _captured(jnp.asarray(delta), jnp.asarray(found))
-
-
-@functools.lru_cache(maxsize=1024)
-def _distribution(delta: float) -> np.ndarray:
-    return np.asarray(_computed(jnp.asarray(delta)))
-
-
-_captured = compiled_soon(capture_from)
-_computed = compiled_soon(distribution)

@@ -21,7 +21,7 @@ from .._averaging.laws import (
     Needle,
     SlowFlow,
     averaged_law_and_end,
-    needle_of,
+    first_law,
 )
 from .._averaging.predicted_ends import End, Start, decided, scaled_rotation
 from .._averaging.slow_flow import from_logit
@@ -68,21 +68,20 @@ class _Course:
 
     def slow_end(self) -> End | None:
         """Return how the slow flow ends from there on; None if it does not hold."""
-        if self.needle is not Needle.NO:
-            return None
-        found = SlowFlow(Needle.NO).end(self.reached)
-        return found if found.error < HANDOVER else None
+        law = self.first_law
+        end = law.end(self.reached) if law == SlowFlow(Needle.NO) else None
+        return end if end and end.error < HANDOVER else None
 
     def averaged(self) -> tuple[Law, End]:
         """Return the law from there on, the slow flow if it holds, and the end by it."""
         if end := self.slow_end():
-            return SlowFlow(Needle.NO), end
-        return averaged_law_and_end(self.reached, self.needle)
+            return self.first_law, end
+        return averaged_law_and_end(self.reached, self.first_law)
 
     @property
-    def needle(self) -> Needle:
-        """What is known of the end of the last stretch."""
-        return needle_of(*self.reached.parts, self.start.strength)
+    def first_law(self) -> Law:
+        """The first law from there on."""
+        return first_law(*self.reached.parts, self.start.strength)
 
     def is_long(self, ratio: ArrayLike) -> bool:
         """Return whether the run would exceed the budget of steps if L∞/L₀ = `ratio`."""
