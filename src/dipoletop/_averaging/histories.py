@@ -114,6 +114,8 @@ def orbit_history(
     top = top_of(rotation, axial, units.weakness)
     orbit = orbit_of(top, top.start)
     early = _on_orbit(orbit, units, times)
+    if axial == 0:  # a needle
+        return early
     late = _after_orbit(rotation, orbit, units, times)
     return tuple(jnp.where(jnp.isnan(a), b, a) for a, b in zip(early, late, strict=True))
 

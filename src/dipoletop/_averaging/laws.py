@@ -317,6 +317,6 @@ def unfolded_end(variables: Variables, strength: Real, axial: int, turns: bool) 
         slow = motion.at(jnp.minimum(jnp.log(end.half_time), log_time))
         error += error_at(rotation, slow, units.weakness)
     else:
-        end, error = known_end(rotation, top)
+        end, error = known_end(rotation, top, is_disc=axial == 2)
     error += rotation.left_out + rounding_error(rotation, end.log_ratio)
     return fields_of(numbers_in_units(end, units, error).at[-2].set(float(Regime.UNFOLDED)))

@@ -78,8 +78,8 @@ def _sampling_error(logs: Float[Array, "n"]) -> Real:
     return jnp.abs(odd - even) / safe_divisor(odd + even)
 
 
-def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
-    """Return the end of a start whose phase is known, and its relative error."""
+def known_end(rotation: FreeRotation, top: Top, *, is_disc: bool) -> tuple[SlowEnd, Real]:
+    """Return the end of a start whose phase is known, and its relative error; a disc has δ < 0."""
     log_u = top.log_u
     error = order_error(top, log_u) + ORBITS
     start, ratio = top.start, top.ratio
@@ -88,7 +88,9 @@ def known_end(rotation: FreeRotation, top: Top) -> tuple[SlowEnd, Real]:
     size = jnp.where(plane.stays(start), 0.0, SHIFT * error * size)
     shifts = jnp.array([[0, 0, 0], [1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0.0]])
     lanes = jax.vmap(lambda shift: settle(plane, start + shift * size))(shifts)
-    stop, log_stop = _stops(rotation, top, plane, jax.tree.map(lambda leaf: leaf[0], lanes))
+    stop, log_stop = _stops(
+        rotation, top, plane, jax.tree.map(lambda leaf: leaf[0], lanes), is_disc
+    )
     residual = jnp.where(
         lanes.along[:, None], certainty_of(Fate.POSITIVE), certainty_of(Fate.NEGATIVE)
     )
@@ -226,7 +228,7 @@ def _quantiles(logs: Float[Array, "n"]) -> Float[Array, "5"]:
 
 
 def _stops(
-    rotation: FreeRotation, top: Top, plane: PlanarMotion, at: Settled
+    rotation: FreeRotation, top: Top, plane: PlanarMotion, at: Settled, is_disc: bool
 ) -> tuple[Float[Array, "8"], Real]:
     """Return the probabilities and ln L∞/L₀ of a start that is not captured.
 
@@ -234,11 +236,13 @@ def _stops(
     that turns fast obeys the slow flow.
     """
     nothing = jnp.full_like(top.delta, -jnp.inf)
-    turning = plane.turns(at.state) & (top.delta < 0)
+    stays = certainty_of(Fate.AXIS_2)  # across dipole and symmetry axis
+    ends = jnp.where(plane.repels(at.state), certainty_of(Fate.TUMBLING_LOW), stays)
+    if not is_disc:
+        return ends, nothing
+    turning = plane.turns(at.state)
     y = plane.section(jnp.where(turning, at.state, jnp.array([0.3, 5.0, 0.0])), jnp.zeros(()))
     handed, size = handed_over(rotation, top, y)
     end = slow_end(handed, slow_motion(handed))
     log_ratio = jnp.log(size) + _log_momentum(top, top.log_u) + end.log_ratio
-    stays = certainty_of(Fate.AXIS_2)  # across dipole and symmetry axis
-    ends = jnp.where(plane.repels(at.state), certainty_of(Fate.TUMBLING_LOW), stays)
     return jnp.where(turning, end.probability, ends), jnp.where(turning, log_ratio, nothing)
