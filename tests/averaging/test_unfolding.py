@@ -18,9 +18,9 @@ from dipoletop._averaging.laws import (
     coverage,
     unfolded_end,
 )
-from dipoletop._averaging.planar_orbits import Expansion
+from dipoletop._averaging.planar_orbits import Expansion, PlanarMotion, entry_q, settle
 from dipoletop._averaging.predicted_ends import Start
-from dipoletop._averaging.unfolding import PlanarMotion, entry_q, phases, settle
+from dipoletop._averaging.unfolding import phases
 
 ONE = jnp.asarray(np.float64(1))
 DIRECTION = np.array([0.5, 0.3, 0.8])

@@ -33,13 +33,12 @@ from ..equations._verdicts import transverse
 from ..planar import Planar, saddle
 from .planar_orbits import (
     ENTRY,
-    MAX_STEPS,
     Expansion,
+    PlanarMotion,
     Scalar,
     follow,
     log_scale_of,
     settle,
-    state_after,
 )
 
 SMALLEST, LARGEST = 0.005, 0.995  # δ between which the distribution of X is computed
@@ -179,7 +178,8 @@ def distribution(delta: Scalar) -> Float[Array, "n"]:
     first, residual = _residual_turns(delta, expansion)
     s = jnp.asarray(collocation_rule(NODES).nodes)
     q = expansion.q(first + residual * jnp.sin(jnp.pi * s[1:-1] / 2) ** 2)
-    ends = jax.vmap(lambda q: settle(delta, jnp.zeros_like(q), q / (2 * delta)))(q)
+    plane, zero = PlanarMotion(delta, jnp.zeros_like(delta)), jnp.zeros_like(q)
+    ends = jax.vmap(functools.partial(settle, plane))(jnp.stack([zero, q / (2 * delta), zero], 1))
     log_x = ends.log_ratio - expansion.log_w(q)
     log_x = or_nan(log_x, jnp.all(ends.residual))
     largest = jnp.max(log_x)
@@ -302,7 +302,8 @@ def end_of_phase(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
     log_perp, log_w3 = _log_sizes(omega0)
     z = jnp.where(w3 == 0, 0.0, jnp.sign(w3) * jnp.exp(log_w3 - 2 * log_perp))
     phi = jnp.where(stops, 0.0, jnp.arctan2(w2, w1))
-    known = settle(_within(delta), phi, z)
+    zero = jnp.zeros_like(z)
+    known = settle(PlanarMotion(_within(delta), zero), jnp.stack([phi, z, zero]))
     residual = jnp.where(stops, 0.0, _share(known.residual))
     wobbling = jnp.where(stops, 0.0, _share(known.stops))
     found = (delta > 0) & (delta < 1) & (stops | known.residual | known.stops)
@@ -340,24 +341,18 @@ def _residual_turns(delta: Scalar, expansion: Expansion) -> tuple[Scalar, Scalar
     Orbits of z > 0 end in the saddle (−φ*, |z*|). Above δ_c2 other orbits cross the wobbling cycle
     and end in (φ*, −|z*|).
     """
-    plane, at = Planar(delta), saddle(Planar(delta))
+    plane, at = PlanarMotion(delta, jnp.zeros_like(delta)), saddle(Planar(delta))
     height = ENTRY * (1 - expansion.a) / (2 * delta)
 
     def arrival(side: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
-        start = jnp.stack([NEAR - side * at.phi, NEAR * at.stable_slope - side * at.z])
-        phi, z = follow(
+        off = [NEAR - side * at.phi, NEAR * at.stable_slope - side * at.z, jnp.zeros_like(side)]
+        y = follow(
             lambda t, y, args: -plane(t, y),
-            start,
+            jnp.stack(off),
             lambda t, y, args, **_: (y[1] > height) | (y[1] < -height),
         ).ys[-1]
-        arrives = z > height
-
-        def slope(phi: Any, z: Scalar, args: Any) -> Scalar:
-            phi_rate, z_rate = plane(phi, jnp.stack([phi, z]))
-            return z_rate / phi_rate
-
-        span = phi, jnp.ceil(phi / jnp.pi) * jnp.pi
-        z = state_after(slope, span, jnp.where(arrives, z, height), MAX_STEPS)
+        arrives = y[1] > height
+        _, z, _ = plane.section(y.at[1].max(height), -jnp.ones_like(side))
         return expansion.turns(2 * delta * z), arrives
 
     wobbles = delta > transverse.WOBBLING_FROM

@@ -24,8 +24,8 @@ from .._base.integration import integrated
 from .._base.types import Real
 from .capture import LARGEST
 from .motion import SlowMotion
-from .planar_orbits import MAX_STEPS, state_after
-from .unfolding import PlanarMotion, entry_q, phases
+from .planar_orbits import MAX_STEPS, PlanarMotion, entry_q, state_after
+from .unfolding import phases
 
 LANES = 64  # phases that are followed
 NODES = 24  # shares p at which the time is computed
@@ -140,14 +140,14 @@ def _at_one_time(plane: PlanarMotion, q: Real) -> Float[Array, "n 3"]:
 
     zero = jnp.zeros_like(z)
     turn = zero, -jnp.pi * jnp.sign(plane.delta * z)
-    after, _, period = state_after(slope, turn, jnp.stack([z, zero, zero]), MAX_STEPS)
+    after, _, period = state_after(slope, turn, jnp.stack([z, zero, zero]))
     passages = period * jnp.log(states[:, 1] / z) / jnp.log(after / z)
 
     def moved_back(state: Array, time: Real) -> Array:
         def field(part: Any, y: Array, args: Any) -> Array:
             return -time * _rates(plane, y)
 
-        return state_after(field, (0.0, 1.0), state, MAX_STEPS)
+        return state_after(field, (0.0, 1.0), state)
 
     return jax.vmap(moved_back)(states, passages)
 

@@ -20,10 +20,9 @@ from .capture_times import clock_of_needle
 from .estimates import estimated_error, rate_error
 from .free_rotation import gaps_of
 from .motion import Point, SlowMotion
-from .planar_orbits import ENTRY, Expansion
+from .planar_orbits import ENTRY, Expansion, entry_q
 from .principal_axes import FreeRotation
 from .stages import RTOL, Stage
-from .unfolding import entry_q
 
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""

@@ -15,10 +15,11 @@ from .._base.types import Real
 from .ends import turns_fast
 from .free_rotation import mean_square_speed
 from .motion import HALVINGS, slow_motion
+from .planar_orbits import PlanarMotion
 from .predicted_ends import Start, Units, Variables, scaled_rotation
 from .principal_axes import FreeRotation
 from .unfolded_ends import PlaneOrbit, handed_over, orbit_of
-from .unfolding import PlanarMotion, entry_of, top_of
+from .unfolding import entry_of, top_of
 
 FEWEST = 8  # the smallest number of times for which a program is compiled
 

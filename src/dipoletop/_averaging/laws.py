@@ -35,6 +35,7 @@ from .ends import SlowEnd, needle_end, needle_start, slow_end
 from .estimates import error_at, estimated_error, rounding_error, start_error
 from .histories import Values, at_times, capture_follows, orbit_history, slow_history
 from .motion import slow_motion
+from .planar_orbits import PlanarMotion
 from .predicted_ends import (
     End,
     Start,
@@ -48,7 +49,7 @@ from .predicted_ends import (
 from .principal_axes import FreeRotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
 from .unfolding import LARGEST as FARTHEST_RATIO
-from .unfolding import PlanarMotion, asymmetry_at_entry, entry_of, top_of
+from .unfolding import asymmetry_at_entry, entry_of, top_of
 
 
 @runtime_checkable

@@ -1,8 +1,10 @@
-"""Single orbits of the planar system with u = ω⊥², from their own phase to their end; δ > 0.
+"""Single orbits of the limit of small amplitude, with u = ω⊥², from their own phase to their end.
 
-The system is `dipoletop.planar` with (ln u)_σ = −2 sin²φ, the limit of small amplitude. Orbits come
-from z = ∞ turn by turn (z = −∞ is the mirror image). Put q = 2δ|z|, a = −3δ/(2(1−δ)), θ = 2φ. On
-the sections θ = 2πk an orbit obeys, as an expansion in 1/q whose odd terms vanish,
+The system is `dipoletop.planar` with (ln u)_σ = −2 sin²φ, and with an asymmetry as in `unfolding`.
+
+Without asymmetry and for δ > 0, orbits come from z = ∞ turn by turn (z = −∞ is the mirror image).
+Put q = 2δ|z|, a = −3δ/(2(1−δ)), θ = 2φ. On the sections θ = 2πk an orbit obeys, as an expansion in
+1/q whose odd terms vanish,
 
     dq/dθ = −a (1 + g₁/q² + g₂/q⁴ + …),   d ln u/d ln q = −(1/a)(1 + k₁/q² + k₂/q⁴ + …),
 
@@ -18,18 +20,25 @@ from typing import Any, NamedTuple
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._base.checks import or_nan
+from .._base.guards import safe_divisor, safe_sqrt
 from .._base.integration import integrated
-from .._base.types import Outcome, Real
-from ..equations._verdicts import transverse
-from ..planar import Planar
+from .._base.roots import root
+from .._base.types import Real
+from ..equations._common import planar_rates
+from ..equations._verdicts.transverse import WOBBLING_FROM
+from .motion import HALVINGS
 
 ENTRY = 24.0  # q/(1 + |a|) where the expansion takes over; its error is then below 1e-6
-AMPLITUDE = 1e-6  # ω⊥ at which the semi-reduced regions coincide with the regions of the plane
-PRECISION = 1e-7  # relative error of ω∞ by its series
-MAX_STEPS = 16384
+EXCESS = 1e-6  # the loss ln u below which states next to the residual line obey its linear law
+NEAR = 1e-5  # the loss ln u at the residual line that is left to the linear law
+MAX_STEPS = 60_000
+FAST = 4.0  # q/√|η/u| above which a body rotates all the way round in spite of the asymmetry
+HALF = 2.0  # ln u₀/u after which the energy has halved, if it falls to zero
+ON_AXIS = 1e-13
+FADED = 60.0  # ln u₀/u after which a needle above δ_c2 wobbles for ever; a captured one loses less
 RTOL = 1e-10
 
 Scalar = Float[Array, ""]
@@ -48,32 +57,111 @@ class Settled(NamedTuple):
     """The last state."""
 
 
-def settle(delta: Scalar, phi: Scalar, z: Scalar) -> Settled:
-    """Return the end of the orbit from a point of the plane, at the consistent levels; δ > 0."""
-    plane = Planar(delta)
+class PlanarMotion(NamedTuple):
+    """The unfolded system of a given δ and η/u₀; states are (φ, z, ln u/u₀)."""
 
-    def field(t: Any, y: Array, args: Any) -> Array:
-        return jnp.append(plane(t, y[:2]), -2 * jnp.sin(y[0]) ** 2)
+    delta: Real
+    ratio: Real
+    """η/u₀, where u₀ is the unit of u."""
 
-    def ends(t: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
-        return jnp.logical_or(*_end_at(delta, y)[:2])
+    def asymmetry(self, y: Float[Array, "n"]) -> Real:
+        """Return the asymmetry η/u."""
+        return self.ratio * jnp.exp(-y[2])
 
-    y = follow(field, jnp.stack([phi, z, jnp.zeros_like(z)]), ends).ys[-1]
-    residual, stops, omega_inf = _end_at(delta, y)
-    last = jnp.where(residual, omega_inf, AMPLITUDE) / AMPLITUDE
-    log_ratio = or_nan(jnp.log(jnp.abs(last)) + y[2] / 2, residual)
-    return Settled(residual, stops, residual & (last > 0), log_ratio, y)
+    def __call__(self, t: Any, y: Float[Array, "n"], args: Any = None) -> Float[Array, "3"]:
+        """Return d(φ, z, ln u)/dσ."""
+        plane = planar_rates(self.delta, 1 - self.asymmetry(y) / 2, y[:2])
+        return jnp.append(plane, -2 * jnp.sin(y[0]) ** 2)
+
+    def line(self, y: Float[Array, "n"]) -> tuple[Real, Real]:
+        """Return the determinant of the linear law at the residual line, and the remaining loss."""
+        d, z = self.delta, y[1]
+        phi = y[0] - jnp.pi * jnp.round(y[0] / jnp.pi)
+        det = (1 + d * self.asymmetry(y)) / (1 - d)
+        square = det * phi**2 + ((1 + 2 * d) / (1 - d) * phi - d * z) ** 2
+        return det, square * (1 - d) / (2 + d) / jnp.where(det > 0, det, 1.0)
+
+    def half_life(self, y: Float[Array, "n"]) -> tuple[Bool[Array, ""], Real]:
+        """Return whether a state is next to a stable residual line, and σ until its loss halves.
+
+        There x = (φ, z) obeys x′ = Lx, so that x(σ) = e^{mσ}{C x + S (L − m)x}, m = tr L/2,
+        C = cosh sσ, S = sinh(sσ)/s, s² = m² − det L. On the line itself the slower rate counts.
+        """
+        det, left = self.line(y)
+        m = -(2 + self.delta) / (1 - self.delta) / 2
+        square = m**2 - det
+        s = safe_sqrt(jnp.abs(square))
+        rate = -m - jnp.where(square > 0, s, 0.0)
+        near = (det > 0) & (left < EXCESS)
+        x = jnp.stack([y[0] - jnp.pi * jnp.round(y[0] / jnp.pi), y[1]])
+        moved = planar_rates(self.delta, 1 - self.asymmetry(y) / 2, x) - m * x
+
+        def excess(sigma: Real) -> Real:
+            up, down = jnp.exp((m + s) * sigma), jnp.exp((m - s) * sigma)
+            swing = jnp.exp(m * sigma) * jnp.cos(s * sigma), jnp.exp(m * sigma) * jnp.sin(s * sigma)
+            first = jnp.where(square > 0, (up + down) / 2, swing[0])
+            second = jnp.where(square > 0, (up - down) / 2, swing[1]) / safe_divisor(s)
+            at = first * x + jnp.where(s > 0, second, first * sigma) * moved
+            return left / 2 - self.line(jnp.append(at, y[2]))[1]
+
+        longest = 10 / jnp.where(near, rate, 1.0)
+        half = root(excess, jnp.zeros_like(rate), longest, HALVINGS)
+        return near, jnp.where(left == 0, np.log(2) / (2 * rate), half)
+
+    def settles(self, y: Float[Array, "n"], loss: float = NEAR) -> Bool[Array, ""]:
+        """Return whether the residual line attracts the state, and the remaining loss is small."""
+        det, left = self.line(y)
+        return (det > 0) & (left <= loss * det / (1 + det))
+
+    def repels(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Return whether the residual line repels now and at all later times."""
+        return 1 + self.delta * self.asymmetry(y) < 0
+
+    def turns(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Return whether the rotation about the symmetry axis is fast, see `entry_q`."""
+        return 2 * jnp.abs(self.delta * y[1]) > entry_q(self.delta, self.asymmetry(y))
+
+    def ended(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Return whether the end is known, and the energy has halved if it falls to zero."""
+        stops = self.repels(y) | self.stays(y) | (self.delta < 0) & self.turns(y)
+        wobbles = (y[2] < -FADED) & (self.delta > WOBBLING_FROM) & (self.ratio == 0)
+        return self.settles(y) | stops & (y[2] < -HALF) | wobbles
+
+    def stays(self, y: Float[Array, "n"]) -> Bool[Array, ""]:
+        """Return whether it spins about axis 2, across dipole and symmetry axis, for J₂ = J₁."""
+        return (jnp.abs(y[1]) < ON_AXIS) & (jnp.abs(jnp.cos(y[0])) < ON_AXIS) & (self.ratio == 0)
+
+    def section(self, y: Float[Array, "3"], turn: Real) -> Float[Array, "3"]:
+        """Return the state `turn` half turns after the next multiple of π that φ passes."""
+        heading = -jnp.sign(self.delta * y[1])
+        target = heading * jnp.pi * (jnp.ceil(heading * y[0] / jnp.pi) + turn)
+
+        def slope(phi: Any, rest: Array, args: Any) -> Array:
+            phi_rate, *others = self(phi, jnp.stack([phi, *rest]))
+            return jnp.stack(others) / phi_rate
+
+        return jnp.append(target, state_after(slope, (y[0], target), y[1:]))
 
 
-def _end_at(delta: Scalar, y: Array) -> tuple[Array, Array, Array]:
-    """Return the semi-reduced verdict on a point of the plane.
+def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> Settled:
+    """Return the end of the orbit from a state."""
+    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y)).ys[-1]
+    residual = plane.settles(y)
+    _, left = plane.line(y)
+    along = jnp.cos(y[0]) > 0
+    log_ratio = jnp.where(residual, (y[2] - left) / 2, -jnp.inf)
+    return Settled(residual, ~residual & plane.ended(y), residual & along, log_ratio, y)
 
-    That is whether the end is residual, whether it is a stop, and ω∞ for ω⊥ = `AMPLITUDE`.
+
+def entry_q(delta: Real, asymmetry: Real) -> Real:
+    """Return the q from which rotation about the symmetry axis is fast, at an asymmetry η/u.
+
+    The averages over it are then the averages of the slow flow. Their corrections are of the order
+    1/q², as for η = 0, with the relative error |η|/(uq²).
     """
-    across = AMPLITUDE * jnp.stack([jnp.cos(y[0]), jnp.sin(y[0])])
-    at = transverse.semi_reduced(delta, jnp.append(across, AMPLITUDE**2 * y[1]))
-    residual = (at.outcome == Outcome.RESIDUAL) & (at.error < PRECISION)
-    return residual, at.outcome == Outcome.STOP, at.omega_inf
+    size = jnp.abs(asymmetry)
+    expansion = ENTRY * (1 + 1.5 * jnp.abs(delta / (1 - delta))) * jnp.sqrt(jnp.sqrt(1 + size))
+    return jnp.maximum(expansion, FAST * safe_sqrt(size))
 
 
 def follow(
@@ -85,10 +173,10 @@ def follow(
     return integrated(field, (0.0, jnp.inf), y0, pid, max_steps, 0.01, **options)
 
 
-def state_after(rates: Any, span: tuple[Any, Any], y0: Array, max_steps: int) -> Array:
+def state_after(rates: Any, span: tuple[Any, Any], y0: Array) -> Array:
     """Return the state after the independent variable, such as φ, has gone through a span."""
     pid = diffrax.PIDController(RTOL, RTOL)
-    return integrated(rates, span, y0, pid, max_steps).ys[-1]
+    return integrated(rates, span, y0, pid, MAX_STEPS).ys[-1]
 
 
 class Expansion(NamedTuple):

@@ -23,9 +23,9 @@ from .capture import LEVELS
 from .capture_times import clock_from
 from .ends import SlowEnd, certainty_of, slow_end
 from .motion import HALVINGS, SlowMotion, slow_motion
-from .planar_orbits import Settled, follow
+from .planar_orbits import PlanarMotion, Settled, follow, settle
 from .principal_axes import FreeRotation
-from .unfolding import LARGEST, PHASES, PlanarMotion, Top, entry_of, phases, settle
+from .unfolding import LARGEST, PHASES, Top, entry_of, phases
 
 TURNING = 2.0  # value of q above which no phase is captured
 SHIFT = 3.0  # distance of neighbours, in units of the error
