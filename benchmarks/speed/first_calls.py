@@ -70,6 +70,10 @@ def predicted() -> Any:
     return dt.predict(grain, dt.particles.start(grain, "1 GHz", momentum=[1, 1, 1]))
 
 
+def predicted_needle(*omega: float) -> Any:
+    return dt.predict(dt.axisymmetric(0.5), omega)
+
+
 CALLS = {
     "imports": Call(lambda _: importlib.import_module("diffrax")),
     "cylindrical": Call(lambda _: start()),
@@ -80,6 +84,8 @@ CALLS = {
     "sweep": Call(lambda _: swept(), 2.5),
     "residual_rotation": Call(lambda _: differentiated(), 6.0),
     "predict": Call(lambda _: predicted(), 6.0),
+    "predict, needle": Call(lambda _: predicted_needle(9e-10, 5e-10, 1e-9), 6.0),
+    "predict, its phase known": Call(lambda _: predicted_needle(9e-4, 5e-4, 1e-7), 6.0),
     "lines": Call(lambda _: dt.lines(dt.axisymmetric(-0.5), [0.0, 0.0, 2.0]), 2.0),
 }
 

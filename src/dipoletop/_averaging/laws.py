@@ -101,7 +101,7 @@ class ByChance(SlowFlow):
 
     def end(self, start: Start) -> End:
         """Return how a rotation ends."""
-        end = end_of_needle(*start, known_capture(self.delta))
+        end = _end_of_needle(*start, known_capture(self.delta), timed=True)
         return averaged_end(*start, self.needle) if np.isnan(end.half_time) else end
 
 
@@ -249,15 +249,26 @@ def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Arra
     return numbers_of(rotation, units, end, estimated_error(apart, motion, units.weakness))
 
 
-@compiled_soon
-def end_of_needle(variables: Variables, strength: Real, chance: Capture) -> End:
-    """Return how a needle ends whose capture is known; the half time is NaN if it comes late."""
+def end_of_needle(
+    variables: Variables, strength: Real, chance: Capture | None, timed: bool = False
+) -> End:
+    """Return how a needle ends.
+
+    Args:
+        variables: inertia, dipole and ω₀ in one vector.
+        strength: the k of κ = k d².
+        chance: its capture; None if its phase is known.
+        timed: whether the half time of a random phase is wanted; NaN if it comes late.
+    """
     rotation, units = scaled_rotation(variables, strength)
-    motion = slow_motion(rotation)
-    end = end_by_chance(*needle_start(rotation, units.weakness), chance)
+    start = needle_start(rotation, units.weakness)
+    end = end_of_phase(*start) if chance is None else end_by_chance(*start, chance)
+    motion = slow_motion(rotation) if timed else None
     end = needle_end(rotation, units.weakness, end, motion, followed=False)
-    error = estimated_error(rotation, motion, units.weakness)
-    return fields_of(numbers_of(rotation, units, end, error))
+    return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
+
+
+_end_of_needle = compiled_soon(end_of_needle)
 
 
 @compiled_soon

@@ -6,7 +6,6 @@ digits).
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -17,16 +16,10 @@ from jaxtyping import Array, Bool, Float
 from .._base.compiling import FOR_MANY, compiled_soon, special_numbers
 from .._base.parallel import pool
 from .._base.types import Outcome, Real, Regime
-from .capture import (
-    Capture,
-    TopEnd,
-    end_by_chance,
-    end_of_phase,
-    is_random,
-    known_capture,
-)
-from .ends import needle_end, needle_start, slow_end
+from .capture import is_random, known_capture
+from .ends import needle_start, slow_end
 from .estimates import error_of_phase, estimated_error, start_error
+from .laws import end_of_needle
 from .motion import SlowMotion
 from .predicted_ends import (
     LARGEST_ERROR,
@@ -93,12 +86,12 @@ def ends_of_many(
     needle = follow & (begin.delta != 0)
     if (lanes := np.flatnonzero(needle & ~begin.by_chance)).size:
         some = jax.tree.map(lambda x: x[lanes], starts)
-        put_ends(ends, lanes, in_chunks(_ends_of_phases, some, FEW))
+        put_ends(ends, lanes, in_chunks(_ends_of_needles, (*some, None), FEW))
     if (lanes := np.flatnonzero(needle & begin.by_chance)).size:
         shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
         chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(known_capture, shared))
         some = jax.tree.map(lambda x: x[lanes], starts)
-        put_ends(ends, lanes, in_chunks(_ends_by_chance, (*some, chances)))
+        put_ends(ends, lanes, in_chunks(_ends_of_needles, (*some, chances)))
     return ends
 
 
@@ -204,19 +197,4 @@ def _slow_ends(begin: _Begin, first: Stage, second: Stage, crosses: Bool[Array, 
     return fields_of(numbers_of(rotation, units, slow_end(apart, motion), averaging))
 
 
-@_of_lanes
-def _ends_of_phases(variables: Variables, strength: Real) -> End:
-    """Return the end of a needle of known phase."""
-    return _of_needle(variables, strength, end_of_phase)
-
-
-@_of_lanes
-def _ends_by_chance(variables: Variables, strength: Real, chance: Capture) -> End:
-    """Return the end of a needle of random phase, given the distribution of its capture."""
-    return _of_needle(variables, strength, functools.partial(end_by_chance, chance=chance))
-
-
-def _of_needle(variables: Variables, strength: Real, end_of: Callable[..., TopEnd]) -> End:
-    rotation, units = scaled_rotation(variables, strength)
-    end = needle_end(rotation, units.weakness, end_of(*needle_start(rotation, units.weakness)))
-    return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
+_ends_of_needles: Any = _of_lanes(end_of_needle)
