@@ -148,10 +148,13 @@ def first_law(inertia: Array, dipole: Array, omega: Array, strength: Real) -> La
     captured, and counts as no needle.
     """
     is_traced = not concrete(inertia, dipole, omega)
-    inertia, dipole, omega = jax.lax.stop_gradient((inertia, dipole, omega))
+    # In a trace the result of any operation, even on what is known, is traced.
+    inertia, dipole, omega = (
+        x if concrete(x) else jax.lax.stop_gradient(x) for x in (inertia, dipole, omega)
+    )
     if not concrete(inertia, dipole):
         return SlowFlow()
-    with jax.ensure_compile_time_eval():  # under `jit`, too
+    with jax.ensure_compile_time_eval():
         some = omega if (is_known := concrete(omega)) else np.ones(3)
         start = jnp.concatenate([jnp.ravel(x) for x in (inertia, dipole, some)])
         is_captured, is_random, delta = _is_captured(start, strength)
