@@ -40,11 +40,13 @@ from .predicted_ends import (
     End,
     Start,
     Variables,
+    end_from,
     fields_of,
     numbers_in_units,
     numbers_of,
     ordinary,
     scaled_rotation,
+    separate,
 )
 from .principal_axes import FreeRotation
 from .unfolded_ends import captured_end, half_time_of, known_end, order_error
@@ -224,9 +226,11 @@ def averaged_end(variables: Variables, strength: Real, needle: Needle) -> End:
         strength: the k of κ = k d².
         needle: what is known of the start.
     """
-    of_start = functools.partial(_numbers, needle)
-    values = forward_differentiable(of_start, one_by_one=True)(variables, strength)
-    return fields_of(values)
+
+    def of_start(variables: Variables, strength: Real) -> list[Array]:
+        return separate(_numbers(needle, variables, strength))
+
+    return end_from(forward_differentiable(of_start, one_by_one=True)(variables, strength))
 
 
 def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Array, "20"]:

@@ -42,7 +42,21 @@ class End(eqx.Module):
 
 def fields_of(values: Float[Array, "20"]) -> End:
     """Return an end from its numbers in one vector."""
+    return end_from(separate(values))
+
+
+def separate(values: Float[Array, "20"]) -> list[Array]:
+    """Divide the numbers of an end.
+
+    Derivatives that are NaN, as of an ω∞ that chance decides, then reach no other number.
+    """
     probability, quantiles, rest = jnp.split(values, [8, 13])
+    return [probability, quantiles, *rest]
+
+
+def end_from(numbers: list[Array]) -> End:
+    """Return an end from its separate numbers."""
+    probability, quantiles, *rest = numbers
     omega_inf, ratio, half_time, radiated, lifetime, regime, error = rest
     outcome, omega_inf = decided(probability, omega_inf, error)
     late = half_time, radiated, lifetime, regime.astype(int), error

@@ -11,7 +11,8 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
-Function = Callable[[Float[Array, "n"], Any], Float[Array, "..."]]
+Function = Callable[[Float[Array, "n"], Any], Any]
+"""A function from a vector and settings to arrays of floating-point numbers."""
 
 
 def forward_differentiable(function: Function, *, one_by_one: bool = False) -> Function:
@@ -28,13 +29,13 @@ def forward_differentiable(function: Function, *, one_by_one: bool = False) -> F
     values = jax.custom_batching.sequential_vmap(function) if one_by_one else function
 
     @jax.custom_jvp
-    def wrapped(x: Float[Array, "n"], settings: Any) -> Float[Array, "..."]:
+    def wrapped(x: Float[Array, "n"], settings: Any) -> Any:
         return values(x, settings)
 
     @wrapped.defjvp
     def rule(primals: Any, tangents: Any) -> Any:
         (x, settings), (change, _) = primals, tangents
-        jacobian = forward_differentiable(jax.jacfwd(function))
-        return wrapped(x, settings), jacobian(x, settings) @ change
+        jacobian = forward_differentiable(jax.jacfwd(function))(x, settings)
+        return wrapped(x, settings), jax.tree.map(lambda rows: rows @ change, jacobian)
 
     return wrapped
