@@ -51,7 +51,9 @@ def _escaped(text: str) -> str:
 
 def with_types(lines: list[str], owner: Any) -> list[str]:
     """The section "Attributes" with the type of each attribute."""
-    annotations = inspect.get_annotations(owner)
+    annotations: dict[str, Any] = {}
+    for base in reversed(inspect.getmro(owner)):
+        annotations |= inspect.get_annotations(base)
     found, inside = [], False
     for line in lines:
         inside = line == "Attributes:" or (inside and (line.startswith("    ") or not line))
