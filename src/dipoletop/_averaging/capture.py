@@ -55,6 +55,7 @@ NEAR = 1e-8  # distance from a saddle at which its stable manifold is straight
 NODES = 34  # nodes in s, including the two ends, where X = 0
 FINE = 8000  # intervals of s for the distribution
 PARTS = 512  # parts of equal probability
+STEPS_OF_PHASE = 16_384  # from a known phase; nearly spherical needles take more, and have no end
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of `Capture.log_quantiles`."""
 
@@ -303,7 +304,8 @@ def end_of_phase(delta: Scalar, omega0: Float[Array, "3"]) -> TopEnd:
     z = jnp.where(w3 == 0, 0.0, jnp.sign(w3) * jnp.exp(log_w3 - 2 * log_perp))
     phi = jnp.where(stops, 0.0, jnp.arctan2(w2, w1))
     zero = jnp.zeros_like(z)
-    known = settle(PlanarMotion(_within(delta), zero), jnp.stack([phi, z, zero]))
+    start = jnp.stack([phi, z, zero])
+    known = settle(PlanarMotion(_within(delta), zero), start, STEPS_OF_PHASE)
     residual = jnp.where(stops, 0.0, _share(known.residual))
     wobbling = jnp.where(stops, 0.0, _share(known.stops))
     found = (delta > 0) & (delta < 1) & (stops | known.residual | known.stops)

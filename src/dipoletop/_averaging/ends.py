@@ -27,8 +27,8 @@ from .stages import RTOL, Stage
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
 BEFORE_ENTRY = 1.5
-"""E over ω⊥²/2 at the entry above which the entry is sure to come later: u falls by less there
-within one turn."""
+"""E over ω⊥²/2 at the entry above which the entry is sure to come later: random phases have at most
+1.01 times ω⊥²/2 there on average."""
 
 
 class SlowEnd(NamedTuple):

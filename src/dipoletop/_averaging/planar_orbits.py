@@ -143,9 +143,9 @@ class PlanarMotion(NamedTuple):
         return jnp.append(target, state_after(slope, (y[0], target), y[1:]))
 
 
-def settle(plane: PlanarMotion, y: Float[Array, "3"]) -> Settled:
+def settle(plane: PlanarMotion, y: Float[Array, "3"], max_steps: int = MAX_STEPS) -> Settled:
     """Return the end of the orbit from a state."""
-    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y)).ys[-1]
+    y = follow(plane, y, lambda t, y, args, **_: plane.ended(y), max_steps).ys[-1]
     residual = plane.settles(y)
     _, left = plane.line(y)
     along = jnp.cos(y[0]) > 0

@@ -74,9 +74,8 @@ class _Course:
 
     def averaged(self) -> tuple[Law, End]:
         """Return the law from there on, the slow flow if it holds, and the end by it."""
-        if end := self.slow_end():
-            return self.first_law, end
-        return averaged_law_and_end(self.reached, self.first_law)
+        law, end = self.first_law, self.slow_end()
+        return (law, end) if end else averaged_law_and_end(self.reached, law)
 
     @property
     def first_law(self) -> Law:
