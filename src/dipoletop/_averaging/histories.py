@@ -127,14 +127,14 @@ def _on_orbit(orbit: PlaneOrbit, units: Units, times: Float[Array, "T"]) -> Valu
     def at(time: Real) -> tuple[Real, ...]:
         def early(sigma: Real) -> Real:
             state, u_time = orbit.at(sigma)
-            return jnp.log(u_time) - state[2] - jnp.log(time / orbit.unit)
+            return jnp.log(u_time) - state[2] - jnp.log(time / orbit.top.time_unit)
 
         sigma = root(early, jnp.full_like(time, 1e-300), orbit.last, HALVINGS)
         state, _ = orbit.at(sigma)
         omega = orbit.top.omega_at(state, orbit.top.log_u)
         momentum = jnp.linalg.norm(orbit.top.moments * omega)
         known = orbit.settled | (early(orbit.last) >= 0)
-        values = momentum, jnp.linalg.norm(omega), orbit.energy(state)
+        values = momentum, jnp.linalg.norm(omega), orbit.top.energy(state)
         return tuple(or_nan(x, known) for x in values)
 
     momentum, speed, energy = jax.vmap(at)(times / units.time)
@@ -167,7 +167,7 @@ def _after_orbit(
     state, u_time = orbit.at(sigma)
     handed, size = handed_over(rotation, top, state)
     handed, size = handed.replaced_where(~turns), size * top.flat * top.moment
-    later = times / units.time - u_time * jnp.exp(-state[2]) * orbit.unit
+    later = times / units.time - u_time * jnp.exp(-state[2]) * orbit.top.time_unit
     slow = _slow_values(handed, units.weakness * size)
     found = jax.vmap(slow)(jnp.maximum(later, 1e-300) * size**2)
     log, h, squared = or_nan(found, (turns & (later >= 0))[:, None]).T

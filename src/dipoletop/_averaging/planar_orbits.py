@@ -21,6 +21,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 from jaxtyping import Array, Bool, Float
 
 from .._base.guards import safe_divisor, safe_sqrt
@@ -40,6 +41,7 @@ HALF = 2.0  # ln u₀/u after which the energy has halved, if it falls to zero
 ON_AXIS = 1e-13
 FADED = 60.0  # ln u₀/u after which a needle above δ_c2 wobbles for ever; a captured one loses less
 RTOL = 1e-10
+ROUNDING = 1e-14
 
 Scalar = Float[Array, ""]
 
@@ -165,11 +167,21 @@ def entry_q(delta: Real, asymmetry: Real) -> Real:
 
 
 def follow(
-    field: Any, y0: Array, ends: Any, max_steps: int = MAX_STEPS, *, dense: bool = False
+    field: Any,
+    y0: Array,
+    ends: Any,
+    max_steps: int = MAX_STEPS,
+    *,
+    dense: bool = False,
+    exact: bool = False,
 ) -> Any:
-    """Return the solution of an autonomous system up to the first step after which `ends` holds."""
+    """Return the solution of an autonomous system up to the first step after which `ends` holds.
+
+    If `exact`, it is a number, and the solution ends where that becomes positive.
+    """
     pid, saveat = diffrax.PIDController(RTOL, RTOL), diffrax.SaveAt(t1=True, dense=dense)
-    options = {"saveat": saveat, "event": diffrax.Event(ends)}
+    finder = optimistix.Bisection(ROUNDING, ROUNDING, flip=False) if exact else None
+    options = {"saveat": saveat, "event": diffrax.Event(ends, finder)}
     return integrated(field, (0.0, jnp.inf), y0, pid, max_steps, 0.01, **options)
 
 

@@ -17,12 +17,11 @@ from jaxtyping import Array, Bool, Float
 
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
-from .._base.roots import root
 from .._base.types import RESIDUAL_FATES, Fate, Real
 from .capture import LEVELS
 from .capture_times import clock_from
 from .ends import SlowEnd, certainty_of, slow_end
-from .motion import HALVINGS, SlowMotion, slow_motion
+from .motion import SlowMotion, slow_motion
 from .planar_orbits import PlanarMotion, Settled, follow, settle
 from .principal_axes import FreeRotation
 from .unfolding import LARGEST, PHASES, Top, entry_of, phases
@@ -122,20 +121,13 @@ def half_time_of(top: Top, last_part: Real, shift: Float[Array, "3"]) -> Real:
         last_part: E∞/E₀.
         shift: what is added to the start.
     """
-    start = top.start + shift
-    orbit = orbit_of(top, start)
-    target = (1 + last_part) / 2
-
-    def lost(sigma: Real) -> Real:
-        state, _ = orbit.at(sigma)
-        return target - orbit.energy(state) / orbit.energy(start)
-
-    zero = jnp.zeros_like(target)
-    sigma = root(lost, zero, orbit.last, HALVINGS)
-    state, u_time = orbit.at(sigma)
-    half = or_nan(u_time * jnp.exp(-state[2]), lost(orbit.last) >= 0)
-    near, linear = PlanarMotion(top.delta, top.ratio).half_life(start)
-    return jnp.where(near, linear, half) * orbit.unit
+    start, plane = top.start + shift, PlanarMotion(top.delta, top.ratio)
+    half_lost = (1 + last_part) / 2 * top.energy(start)
+    y = follow_in_time(plane, start, lambda y: half_lost - top.energy(y[:3])).ys[-1]
+    reached = top.energy(y[:3]) <= half_lost * (1 + ORBITS)
+    half = or_nan(y[3] * jnp.exp(-y[2]), reached)
+    near, linear = plane.half_life(start)
+    return jnp.where(near, linear, half) * top.time_unit
 
 
 class PlaneOrbit(eqx.Module):
@@ -148,36 +140,40 @@ class PlaneOrbit(eqx.Module):
     settled: Bool[Array, ""]
     """Whether it is at the residual line by then."""
 
-    @property
-    def unit(self) -> Real:
-        """The unit 1/u₀ of τ, in that of `SlowMotion`."""
-        return 2 * self.top.moment / (self.top.omega[0] ** 2 + self.top.omega[1] ** 2)
-
     def at(self, sigma: Real) -> tuple[Float[Array, "3"], Real]:
         """Return the state at σ, and uτ."""
         y = self.path.evaluate(sigma)
         return y[:3], y[3]
 
-    def energy(self, state: Float[Array, "3"]) -> Real:
-        """Return the energy of a state over J₁u₀/2."""
-        return self.top.moments @ self.top.omega_at(state, self.top.log_u) ** 2
-
 
 def orbit_of(top: Top, start: Float[Array, "3"]) -> PlaneOrbit:
     """Return the orbit of a start (φ, z, ln u/u₀) whose phase is known."""
     plane = PlanarMotion(top.delta, top.ratio)
+    orbit = follow_in_time(plane, start)
+    settled = plane.settles(orbit.ys[-1], TIGHT)
+    return PlaneOrbit(top, orbit.interpolation, orbit.ts[-1], settled)
+
+
+def follow_in_time(plane: PlanarMotion, start: Float[Array, "3"], passed: Any = None) -> Any:
+    """Return the orbit of a start, with uτ as its fourth component.
+
+    Args:
+        plane: the system.
+        start: the start.
+        passed: a function of the state; the orbit ends where it becomes positive. None: the orbit
+            is kept, and ends when its end is known.
+    """
 
     def field(sigma: Any, y: Array, args: Any) -> Array:
         rate = plane(sigma, y)
         return jnp.append(rate, 1 + rate[2] * y[3])  # u dτ = dσ
 
-    def ends(sigma: Any, y: Array, args: Any, **_: Any) -> Bool[Array, ""]:
-        return plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
+    def ended(t: Any, y: Array, args: Any, **_: Any) -> Any:
+        is_known = plane.ended(y) & (~plane.settles(y) | plane.settles(y, TIGHT))
+        return is_known if passed is None else jnp.where(is_known, 1.0, passed(y))
 
-    y0 = jnp.append(start, 0.0)
-    orbit = follow(field, y0, ends, ORBIT_STEPS, dense=True)
-    settled = plane.settles(orbit.ys[-1], TIGHT)
-    return PlaneOrbit(top, orbit.interpolation, orbit.ts[-1], settled)
+    kept = passed is None
+    return follow(field, jnp.append(start, 0.0), ended, ORBIT_STEPS, dense=kept, exact=not kept)
 
 
 def handed_over(

@@ -69,6 +69,11 @@ class Top(NamedTuple):
         return 2 * (jnp.log(self.flat) + self.log_unit)
 
     @property
+    def time_unit(self) -> Real:
+        """The unit 1/u₀ of τ, in that of `SlowMotion`."""
+        return 2 * self.moment / self.flat**2
+
+    @property
     def ratio(self) -> Real:
         """The asymmetry η/u."""
         return jnp.where(self.eta == 0, 0.0, self.eta * jnp.exp(-self.log_u))
@@ -91,6 +96,10 @@ class Top(NamedTuple):
         flat = jnp.exp(fall / 2)
         third = z * jnp.exp(fall + log_u0 / 2)
         return jnp.stack([flat * jnp.cos(phi), flat * jnp.sin(phi), third])
+
+    def energy(self, y: Float[Array, "3"]) -> Real:
+        """Return the energy of a state in the units of `start`, over J₁u₀/2."""
+        return self.moments @ self.omega_at(y, self.log_u) ** 2
 
 
 def top_of(rotation: FreeRotation, axial: int, weakness: Real) -> Top:
