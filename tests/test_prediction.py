@@ -156,6 +156,7 @@ def test_a_dipole_on_the_middle_axis_stops_in_spin_or_tumbling(j2, fate):
     body = dt.Body(np.diag([0.3, j2, 1.0]), [0.0, 1.0, 0.0])
     predicted = dt.predict(body, [1e-13, 2e-13, 3e-12])
     assert predicted.probability[fate] == 1
+    assert predicted.fate == fate
 
 
 def test_a_sphere_has_the_exact_solution():

@@ -30,11 +30,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._averaging.ends import QUANTILES as QUANTILES
 from ._averaging.laws import averaged_law_and_end, first_law, law_of
-from ._averaging.predicted_ends import LARGEST_ERROR, End, Start
+from ._averaging.predicted_ends import CERTAIN, LARGEST_ERROR, End, Start
 from ._base.checks import (
     ArrayLike,
     concrete,
@@ -49,7 +49,7 @@ from ._base.pictured import Pictured
 from ._base.quantities import ANGULAR
 from ._base.refusals import refuse
 from ._base.summaries import duration, with_error
-from ._base.types import PREDICTED_FATES, Outcome, Regime
+from ._base.types import PREDICTED_FATES, Outcome, Regime, Stop, fate_of
 from ._runs.resolved_law import HANDOVER, Resolved, resolved_law
 from .bodies import Body
 from .particles import RADIATION, Particle
@@ -108,6 +108,14 @@ class Prediction(Pictured, End):
     """The k of κ = k d²: 1 for a `Body`."""
     balance: Balance | None = eqx.field(default=None, repr=False)
     """The other torques at the start; None if no surroundings were given."""
+
+    @property
+    def fate(self) -> Int[Array | np.ndarray, "*batch"]:
+        """The `Fate` with a probability above 1 − 1e-6; without one, what the outcome tells."""
+        xp: Any = np if concrete(self.outcome) else jnp
+        known = fate_of(self.outcome, Stop.NONE, xp.nan)
+        certain = (xp.max(self.probability, axis=-1) > CERTAIN) & (self.outcome > Outcome.UNDECIDED)
+        return xp.where(certain, xp.argmax(self.probability, axis=-1), known)
 
     def history(self, times: ArrayLike) -> History:
         """Return energy, angular momentum and speed at given times.

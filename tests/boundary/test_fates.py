@@ -18,6 +18,6 @@ def test_fates_tell_sense_of_rotation_and_kind_of_stop():
     stop = np.array([0, 0, 0, 0, 0, 1, 2, 4, 0])
     seen = {"outcome": outcome, "omega_inf": value, "stop": stop}
     basin = Basin(("point",), (9,), {}, seen, {})
-    names = ["FAILED", "UNDECIDED", "POSITIVE", "NEGATIVE", "UNDECIDED"]
+    names = ["FAILED", "UNDECIDED", "POSITIVE", "NEGATIVE", "RESIDUAL"]
     names += ["AXIS", "ROTATING", "TUMBLING", "STOP"]
     assert [Fate(number).name for number in boundary.fate(basin)] == names

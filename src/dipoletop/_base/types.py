@@ -6,7 +6,9 @@ from types import ModuleType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 Real = Float[Array, "*#lanes"]
@@ -57,11 +59,14 @@ class Fate(enum.IntEnum):
 
     A prediction has a probability for each member from POSITIVE to WOBBLING, in this order. A run
     knows a stop by its `Stop`, which tells no axis; it has the members from AXIS on, or WOBBLING.
+    Numbers below POSITIVE are those of motions whose fate is not known, or not in full.
     """
 
+    RESIDUAL = -3
+    """Residual rotation of unknown sense."""
     FAILED = -2
     UNDECIDED = -1
-    """No outcome, or a residual rotation whose sense is not known."""
+    """No outcome."""
     POSITIVE = 0
     """Residual rotation with ω∞ > 0."""
     NEGATIVE = 1
@@ -119,6 +124,20 @@ def implied_probability(outcome: Any, xp: ModuleType = np) -> Any:
     """
     residual = xp.where(outcome == Outcome.RESIDUAL, 1.0, 0.0)
     return xp.where(outcome > Outcome.UNDECIDED, residual, xp.nan)
+
+
+def fate_of(outcome: Any, stop: Any, omega_inf: Any) -> Any:
+    """Return the fates of runs, as numbers: the sense of a rotation follows from ω∞, if known.
+
+    In NumPy, unless an argument is traced.
+    """
+    xp: Any = jnp if isinstance(outcome, Tracer) else np
+    sense = xp.where(omega_inf < 0, Fate.NEGATIVE, Fate.RESIDUAL)
+    sense = xp.where(omega_inf > 0, Fate.POSITIVE, sense)
+    kinds = xp.asarray([Fate[kind.name] if kind else Fate.STOP for kind in Stop])
+    others = xp.where(outcome == Outcome.FAILED, Fate.FAILED, Fate.UNDECIDED)
+    fate = xp.where(outcome == Outcome.RESIDUAL, sense, others)
+    return xp.where(outcome == Outcome.STOP, kinds[xp.asarray(stop)], fate)
 
 
 class Verdict(NamedTuple):

@@ -23,6 +23,7 @@ from .._base.types import (
     Regime,
     Stop,
     Verdict,
+    fate_of,
     implied_probability,
 )
 from .._engines.interface import EndStates
@@ -77,6 +78,11 @@ class Classification(eqx.Module):
     slopes: Float[Array, "m *n"] | Float[np.ndarray, "m *n"] | None = None
     regime: Int[Array, "*n"] | Int[np.ndarray, "*n"] | None = None
     probability: Float[Array, "*n"] | Float[np.ndarray, "*n"] | None = None
+
+    @property
+    def fate(self) -> Int[Array, "*n"] | Int[np.ndarray, "*n"]:
+        """Members of `Fate`: outcome, kind of stop, and the sense of ω∞ if that is known."""
+        return fate_of(self.outcome, self.stop, self.omega_inf)
 
     def __repr__(self) -> str:
         """Return the numbers of a single run, or counts of many; if traced, the shapes."""

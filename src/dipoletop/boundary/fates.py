@@ -5,7 +5,7 @@ from jaxtyping import Int
 
 from .._base.checks import instance
 from .._base.refusals import refuse
-from .._base.types import Fate, Outcome, Stop
+from .._base.types import Fate, fate_of
 from .._maps.basin import Basin
 from .._maps.columns import MISSING
 
@@ -18,8 +18,7 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
             is a part of the fate.
 
     Returns:
-        Members of `Fate`, as numbers: UNDECIDED also where the sign of ω∞ is not known. Shape of
-        the basin.
+        Members of `Fate`, as numbers, in the shape of the basin.
 
     Raises:
         ValueError: `basin` is not a `Basin`, or an unfinished one.
@@ -34,18 +33,10 @@ def fate(basin: Basin) -> Int[np.ndarray, "*shape"]:
         ['POSITIVE', 'ROTATING', 'NEGATIVE']
     """
     instance("basin", basin, Basin)
-    outcome, value = basin.outcome.astype(int), basin.omega_inf
+    outcome = basin.outcome
     if missing := int(np.sum(outcome == MISSING["int8"])):
         refuse("basin", "be finished", f"lacks {missing} of its {outcome.size} starts")
-    fates = np.full(outcome.shape, int(Fate.UNDECIDED))
-    fates[outcome == Outcome.FAILED] = Fate.FAILED
-    residual = outcome == Outcome.RESIDUAL
-    fates[residual & (value > 0)] = Fate.POSITIVE
-    fates[residual & (value < 0)] = Fate.NEGATIVE
-    for kind in Stop:
-        found = (outcome == Outcome.STOP) & (basin.stop == kind)
-        fates[found] = Fate[kind.name] if kind else Fate.STOP
-    return fates
+    return fate_of(outcome, basin.stop, basin.omega_inf)
 
 
 def is_residual(fates: Int[np.ndarray, "*shape"]) -> np.ndarray:
