@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._base.compiling import FOR_MANY, compiled_soon, special_numbers
 from .._base.parallel import pool
@@ -19,7 +19,7 @@ from .._base.types import Outcome, Real, Regime
 from .capture import is_random, known_capture
 from .ends import needle_start, slow_end
 from .estimates import error_of_phase, estimated_error, start_error
-from .laws import end_of_needle
+from .laws import Needle, end_of_needle
 from .motion import SlowMotion
 from .predicted_ends import (
     LARGEST_ERROR,
@@ -52,9 +52,9 @@ class _Begin(NamedTuple):
     least_error: Real
     """The least error that the end can have."""
     delta: Real
-    """The δ of a needle; 0 for others."""
-    by_chance: Bool[Array, "*n"]
-    """Whether the phase of a needle is random (`is_random`)."""
+    """The δ of a needle."""
+    needle: Int[Array, "*n"]
+    """What is known of a start: the number of a member of `Needle`."""
 
 
 @special_numbers()
@@ -80,18 +80,16 @@ def ends_of_many(
     begin = in_chunks(_begin, starts)
     wanted = np.ones(len(omega0), bool) if wanted is None else wanted
     ends = unknown_ends(np.where(wanted, begin.least_error, np.inf))
-    follow = ~(ends.error > LARGEST_ERROR)
-    if (lanes := np.flatnonzero(follow & (begin.delta == 0))).size:
-        put_ends(ends, lanes, _followed(in_chunks, jax.tree.map(lambda x: x[lanes], begin)))
-    needle = follow & (begin.delta != 0)
-    if (lanes := np.flatnonzero(needle & ~begin.by_chance)).size:
-        some = jax.tree.map(lambda x: x[lanes], starts)
-        put_ends(ends, lanes, in_chunks(_ends_of_needles, (*some, None), FEW))
-    if (lanes := np.flatnonzero(needle & begin.by_chance)).size:
-        shared, places = np.unique(_nearly(begin.delta[lanes]), return_inverse=True)
-        chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(known_capture, shared))
-        some = jax.tree.map(lambda x: x[lanes], starts)
-        put_ends(ends, lanes, in_chunks(_ends_of_needles, (*some, chances)))
+    # One law for each start, chosen before any is followed.
+    law = np.where(ends.error > LARGEST_ERROR, 0, begin.needle)
+    for needle, ends_by in (
+        (Needle.NO, _ends_by_slow_flow),
+        (Needle.OF_KNOWN_PHASE, _ends_of_phases),
+        (Needle.BY_CHANCE, _ends_by_chance),
+    ):
+        if (lanes := np.flatnonzero(law == needle.value)).size:
+            some = jax.tree.map(lambda x: x[lanes], (starts, begin))
+            put_ends(ends, lanes, ends_by(in_chunks, *some))
     return ends
 
 
@@ -125,7 +123,7 @@ def unknown_ends(error: Float[np.ndarray, "N"]) -> End:
     return End(outcome, *numbers, regime, error)
 
 
-def _followed(in_chunks: Any, begin: _Begin) -> End:
+def _ends_by_slow_flow(in_chunks: Any, starts: Any, begin: _Begin) -> End:
     """Return the ends of starts that are no needles, by their motion on both sides."""
     still: Any = State(*np.zeros((2, len(begin.z))))  # pyright: ignore[reportArgumentType]
     no = np.zeros(len(begin.z), bool)
@@ -136,6 +134,18 @@ def _followed(in_chunks: Any, begin: _Begin) -> End:
         there = jax.tree.map(lambda x: x[lanes], there)
         put_ends(second, lanes, in_chunks(_stage, there))
     return in_chunks(_slow_ends, (begin, first, second, crosses))
+
+
+def _ends_of_phases(in_chunks: Any, starts: Any, begin: _Begin) -> End:
+    """Return the ends of needles whose phase is known."""
+    return in_chunks(_ends_of_needles, (*starts, None), FEW)
+
+
+def _ends_by_chance(in_chunks: Any, starts: Any, begin: _Begin) -> End:
+    """Return the ends of needles whose phase is random, with one capture for each δ."""
+    shared, places = np.unique(_nearly(begin.delta), return_inverse=True)
+    chances = jax.tree.map(lambda *x: np.stack(x)[places], *map(known_capture, shared))
+    return in_chunks(_ends_of_needles, (*starts, chances))
 
 
 def _in_chunks(threads: int, function: Any, arguments: Any, chunk: int = CHUNK) -> Any:
@@ -152,7 +162,7 @@ def _in_chunks(threads: int, function: Any, arguments: Any, chunk: int = CHUNK) 
     return jax.tree.map(lambda *x: np.concatenate(x)[:size], *parts)
 
 
-def _nearly(delta: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+def _nearly(delta: Any) -> Float[np.ndarray, "N"]:
     """Round to 13 digits: bodies in turned axes, whose δ differ by rounding, share a capture."""
     size = 10.0 ** np.floor(np.log10(np.where(delta > 0, delta, 1.0)))
     return np.round(delta / size, 12) * size
@@ -179,8 +189,9 @@ def _begin(variables: Variables, strength: Real) -> _Begin:
     error = jnp.where(apart.is_needle, jnp.minimum(error, phase), error)
     error = jnp.where(rotation.is_sphere | rotation.spin_axis[0], units.weakness**2, error)
     delta, omega = needle_start(apart, units.weakness)
-    delta, by_chance = jnp.where(apart.is_needle, delta, 0.0), is_random(delta, omega)
-    return _Begin(rotation, units, apart.side(high), z, high, error, delta, by_chance)
+    phase = jnp.where(is_random(delta, omega), Needle.BY_CHANCE.value, Needle.OF_KNOWN_PHASE.value)
+    needle = jnp.where(apart.is_needle, phase, Needle.NO.value)
+    return _Begin(rotation, units, apart.side(high), z, high, error, delta, needle)
 
 
 _stage = _of_lanes(functools.partial(stage_from, timed=False))
