@@ -19,7 +19,8 @@ from .memory_limits import largest_tile
 from .run_settings import RunSettings
 from .slow_runs import SlowFlow
 
-PIECE = 65536  # largest number of starts for an engine that need not compile for their number
+PIECE = 131_072  # largest number of starts for an engine that need not compile for their number
+SHARED = 4096  # starts for each thread up to which threads share a queue
 
 
 def classify_many(
@@ -88,7 +89,7 @@ def classify_many(
     first, threads = devices[0], len(devices)
     # Few runs share one queue, so that no thread waits for the longest runs of another. So do
     # labels, for which hardly any work is left outside the engine.
-    if engines[first].has_own_threads and (value is False or size <= PIECE * threads):
+    if engines[first].has_own_threads and (value is False or size <= SHARED * threads):
         return classify_block(*every_run, settings, Place(engines[first], first, threads))
     if engines[first].compiles_for_size:
         length = min(largest_tile(devices), power_of_two(-(-size // threads)))

@@ -172,7 +172,8 @@ def _gradient_by_neighbours(
             continue
         # The longest runs first, so that none of them is left alone at the end.
         lanes = lanes[np.argsort(-runs.steps[lanes], kind="stable")]
-        moved = np.asarray(starts)[:, lanes] + distance * directions[..., lanes]
+        # By `take`, whose arrays are contiguous along the lanes.
+        moved = np.take(starts, lanes, -1) + distance * np.take(directions, lanes, -1)
         found = run(lanes, limits.loosened(looser), moved).omega_inf
         changes = found / omega_inf[lanes] - 1
         linear = np.max(np.abs(changes), axis=0) <= LINEAR

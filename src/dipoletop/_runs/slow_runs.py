@@ -39,6 +39,7 @@ from ..equations._verdicts.transverse import has_boundary_at_rest
 from ..equations.levels import Level
 from ..equations.tangent import Tangent
 from .classification import Classification
+from .memory_limits import part_of
 from .run_lengths import (
     ROUNDING,
     WINDOWS,
@@ -136,7 +137,9 @@ class Origins(NamedTuple):
         with np.errstate(all="ignore"):
             phase = phase_of_needle(1 - delta, w3, w1**2 + w2**2)
         slow = (delta > 0) & (phase > left / steps_per_radian(rtol, label_only)[1])
-        return slow & self.may_have_law if slow.any() else slow
+        lanes = np.flatnonzero(slow)
+        slow[lanes] = part_of(self, lanes, slow.size).may_have_law
+        return slow
 
     def predictions(self, threads: int) -> "Predictions":
         """Return the predicted ends."""
