@@ -78,7 +78,7 @@ class _Recorder:
         return getattr(self.engine, name)
 
     def classify(self, finish: Any, queue: Any, device: Any, threads: int = 1) -> Any:
-        ended = self.engine.classify(finish, queue, device, threads)
+        ended, _ = self.engine.classify(finish, queue, device, threads)
         # Copies: the second pass writes its results into those of the first.
         kept = jax.tree.map(np.array, jax.device_get(ended))
         self.passes.append(Pass(int(np.sum(np.asarray(queue.limits.t1) > 0)), kept))

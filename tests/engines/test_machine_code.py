@@ -43,18 +43,18 @@ def fresh(**variables):
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the cache has another folder")
 def test_a_second_process_compiles_nothing_and_finds_the_same(tmp_path):
     functions, found = fresh(XDG_CACHE_HOME=tmp_path)
-    assert functions == 4  # three kernels and the loop
+    assert functions == 5  # four kernels and the loop
     assert fresh(XDG_CACHE_HOME=tmp_path) == (0, found)
     entries = list((tmp_path / "dipoletop").iterdir())
-    assert len(entries) == 4
+    assert len(entries) == 5
     content = entries[0].read_bytes()
     entries[0].write_bytes(content[:200] + bytes([content[200] ^ 1]) + content[201:])
     assert fresh(XDG_CACHE_HOME=tmp_path) == (1, found)
     assert entries[0].read_bytes() == content
-    assert fresh(XDG_CACHE_HOME=tmp_path, DIPOLETOP_CACHE="off") == (4, found)
+    assert fresh(XDG_CACHE_HOME=tmp_path, DIPOLETOP_CACHE="off") == (5, found)
     (tmp_path / "file").write_text("")
     # As in a home that cannot be written to; modes do not stop an administrator.
-    assert fresh(XDG_CACHE_HOME=tmp_path / "file") == (4, found)
+    assert fresh(XDG_CACHE_HOME=tmp_path / "file") == (5, found)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from dipoletop._engines.interface import Limits, Queue
 from dipoletop._engines.jax_engine import JaxEngine
 from dipoletop._engines.native_engine import NativeEngine
 from dipoletop._runs.label_doubt import finish_of
+from dipoletop._runs.memory_limits import part_of
 from limits_of_runs import limits as limits_of
 
 RNG = np.random.default_rng(11)
@@ -114,9 +115,29 @@ def test_threads_share_the_queue():
 
     def found(threads):
         queue = Queue(equation, starts, limits, "value")
-        return NativeEngine().classify(finish_of(True), queue, jax.devices()[0], threads)
+        return NativeEngine().classify(finish_of(True), queue, jax.devices()[0], threads)[0]
 
     jax.tree.map(np.testing.assert_array_equal, found(1), found(3))
+
+
+def test_a_paused_run_goes_on_as_if_it_had_not_been_paused():
+    """Also one that has taken no step; one that has ended after some steps stays as it is."""
+    equation, starts, limits = problem(dt.TransverseReduced, n=203)
+    rests = limits._replace(t1=jnp.where(jnp.arange(203) % 5 == 0, 0.0, limits.t1))
+
+    def found(limits, paused=None):
+        queue = Queue(equation, starts, limits, "value", paused)
+        device = jax.devices()[0]
+        return NativeEngine().classify(finish_of(True), queue, device, 2, pauses=True)
+
+    whole, _ = found(limits)
+    first, paused = found(rests._replace(max_steps=jnp.asarray(20)))
+    assert 10 < np.count_nonzero(first.runs.steps == 20) < 160
+    _, paused = found(limits._replace(max_steps=jnp.asarray(30)), paused)
+    later, _ = found(limits, paused)
+    lanes = np.flatnonzero(whole.runs.steps > 0)
+    here, there = (part_of(ended, lanes, 203) for ended in (later, whole))
+    jax.tree.map(np.testing.assert_array_equal, here, there)
 
 
 def test_after_an_interruption_no_thread_takes_another_start():

@@ -26,12 +26,12 @@ def little_memory(monkeypatch):
     def limited(engine, most, error):
         classify = engine.classify
 
-        def tight(self, finish, queue, *rest):
+        def tight(self, finish, queue, *rest, **options):
             size = queue.omegas.shape[1]
             tried.append(size)
             if size > most:
                 raise error
-            return classify(self, finish, queue, *rest)
+            return classify(self, finish, queue, *rest, **options)
 
         monkeypatch.setattr(engine, "classify", tight)
         return tried

@@ -11,6 +11,7 @@ from settling import Settling
 import dipoletop as dt
 from dipoletop import Outcome, Regime, Stop
 from dipoletop._averaging.untimed_ends import ends_of_many, unknown_ends
+from dipoletop._runs import slow_runs
 from dipoletop._runs.run_lengths import SlowMotions, slow_motions
 from dipoletop._runs.slow_runs import Origins, _stops, errors_of_needles
 
@@ -276,3 +277,22 @@ def test_an_equation_that_is_not_known_is_left_alone():
             call(OWN, start, slow_flow=True)
     found = dt.classify_many(OWN, jnp.ones((1, 3)), max_steps=1)
     assert (found.outcome[0], found.regime[0]) == (UNDECIDED, Regime.RESOLVED)
+
+
+def test_a_run_that_is_not_long_after_all_keeps_its_bytes(monkeypatch):
+    """It goes on from where it was paused, or begins again with the engine that cannot pause."""
+    rng = np.random.default_rng(8)
+    delta, omegas = rng.uniform(0.1, 0.4, 64), 0.3 * rng.normal(size=(64, 3))
+    tops = dt.TransverseSemi(jnp.asarray(delta))
+    monkeypatch.setattr(slow_runs, "FEW", 8)
+    monkeypatch.setattr(slow_runs, "PATIENCE_WITH_TOPS", 1e-4)
+    for value, engine in ((True, "native"), ("unchecked", "native"), ("unchecked", "jax")):
+        settings = {"value": value, "engine": engine}
+        found = dt.classify_many(tops, omegas, **settings)
+        whole = dt.classify_many(tops, omegas, **settings, slow_flow=False)
+        went_on = found.steps > 8
+        assert np.count_nonzero(went_on) > 16
+        assert np.all(np.isfinite(found.omega_inf) == np.isfinite(whole.omega_inf))
+        for name in ("outcome", "omega_inf", "omega_inf_error", "time", "steps"):
+            here, there = getattr(found, name), getattr(whole, name)
+            np.testing.assert_array_equal(here[went_on], there[went_on])

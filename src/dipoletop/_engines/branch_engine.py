@@ -24,6 +24,7 @@ class BranchEngine:
     name: ClassVar[str] = "branch"
     has_own_threads: ClassVar[bool] = False
     compiles_for_size: ClassVar[bool] = True
+    can_pause: ClassVar[bool] = False
 
     def end_states(
         self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
@@ -34,11 +35,19 @@ class BranchEngine:
         """
         return _integrate(equation, y0, limits, until)
 
-    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
+    def classify(
+        self,
+        finish: Finish[T],
+        queue: Queue,
+        device: Device,
+        threads: int = 1,
+        *,
+        pauses: bool = False,
+    ) -> tuple[T, None]:
         """Lift the starts, integrate along the branch, and apply `finish` to the end states."""
-        equation, omegas, limits, until = on_device(queue, device)
+        equation, omegas, limits, until, _ = on_device(queue, device)
         ends = self.end_states(equation, lifted(equation, omegas), limits, until=until)
-        return _finished(finish, equation, omegas, ends, limits.tolerances)
+        return _finished(finish, equation, omegas, ends, limits.tolerances), None
 
 
 @eqx.filter_jit

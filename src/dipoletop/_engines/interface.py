@@ -55,6 +55,21 @@ class EndStates(NamedTuple):
     """The steps of the wide and of the narrow block of lanes, if they were counted."""
 
 
+class Paused(NamedTuple):
+    """Where runs that are out of steps, or have taken none, go on; lanes on the trailing axis."""
+
+    y: Float[np.ndarray, "n N"]
+    f: Float[np.ndarray, "n N"]
+    """The rate at (t, y)."""
+    t: Float[np.ndarray, "N"]
+    compensation: Float[np.ndarray, "N"]
+    """The rounding error of t."""
+    h: Float[np.ndarray, "N"]
+    """Size of the next step."""
+    steps: Int[np.ndarray, "N"] | Float[np.ndarray, "N"]
+    status: Int[np.ndarray, "N"] | Float[np.ndarray, "N"]
+
+
 class Queue(NamedTuple):
     """N runs from ω₀; the array fields of the equation carry a trailing axis of N lanes."""
 
@@ -63,6 +78,8 @@ class Queue(NamedTuple):
     """Initial conditions; on a processor one with a subnormal component counts as NaN."""
     limits: Limits
     until: Until
+    paused: Paused | None = None
+    """Where the runs go on; None: they begin."""
 
 
 Finish = Callable[[DecidingEquation, Vector, EndStates, Tolerances], T]
@@ -90,6 +107,8 @@ class Engine(Protocol):
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
     compiles_for_size: ClassVar[bool]
     """Whether a new number of runs needs a compilation."""
+    can_pause: ClassVar[bool]
+    """Whether runs can go on from where they were out of steps; else they begin again."""
 
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
@@ -97,7 +116,15 @@ class Engine(Protocol):
         """Integrate from the states `y0`; the fields of the equation carry N lanes, too."""
         ...
 
-    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
+    def classify(
+        self,
+        finish: Finish[T],
+        queue: Queue,
+        device: Device,
+        threads: int = 1,
+        *,
+        pauses: bool = False,
+    ) -> tuple[T, Paused | None]:
         """Lift the starts ω₀, integrate the runs, and apply `finish` to the end states.
 
         Args:
@@ -105,6 +132,7 @@ class Engine(Protocol):
             queue: the runs; its arrays may be of JAX or NumPy, and on any device.
             device: where they are integrated.
             threads: how many threads share the queue, for an engine that has its own.
+            pauses: whether it is wanted where the runs would go on, if the engine can pause.
         """
         ...
 

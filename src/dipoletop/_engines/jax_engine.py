@@ -45,6 +45,7 @@ class JaxEngine:
     name: ClassVar[str] = "jax"
     has_own_threads: ClassVar[bool] = False
     compiles_for_size: ClassVar[bool] = True
+    can_pause: ClassVar[bool] = False
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
     width: int | None = None
 
@@ -55,10 +56,18 @@ class JaxEngine:
         platform = next(iter(y0.devices())).platform
         return _INTEGRATE[platform == "cpu"](equation, y0, limits, until, self.method(platform))
 
-    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
+    def classify(
+        self,
+        finish: Finish[T],
+        queue: Queue,
+        device: Device,
+        threads: int = 1,
+        *,
+        pauses: bool = False,
+    ) -> tuple[T, None]:
         """Lift, integrate and finish the runs in one program."""
         jitted, method = _CLASSIFY[device.platform == "cpu"], self.method(device.platform)
-        return jitted(finish, on_device(queue, device), method)
+        return jitted(finish, on_device(queue, device), method), None
 
     def method(self, platform: str) -> "_Method":
         """Return the solver, and the number of lanes of a block on a platform."""
@@ -67,7 +76,7 @@ class JaxEngine:
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
-    equation, starts, limits, until = queue
+    equation, starts, limits, until, _ = queue
     omegas = jnp.asarray(starts)
     ends = _integrate(equation, equation.lift(omegas), limits, until, method)
     return finish(equation, omegas, ends, limits.tolerances)

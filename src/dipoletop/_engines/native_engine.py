@@ -22,11 +22,11 @@ from jaxtyping import Array, Float
 
 from .._base.monitoring import report_compile_time
 from .._base.parallel import Device, pool
-from .._base.stopping import Until, prepared_verdicts
+from .._base.stopping import EXHAUSTED, RUNNING, Until, prepared_verdicts
 from .._base.tolerances import Tolerances
 from .._base.types import Equation
 from . import step
-from .interface import EndStates, Finish, Limits, Queue, T, Unsupported
+from .interface import EndStates, Finish, Limits, Paused, Queue, T, Unsupported
 from .jaxpr_to_llvm import compiled
 from .machine_code import MachineCode
 from .native_queue import KINDS, WIDTH, Job, loop
@@ -47,6 +47,7 @@ class NativeEngine:
     name: ClassVar[str] = "native"
     has_own_threads: ClassVar[bool] = True
     compiles_for_size: ClassVar[bool] = False
+    can_pause: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
     def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
@@ -71,13 +72,22 @@ class NativeEngine:
             Unsupported: the equation, or its verdict, has no straight-line code.
         """
         program = _program(equation, until, self.solver, n=y0.shape[0])
-        ends, block_steps = program.run(equation, y0, limits, threads=1)
+        queue = Queue(equation, y0, limits, until)  # pyright: ignore[reportArgumentType]
+        ends, _, block_steps = program.run(queue, threads=1)
         return ends._replace(block_steps=np.array([block_steps, 0]))
 
-    def classify(self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1) -> T:
+    def classify(
+        self,
+        finish: Finish[T],
+        queue: Queue,
+        device: Device,
+        threads: int = 1,
+        *,
+        pauses: bool = False,
+    ) -> tuple[T, Paused | None]:
         """Lift, integrate and finish the runs, in NumPy; the device is ignored."""
         program = _program(queue.equation, queue.until, self.solver, finish)
-        return program.run(queue.equation, queue.omegas, queue.limits, threads)[0]
+        return program.run(queue, threads, pauses)[:2]
 
 
 class _Table(NamedTuple):
@@ -113,6 +123,14 @@ class _Functions(NamedTuple):
         begun = step.begin(self.equation(lanes), y, limits, order, self.until)
         return table._replace(lanes=eqx.filter(begun, eqx.is_array))
 
+    def resume(self, table: _Table, shared: tuple[Array, Array]) -> _Table:
+        lanes = table.lanes
+        goes_on = (lanes.status == EXHAUSTED) | (lanes.steps == 0)
+        goes_on &= lanes.steps < shared[1].astype(lanes.steps.dtype)
+        status = jnp.where(goes_on, RUNNING, lanes.status).astype(lanes.status.dtype)
+        prepared = prepared_verdicts(self.equation(lanes))
+        return table._replace(lanes=replace(lanes, status=status, prepared=prepared))
+
     def advance(self, lanes: step.LaneState, shared: tuple[Array, Array]) -> step.LaneState:
         whole = replace(lanes, equation=self.equation(lanes))
         advanced = step.advance(whole, *shared, self.solver, self.until)
@@ -131,8 +149,8 @@ class _Functions(NamedTuple):
 class _Program:
     """Machine code for all equations of one structure."""
 
-    kernels: tuple[MachineCode, MachineCode, MachineCode]
-    """Machine code that begins, advances and finishes the runs of a block of lanes."""
+    kernels: tuple[MachineCode, MachineCode, MachineCode, MachineCode]
+    """Machine code that begins, resumes, advances and finishes the runs of a block of lanes."""
     rows: Any
     """A `_Table` in which a slice of rows replaces every array."""
     sizes: tuple[int, int, int]
@@ -173,6 +191,7 @@ class _Program:
         table, shared, result = jax.eval_shape(blank)
         kernels = (
             compiled(functions.begin, table, shared, WIDTH),
+            compiled(functions.resume, table, shared, WIDTH),
             compiled(functions.advance, table.lanes, shared, WIDTH),
             compiled(functions.finish, table, shared, WIDTH),
         )
@@ -182,44 +201,55 @@ class _Program:
         at_work = jax.tree.leaves((rows.lanes, rows.omegas))[-1].stop
         return cls(kernels, rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
-    def run(self, equation: Equation, starts: Any, limits: Limits, threads: int) -> tuple[Any, int]:
+    def run(
+        self, queue: Queue, threads: int, pauses: bool = False
+    ) -> tuple[Any, Paused | None, int]:
         """Integrate N runs.
 
         Args:
-            equation: the equation, with a trailing axis of N lanes on its arrays.
-            starts: whole states or ω₀, depending on the program, shape (..., N).
-            limits: tolerances, end times and budget.
+            queue: the runs; its starts are whole states or ω₀, depending on the program.
             threads: the largest number of threads that work off the queue.
+            pauses: whether it is wanted where they go on.
 
         Returns:
-            The result of `Finish`, and the number of steps of the blocks of lanes.
+            The result of `Finish`, where the runs go on, and the number of steps of the blocks of
+            lanes.
         """
+        equation, starts, limits, _, before = queue
         lanes, omegas, result = self.rows
         size = limits.t1.shape[0]
+        goes_on: Any = Paused(*(getattr(lanes, name) for name in Paused._fields))
         into = lanes.y if omegas is None else omegas, lanes.atol, lanes.t1, lanes.equation
         given = starts, limits.atol, limits.t1, eqx.filter(equation, _is_array)
+        if before is not None:
+            into, given = (*into, goes_on), (*given, before)
         given = jax.tree.map(lambda x: np.asarray(x, float).reshape(-1, size), given)
-        out = _empty(self.result, size)
+        out, paused = _empty(self.result, size), None
         inputs, outputs = _transfers(into, given), _transfers(result, out)
+        if pauses:
+            shapes: Any = (jax.ShapeDtypeStruct((x.stop - x.start, 1), float) for x in goes_on)
+            paused = _empty(Paused(*shapes), size)
+            outputs = np.concatenate([outputs, _transfers(goes_on, paused)])
         rows, *places = self.sizes
         shared = np.array([limits.rtol, limits.max_steps], float)
-        queue = np.zeros(1, np.int64)
+        taken = np.zeros(1, np.int64)
         tables = inputs.ctypes.data, len(inputs), outputs.ctypes.data, len(outputs)
-        kernels = (kernel.address for kernel in self.kernels)
-        known = *kernels, size, *places, queue.ctypes.data, *tables, shared.ctypes.data
+        begin, resume, *others = (kernel.address for kernel in self.kernels)
+        kernels = begin if before is None else resume, *others
+        known = *kernels, size, *places, taken.ctypes.data, *tables, shared.ctypes.data
 
         call, _ = loop()
 
         # An address does not keep its array: every thread holds the arrays until it ends.
-        def work(_arrays: Any = (given, out, inputs, outputs)) -> int:
+        def work(_arrays: Any = (given, out, paused, inputs, outputs)) -> int:
             blocks = np.zeros((3, rows, WIDTH))
             own = (block.ctypes.data for block in blocks)
             job = np.array(Job._make([*known, *own]), np.int64)
             return call(job.ctypes.data)  # without the lock of the interpreter
 
         threads = min(threads, -(-size // SHARE))
-        steps = _in_threads(work, threads, queue, size) if threads > 1 else work()
-        return out, steps
+        steps = _in_threads(work, threads, taken, size) if threads > 1 else work()
+        return out, paused, steps
 
 
 def _empty(result: Any, size: int) -> Any:

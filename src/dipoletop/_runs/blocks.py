@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from .._base.compiling import special_numbers
 from .._base.parallel import Device
 from .._base.types import DecidingEquation, Equation
-from .._engines.interface import Engine, Limits, Queue
+from .._engines.interface import Engine, Limits, Paused, Queue
 from ..equations._common import physical
 from .classification import Classification, stopping_rule
 from .conditioning import with_error_estimates, without_error_estimates
@@ -67,13 +67,13 @@ def _classified(
         slow = Origins.at_starts(equation, omegas).are_slow(limits, label_only)
     rest = limits._replace(t1=np.where(slow, 0.0, t1).astype(t1.dtype)) if slow.any() else limits
     rest = rest._replace(max_steps=first_budget(equation, limits))
-    ended = block.classified(rest)
+    ended = block.classified(rest, pauses=True)
     # Also to be predicted are runs that turn out to be long.
     slow = np.asarray((t1 > 0) & (slow | (ended.runs.steps >= rest.max_steps)))
     runs, again = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
     if again.size:
         equation, omegas = part_of((equation, omegas), again, size)
-        ended, slow = block.some_classified(again, limits), np.ones(again.size, bool)
+        ended, slow = block.some_classified(again, limits, ended.paused), np.ones(again.size, bool)
         more, _ = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
         runs = put_back(runs, again, more)
     return runs
@@ -125,12 +125,20 @@ class RunBlock:
     settings: RunSettings
     place: Place
 
-    def classified(self, limits: Limits) -> Ended:
-        """Return how all runs end; a run with t1 ≤ 0 by its first state."""
+    def classified(
+        self, limits: Limits, paused: Paused | None = None, *, pauses: bool = False
+    ) -> Ended:
+        """Return how all runs end; a run with t1 ≤ 0 by its first state.
+
+        Args:
+            limits: their limits.
+            paused: where the runs go on; None: they begin.
+            pauses: whether it is wanted where runs that are out of steps go on.
+        """
         value = self.settings.value
-        if value is False and self.settings.in_two_passes:
-            return self._outcomes(limits)
-        ended = self.run(limits)
+        if value is False and self.settings.in_two_passes and paused is None:
+            return self._outcomes(limits, pauses)
+        ended = self.run(limits, paused, pauses)
         if value is False:
             return ended
         if value is True:
@@ -140,22 +148,22 @@ class RunBlock:
             runs = without_error_estimates(ended.runs, value, np)
         return ended._replace(runs=runs)
 
-    def _outcomes(self, limits: Limits) -> Ended:
+    def _outcomes(self, limits: Limits, pauses: bool) -> Ended:
         """Return how runs end whose outcome alone is wanted.
 
         There are two passes, unless the second one would cost as much without the first.
         """
         factor = LOOSE / float(limits.rtol)
         if factor <= 1 or self.place.engine.compiles_for_size or not made_twice(self.equation):
-            return self.run(limits)
+            return self.run(limits, pauses=pauses)
         brief = limits.loosened(factor)._replace(max_steps=np.minimum(BRIEF, limits.max_steps))
-        ended = self.run(brief)
+        ended = self.run(brief, pauses=pauses)
         doubt: Any = ended.doubt
         lanes = np.flatnonzero((doubt >= CERTAIN) & (np.asarray(limits.t1) > 0))
-        return put_back(ended, lanes, self.run_some(lanes, limits)) if lanes.size else ended
+        return put_back(ended, lanes, self.run_some(lanes, limits, pauses)) if lanes.size else ended
 
-    def some_classified(self, lanes: Lanes, limits: Limits) -> Ended:
-        """Return how some runs end.
+    def some_classified(self, lanes: Lanes, limits: Limits, paused: Paused | None) -> Ended:
+        """Return how some runs end, from where all were paused, if they were.
 
         If a new number of runs would need a compilation, all are passed and the others rest.
         """
@@ -163,7 +171,7 @@ class RunBlock:
         if self.place.engine.compiles_for_size:
             return part_of(self.classified(_only(lanes, limits, size)), lanes, size)
         block, limits = self.part(lanes, limits)
-        return block.classified(limits)
+        return block.classified(limits, part_of(paused, lanes, size))
 
     def part(self, lanes: Lanes, limits: Limits) -> tuple["RunBlock", Limits]:
         """Return some of the runs, and their limits."""
@@ -171,20 +179,21 @@ class RunBlock:
         equation, omegas, limits = parts
         return replace(self, equation=equation, omegas=omegas), limits
 
-    def run(self, limits: Limits) -> Ended:
-        """Make all runs; the result is in NumPy."""
+    def run(self, limits: Limits, paused: Paused | None = None, pauses: bool = False) -> Ended:
+        """Make all runs, see `classified`; the result is in NumPy."""
         value, (engine, device, threads) = self.settings.value, self.place
-        queue = Queue(self.equation, self.omegas, limits, stopping_rule(self.equation, value))
-        # All arrays in one transfer.
-        return jax.device_get(engine.classify(finish_of(value), queue, device, threads))
+        until = stopping_rule(self.equation, value)
+        queue = Queue(self.equation, self.omegas, limits, until, paused)
+        ended, paused = engine.classify(finish_of(value), queue, device, threads, pauses=pauses)
+        return jax.device_get(ended)._replace(paused=paused)  # all arrays in one transfer
 
-    def run_some(self, lanes: Lanes, limits: Limits) -> Ended:
+    def run_some(self, lanes: Lanes, limits: Limits, pauses: bool = False) -> Ended:
         """Make some of the runs, as in `some_classified`."""
         size = self.omegas.shape[1]
         if self.place.engine.compiles_for_size:
             return part_of(self.run(_only(lanes, limits, size)), lanes, size)
         block, limits = self.part(lanes, limits)
-        return block.run(limits)
+        return block.run(limits, pauses=pauses)
 
     def run_around(
         self, lanes: Lanes, limits: Limits, starts: Float[np.ndarray, "k 3 some"]

@@ -29,7 +29,7 @@ from .._base.guards import safe_divisor
 from .._base.linalg import length, scale
 from .._base.tolerances import Tolerances
 from .._base.types import DecidingEquation, Flag, Outcome, Real, Vector, Verdict
-from .._engines.interface import EndStates, Finish
+from .._engines.interface import EndStates, Finish, Paused
 from ..equations._common import has_body_field
 from ..equations._families import LONGITUDINAL, TRANSVERSE
 from ..equations._verdicts.transverse import has_boundary, has_boundary_at_rest
@@ -54,6 +54,8 @@ class Ended(NamedTuple):
     """Doubt of each label (module docstring); only for `value=False`; inf without a label."""
     around: Vicinity | None = None
     """The vicinity of the starts; only if ω∞ is wanted."""
+    paused: Paused | None = None
+    """Where runs that are out of steps go on, if that was wanted and the engine can pause."""
 
 
 def finish_of(value: Value) -> Finish[Ended]:

@@ -59,7 +59,7 @@ LEAST_RATIO = 0.03
 """The L∞/L₀ that is assumed before the slow flow is computed; runs that slow down further are
 found when they have taken many steps. If it were smaller, more runs would be predicted in vain:
 that costs as much as a few of them, and seconds of compilation the first time."""
-PATIENCE, PATIENCE_WITH_TOPS = 0.3, 0.1
+PATIENCE, PATIENCE_WITH_TOPS = 0.2, 0.1
 """Parts of the budget after which it is estimated anew how long a run of a body or top will be."""
 FEW = 1000  # steps that cost about as much as a prediction
 MARGIN = 0.75  # part of the budget: runs with a larger estimate rarely take less than half of it
