@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import dipoletop as dt
 from dipoletop._averaging.capture_times import clock_of_needle
+from dipoletop._averaging.ends import time_of_needle
 
 STARTS = 256
 
@@ -63,3 +64,23 @@ def test_half_of_the_mean_energy_of_random_phases_is_lost_at_the_half_time(delta
     off = (at_half - wanted) / (after - before) / 10  # relative to the half time
     assert 5e-4 < predicted.error < 0.01
     assert abs(off) < predicted.error
+
+
+@pytest.mark.parametrize(("delta", "omega"), [(0.2, [1.0, 0.3, 4.0]), (0.9, [0.2, 0.1, 3.0])])
+def test_a_half_time_before_the_capture_is_that_of_the_averaged_equations(delta, omega):
+    """By (4.13) and (4.14), with u = ω⊥² and v = ω₃²; the unit of its time is τ₀/2."""
+    u, v = omega[0] ** 2 + omega[1] ** 2, omega[2] ** 2
+
+    def rates(t, y):
+        u, v = y
+        fall = u + (1 + delta + delta**2) * v
+        return [-u * fall, -v * ((2 + delta) * u + 2 * v) / (1 - delta)]
+
+    def energy(t, y):
+        return y[0] + (1 - delta) * y[1] - 0.7 * (u + (1 - delta) * v)
+
+    energy.terminal = True
+    settings = {"rtol": 1e-12, "atol": 1e-14, "method": "DOP853", "events": energy}
+    run = solve_ivp(rates, (0, 100), [u, v], **settings)
+    found = jax.jit(time_of_needle)(jnp.asarray(delta), jnp.asarray(omega), jnp.asarray(0.7))
+    assert found / 2 == pytest.approx(run.t[-1], rel=1e-10)

@@ -13,17 +13,20 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._base.checks import or_nan
 from .._base.guards import safe_divisor
+from .._base.roots import root
 from .._base.types import PREDICTED_FATES, Fate, Real
+from ..exact.averaged_quadrature import AveragedOrbit, mesh
 from .capture import LEVELS as QUANTILES
 from .capture import TopEnd
 from .capture_times import clock_of_needle
 from .estimates import estimated_error, rate_error
 from .free_rotation import gaps_of
-from .motion import Point, SlowMotion
+from .motion import HALVINGS, Point, SlowMotion
 from .planar_orbits import ENTRY, Expansion, entry_q
 from .principal_axes import FreeRotation
 from .stages import RTOL, Stage
 
+LONGEST = 1e4  # parameter of the averaged orbit at which its energy is sure to be lost
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
 BEFORE_ENTRY = 1.5
@@ -186,7 +189,7 @@ def needle_end(
     end: TopEnd,
     motion: SlowMotion | None = None,
     *,
-    followed: bool = True,
+    timed: bool = False,
 ) -> SlowEnd:
     """Return how the rotation of a needle ends.
 
@@ -197,9 +200,10 @@ def needle_end(
         rotation: its two larger moments are equal.
         weakness: κL₀/J₃².
         end: the end of the `needle_start` in the limit of small amplitude.
-        motion: its slow motion, if the half time of a random phase is wanted.
-        followed: whether random phases are followed from their entry into the plane on. If not, a
-            half time after it is NaN.
+        motion: its slow motion, if the half time of a random phase is wanted at any cost: random
+            phases are followed from their entry into the plane on.
+        timed: whether it is wanted if it comes before that entry, so that it follows from (4.16);
+            else it is NaN.
     """
     # The logarithm of |ω₀|J₃/L₀ leads from |ω∞|/|ω₀| to L∞/L₀.
     shift = jnp.log(jnp.linalg.norm(rotation.momentum / rotation.moments))
@@ -208,20 +212,22 @@ def needle_end(
     residual = end.along + end.against
     last_energy = jnp.where(residual > 0, residual * squares / 2, 0.0)
     half_time, error = jnp.full_like(energy, jnp.nan), end.capture.error
-    if motion is not None:
-        delta, _ = needle_start(rotation, weakness)
+    if timed or motion is not None:
+        delta, omega = needle_start(rotation, weakness)
         q = entry_q(delta, jnp.zeros_like(delta))
         log_square = 2 * (end.log_scale + shift - Expansion(-1.5 * delta / (1 - delta)).log_w(q))
         square = jnp.exp(jnp.where(end.random, log_square, 0.0))
         last = jnp.where(end.random, 2 * last_energy / safe_divisor(square), 0.0)
         half, late = (energy + last_energy) / 2, jnp.zeros_like(error)
-        if followed:
+        if motion is not None:
             averaging = estimated_error(rotation, motion, weakness)
             clock = clock_of_needle(delta, last)
             half_time, late = clock.time_at(motion, half, averaging, square)
+            half_time = or_nan(half_time, ~motion.failed)
         else:
-            half_time = or_nan(motion.time_at(half), half > BEFORE_ENTRY * square / 2)
-        half_time = or_nan(half_time, end.random & ~motion.failed)
+            half_time = time_of_needle(delta, omega / weakness, half / energy)
+            half_time = or_nan(half_time, half > BEFORE_ENTRY * square / 2)
+        half_time = or_nan(half_time, end.random)
         error += jnp.where(end.random, late, 0.0)
     log_mean = jnp.log(safe_divisor(residual)) + end.capture.log_mean + shift
     zero = jnp.zeros_like(residual)
@@ -244,6 +250,25 @@ def needle_end(
         ~end.random,
         error,
     )
+
+
+def time_of_needle(delta: Real, omega: Float[Array, "3"], part: Real) -> Real:
+    """Return the time at which the energy of a needle has fallen to a part of E₀, by (4.16).
+
+    With u = ω⊥² and v = ω₃², E is proportional to u + (1 − δ)v.
+    """
+    w1, w2, w3 = omega
+    square = w1**2 + w2**2 + w3**2
+    orbit = AveragedOrbit(delta, (w1**2 + w2**2) / square, w3**2 / square, prolate=True)
+
+    def energy(x: Real) -> Real:
+        point = orbit.point(x)
+        return orbit.u * jnp.exp(point.log_u) + (1 - delta) * orbit.v * jnp.exp(point.log_v)
+
+    zero = jnp.zeros_like(part)
+    first = energy(zero)
+    x = root(lambda x: part - energy(x) / first, zero, zero + LONGEST, HALVINGS)
+    return 2 * mesh(orbit, x)[1][-1] / square
 
 
 def needle_start(rotation: FreeRotation, weakness: Real) -> tuple[Real, Float[Array, "3"]]:

@@ -270,8 +270,7 @@ def end_of_needle(
     rotation, units = scaled_rotation(variables, strength)
     start = needle_start(rotation, units.weakness)
     end = end_of_phase(*start) if chance is None else end_by_chance(*start, chance)
-    motion = slow_motion(rotation) if timed else None
-    end = needle_end(rotation, units.weakness, end, motion, followed=False)
+    end = needle_end(rotation, units.weakness, end, timed=timed)
     return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
 
 

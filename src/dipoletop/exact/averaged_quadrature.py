@@ -52,6 +52,8 @@ class AveragedOrbit(NamedTuple):
     delta: Scalar
     u: Scalar
     v: Scalar
+    prolate: bool = False
+    """Whether it is known beforehand that 0 < δ < 1, so that only one form need be compiled."""
 
     @property
     def a(self) -> Scalar:
@@ -70,6 +72,8 @@ class AveragedOrbit(NamedTuple):
 
     def point(self, x: Scalars) -> Point:
         """Return the point at the parameter x ≥ 0."""
+        if self.prolate:
+            return _unbounded(self, x)
         falls, constant = self.direction < 0, self.direction == 0
         which = jnp.where(falls, 0, jnp.where(constant, 1, jnp.where(self.a < 0, 2, 3)))
         return jax.lax.switch(which, (_falling, _constant, _rising, _unbounded), self, x)
