@@ -4,7 +4,8 @@ A run turns about 1/(τ₀Ω) times before its outcome is certain, so its cost g
 the amplitude falls. Where the estimated number of steps exceeds the budget, the engine only tests
 the first state, and averages over free rotation (`_averaging`) predict what it does not decide.
 That number (`run_lengths`) depends on L∞, which the averages give. So a run of a body whose length
-is not clear is begun, and averages are computed when it has taken a part of its budget.
+is not clear is begun, and paused when it has taken a part of its budget, for the averages to tell
+whether it goes on.
 
 A law holds only while little is radiated in a period. A run that brakes too fast for it at ω₀ is
 predicted from the state that it has reached. That gives its outcome but not ω∞, which depends on
