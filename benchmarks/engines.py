@@ -77,12 +77,12 @@ class _Recorder:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.engine, name)
 
-    def classify(self, finish: Any, queue: Any, device: Any, threads: int = 1) -> Any:
-        ended, _ = self.engine.classify(finish, queue, device, threads)
+    def classify(self, finish: Any, queue: Any, *place: Any, pauses: bool = False) -> Any:
+        ended, paused = self.engine.classify(finish, queue, *place, pauses=pauses)
         # Copies: the second pass writes its results into those of the first.
         kept = jax.tree.map(np.array, jax.device_get(ended))
         self.passes.append(Pass(int(np.sum(np.asarray(queue.limits.t1) > 0)), kept))
-        return ended
+        return ended, paused
 
 
 @contextlib.contextmanager

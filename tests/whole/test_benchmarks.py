@@ -77,8 +77,8 @@ def test_labels_that_only_the_second_pass_has_right_are_counted(monkeypatch):
     kept = label_doubt.judged(middles, truth)
     run = blocks.RunBlock.run
 
-    def without_doubt(block, limits):
-        ended = run(block, limits)
+    def without_doubt(block, *arguments, **options):
+        ended = run(block, *arguments, **options)
         return ended._replace(doubt=np.where(ended.runs.outcome > 0, 0.0, ended.doubt))
 
     monkeypatch.setattr(blocks.RunBlock, "run", without_doubt)
