@@ -60,23 +60,25 @@ def _classified(
     """Return the classifications of all N runs at once, each by the law that is chosen for it."""
     block = RunBlock(physical(equation), omegas, settings, place)
     if settings.slow_flow is False or why_unpredictable(equation):
-        return block.classified(limits).runs
+        ended = block.integrated(limits)
+        return block.with_errors(ended.runs, ended.around, limits)
     every, label_only, t1 = settings.slow_flow is True, settings.value is False, limits.t1
     slow, size = np.ones(omegas.shape[1], bool), omegas.shape[1]
     if not every:
         slow = Origins.at_starts(equation, omegas).are_slow(limits, label_only)
     rest = limits._replace(t1=np.where(slow, 0.0, t1).astype(t1.dtype)) if slow.any() else limits
     rest = rest._replace(max_steps=first_budget(equation, limits))
-    ended = block.classified(rest, pauses=True)
+    ended = block.integrated(rest, pauses=True)
+    around = ended.around
     # Also to be predicted are runs that turn out to be long.
     slow = np.asarray((t1 > 0) & (slow | (ended.runs.steps >= rest.max_steps)))
     runs, again = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
     if again.size:
         equation, omegas = part_of((equation, omegas), again, size)
-        ended, slow = block.some_classified(again, limits, ended.paused), np.ones(again.size, bool)
+        ended, slow = block.some_integrated(again, limits, ended.paused), np.ones(again.size, bool)
         more, _ = _filled_in(equation, omegas, ended, slow, limits, settings, place.threads)
         runs = put_back(runs, again, more)
-    return runs
+    return block.with_errors(runs, around, limits)
 
 
 def _filled_in(
@@ -125,7 +127,7 @@ class RunBlock:
     settings: RunSettings
     place: Place
 
-    def classified(
+    def integrated(
         self, limits: Limits, paused: Paused | None = None, *, pauses: bool = False
     ) -> Ended:
         """Return how all runs end; a run with t1 ≤ 0 by its first state.
@@ -135,18 +137,26 @@ class RunBlock:
             paused: where the runs go on; None: they begin.
             pauses: whether it is wanted where runs that are out of steps go on.
         """
-        value = self.settings.value
-        if value is False and self.settings.in_two_passes and paused is None:
+        in_passes = self.settings.value is False and self.settings.in_two_passes
+        if in_passes and paused is None:
             return self._outcomes(limits, pauses)
-        ended = self.run(limits, paused, pauses)
+        return self.run(limits, paused, pauses)
+
+    def with_errors(self, runs: Classification, around: Any, limits: Limits) -> Classification:
+        """Add the errors of the integration, if ω∞ is wanted.
+
+        Args:
+            runs: the runs.
+            around: the vicinity of their starts.
+            limits: the limits of their neighbours.
+        """
+        value = self.settings.value
         if value is False:
-            return ended
+            return runs
         if value is True:
-            around: Any = self.omegas, ended.around
-            runs = with_error_estimates(ended.runs, self.run_around, around, limits)
-        else:
-            runs = without_error_estimates(ended.runs, value, np)
-        return ended._replace(runs=runs)
+            given = self.omegas, around
+            return with_error_estimates(runs, self.run_around, given, limits)
+        return without_error_estimates(runs, value, np)
 
     def _outcomes(self, limits: Limits, pauses: bool) -> Ended:
         """Return how runs end whose outcome alone is wanted.
@@ -162,16 +172,16 @@ class RunBlock:
         lanes = np.flatnonzero((doubt >= CERTAIN) & (np.asarray(limits.t1) > 0))
         return put_back(ended, lanes, self.run_some(lanes, limits, pauses)) if lanes.size else ended
 
-    def some_classified(self, lanes: Lanes, limits: Limits, paused: Paused | None) -> Ended:
+    def some_integrated(self, lanes: Lanes, limits: Limits, paused: Paused | None) -> Ended:
         """Return how some runs end, from where all were paused, if they were.
 
         If a new number of runs would need a compilation, all are passed and the others rest.
         """
         size = self.omegas.shape[1]
         if self.place.engine.compiles_for_size:
-            return part_of(self.classified(_only(lanes, limits, size)), lanes, size)
+            return part_of(self.integrated(_only(lanes, limits, size)), lanes, size)
         block, limits = self.part(lanes, limits)
-        return block.classified(limits, part_of(paused, lanes, size))
+        return block.integrated(limits, part_of(paused, lanes, size))
 
     def part(self, lanes: Lanes, limits: Limits) -> tuple["RunBlock", Limits]:
         """Return some of the runs, and their limits."""
@@ -180,7 +190,7 @@ class RunBlock:
         return replace(self, equation=equation, omegas=omegas), limits
 
     def run(self, limits: Limits, paused: Paused | None = None, pauses: bool = False) -> Ended:
-        """Make all runs, see `classified`; the result is in NumPy."""
+        """Make all runs, see `integrated`; the result is in NumPy."""
         value, (engine, device, threads) = self.settings.value, self.place
         until = stopping_rule(self.equation, value)
         queue = Queue(self.equation, self.omegas, limits, until, paused)
@@ -188,7 +198,7 @@ class RunBlock:
         return jax.device_get(ended)._replace(paused=paused)  # all arrays in one transfer
 
     def run_some(self, lanes: Lanes, limits: Limits, pauses: bool = False) -> Ended:
-        """Make some of the runs, as in `some_classified`."""
+        """Make some of the runs, as in `some_integrated`."""
         size = self.omegas.shape[1]
         if self.place.engine.compiles_for_size:
             return part_of(self.run(_only(lanes, limits, size)), lanes, size)

@@ -51,7 +51,7 @@ from .._base.checks import or_nan
 from .._base.guards import safe_divisor
 from .._base.linalg import inverse, largest, length, scale, trace
 from .._base.tolerances import Tolerances
-from .._base.types import Equation, Outcome, Vector
+from .._base.types import Equation, Outcome, Regime, Vector
 from .._engines.interface import Limits
 from ..equations._common import has_body_field, omega_scale_of
 from ..equations.longitudinal import LongitudinalReduced, LongitudinalSemi
@@ -173,7 +173,7 @@ def _gradient_by_neighbours(
         # The longest runs first, so that none of them is left alone at the end.
         lanes = lanes[np.argsort(-runs.steps[lanes], kind="stable")]
         # By `take`, whose arrays are contiguous along the lanes.
-        moved = np.take(starts, lanes, -1) + distance * np.take(directions, lanes, -1)
+        moved = np.take(np.asarray(starts), lanes, -1) + distance * np.take(directions, lanes, -1)
         found = run(lanes, limits.loosened(looser), moved).omega_inf
         changes = found / omega_inf[lanes] - 1
         linear = np.max(np.abs(changes), axis=0) <= LINEAR
@@ -238,9 +238,9 @@ def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) 
 
 
 def is_integrated(runs: Classification) -> Any:
-    """Return whether ω∞ was integrated, which means not 0, not constant, not known at once."""
+    """Return whether ω∞ was integrated: not 0, constant, known at once, or predicted."""
     rotates = (runs.outcome == Outcome.RESIDUAL) & (runs.steps > 0)
-    return rotates & (runs.omega_inf_error != 0)
+    return rotates & (runs.omega_inf_error != 0) & (runs.regime == Regime.RESOLVED)
 
 
 def is_larger_than_its_error(runs: Classification, gradient: Any, tolerances: Tolerances) -> Any:

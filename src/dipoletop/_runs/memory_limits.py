@@ -71,7 +71,7 @@ def part_of(tree: T, lanes: Lanes, size: int) -> T:
 
     def chosen(leaf: Any) -> Any:
         is_lanewise = eqx.is_array_like(leaf) and np.shape(leaf)[-1:] == (size,)
-        return np.take(leaf, lanes, -1) if is_lanewise else leaf
+        return np.take(np.asarray(leaf), lanes, -1) if is_lanewise else leaf
 
     return jax.tree.map(chosen, tree)
 
