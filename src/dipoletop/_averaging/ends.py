@@ -26,7 +26,6 @@ from .planar_orbits import ENTRY, Expansion, entry_q
 from .principal_axes import FreeRotation
 from .stages import RTOL, Stage
 
-LONGEST = 1e4  # parameter of the averaged orbit at which its energy is sure to be lost
 EXCESS = 1e-8
 """(E₀ − E∞)/E₀ below which it decays as next to its limit, to this relative error."""
 BEFORE_ENTRY = 1.5
@@ -255,7 +254,8 @@ def needle_end(
 def time_of_needle(delta: Real, omega: Float[Array, "3"], part: Real) -> Real:
     """Return the time at which the energy of a needle has fallen to a part of E₀, by (4.16).
 
-    With u = ω⊥² and v = ω₃², E is proportional to u + (1 − δ)v.
+    With u = ω⊥² and v = ω₃², E is proportional to u + (1 − δ)v. Both fall at least as
+    ξ^{−(1−δ)/(1+2δ)}, ξ = u/v.
     """
     w1, w2, w3 = omega
     square = w1**2 + w2**2 + w3**2
@@ -265,9 +265,9 @@ def time_of_needle(delta: Real, omega: Float[Array, "3"], part: Real) -> Real:
         point = orbit.point(x)
         return orbit.u * jnp.exp(point.log_u) + (1 - delta) * orbit.v * jnp.exp(point.log_v)
 
-    zero = jnp.zeros_like(part)
+    zero, latest = jnp.zeros_like(part), -1.01 * jnp.log(part) * orbit.a / (1 - delta)
     first = energy(zero)
-    x = root(lambda x: part - energy(x) / first, zero, zero + LONGEST, HALVINGS)
+    x = root(lambda x: part - energy(x) / first, zero, latest, HALVINGS)
     return 2 * mesh(orbit, x)[1][-1] / square
 
 

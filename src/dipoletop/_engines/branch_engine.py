@@ -24,7 +24,6 @@ class BranchEngine:
     name: ClassVar[str] = "branch"
     has_own_threads: ClassVar[bool] = False
     compiles_for_size: ClassVar[bool] = True
-    can_pause: ClassVar[bool] = False
 
     def end_states(
         self, equation: Any, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"

@@ -107,8 +107,6 @@ class Engine(Protocol):
     """Whether `classify` divides one queue among `threads`; else its caller divides the runs."""
     compiles_for_size: ClassVar[bool]
     """Whether a new number of runs needs a compilation."""
-    can_pause: ClassVar[bool]
-    """Whether runs can go on from where they were out of steps; else they begin again."""
 
     def end_states(
         self, equation: Equation, y0: Float[Array, "n N"], limits: Limits, *, until: Until = "value"
@@ -132,7 +130,11 @@ class Engine(Protocol):
             queue: the runs; its arrays may be of JAX or NumPy, and on any device.
             device: where they are integrated.
             threads: how many threads share the queue, for an engine that has its own.
-            pauses: whether it is wanted where the runs would go on, if the engine can pause.
+            pauses: whether it is wanted where the runs would go on.
+
+        Returns:
+            The result of `finish`, and where the runs go on; None if that is not wanted, or if with
+            this engine runs can only begin again.
         """
         ...
 

@@ -45,7 +45,6 @@ class JaxEngine:
     name: ClassVar[str] = "jax"
     has_own_threads: ClassVar[bool] = False
     compiles_for_size: ClassVar[bool] = True
-    can_pause: ClassVar[bool] = False
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
     width: int | None = None
 

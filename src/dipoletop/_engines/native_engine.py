@@ -47,7 +47,6 @@ class NativeEngine:
     name: ClassVar[str] = "native"
     has_own_threads: ClassVar[bool] = True
     compiles_for_size: ClassVar[bool] = False
-    can_pause: ClassVar[bool] = True
     solver: diffrax.AbstractERK = field(default_factory=diffrax.Dopri8)
 
     def prepare(self, equation: Equation, until: Until, finish: Finish[Any] | None = None) -> None:
