@@ -94,14 +94,14 @@ def watched(run, together):
         used.extend(device.id for device in devices)
         meeting.wait(300)
 
-    def native(engine, finish, queue, device, threads=1):
+    def native(engine, finish, queue, device, threads=1, **options):
         met([device])
-        return in_machine_code(engine, finish, queue, device, threads)
+        return in_machine_code(engine, finish, queue, device, threads, **options)
 
-    def in_jax(engine, finish, queue, device, threads=1):
-        found = by_jax(engine, finish, queue, device, threads)
+    def in_jax(engine, finish, queue, device, threads=1, **options):
+        found, paused = by_jax(engine, finish, queue, device, threads, **options)
         met(jax.tree.leaves(found)[0].devices())
-        return found
+        return found, paused
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NativeEngine, "classify", native)
