@@ -16,6 +16,7 @@ from dipoletop._averaging.laws import (
     averaged_end,
     averaged_law_and_end,
     coverage,
+    half_time_from,
     unfolded_end,
 )
 from dipoletop._averaging.planar_orbits import Expansion, PlanarMotion, entry_q, settle
@@ -163,3 +164,33 @@ def test_slow_flow_and_unfolding_agree_within_their_errors():
             np.testing.assert_allclose(end.ratio_quantiles[1:], slow.ratio, rtol=float(slow.error))
             assert best.error == jnp.minimum(slow.error, end.error)
     assert set(regimes) == {dt.Regime.SLOW_FLOW, dt.Regime.UNFOLDED}
+
+
+def test_a_half_time_of_known_phase_is_that_of_the_equations():
+    """The semi-reduced level by another integrator; any L∞/L₀ tells which energy is half."""
+    delta, omega, ratio = 0.5, np.array([9e-7, 5e-7, 2e-13]), 0.9
+    inertia = np.array([1.0, 1.0, 1 - delta])
+
+    def energy(w):
+        return inertia @ w**2 / 2
+
+    last = (ratio * np.linalg.norm(inertia * omega)) ** 2 / 2
+    half = (energy(omega) + last) / 2 / energy(omega)
+
+    def rates(t, w):
+        w1, w2, w3 = w
+        right = [
+            -delta * w1 * w3 - (w @ w + delta * (1 + delta) * w3**2) * w2,
+            -(w @ w - delta * w2**2) * w3,
+        ]
+        left = np.array([[1, 2 * w1], [-2 * w1, 1 - delta]])
+        return [delta * w2 * w3, *np.linalg.solve(left, right)]
+
+    def above(t, w):
+        return energy(w) / energy(omega) - half
+
+    above.terminal = True
+    settings = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-24, "events": above}
+    run = solve_ivp(rates, (0, 1e15), omega, **settings)
+    found = half_time_from(_variables(delta, 0.0, omega), ONE, jnp.asarray(ratio))
+    assert float(found) == pytest.approx(run.t[-1], rel=1e-5)

@@ -15,6 +15,7 @@ from dipoletop._base.stopping import FINISHED
 from dipoletop._base.tolerances import Tolerances
 from dipoletop._engines.interface import EndStates
 from dipoletop._runs.classification import Classification, classification_of
+from dipoletop._runs.conditioning import is_integrated
 from dipoletop.equations.tangent import Tangent
 
 RESIDUAL, STOP = Outcome.RESIDUAL, Outcome.STOP
@@ -106,6 +107,12 @@ RESULT = Classification(
 
 def changed(**fields):
     return dataclasses.replace(RESULT, **{name: jnp.asarray(x) for name, x in fields.items()})
+
+
+def test_only_an_integrated_value_has_an_error_of_the_integration():
+    assert is_integrated(changed(regime=0))
+    for other in ({"regime": 1}, {"steps": 0}, {"omega_inf_error": 0.0}, {"outcome": STOP}):
+        assert not is_integrated(changed(**({"regime": 0} | other)))
 
 
 @pytest.mark.parametrize(

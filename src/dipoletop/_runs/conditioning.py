@@ -226,9 +226,7 @@ def without_error_estimates(runs: Classification, value: Value, xp: ModuleType) 
     Without `value` ω∞ is NaN unless it is constant. `xp` is NumPy or its counterpart in JAX.
     """
     if value:
-        # Where ω∞ itself is not known yet, its error stays NaN.
-        unknown = is_integrated(runs) & ~xp.isnan(runs.omega_inf)
-        omega_inf = runs.omega_inf
+        unknown, omega_inf = is_integrated(runs), runs.omega_inf
     else:
         unknown = (runs.outcome == Outcome.RESIDUAL) & (runs.omega_inf_error != 0)
         omega_inf = xp.where(unknown, xp.nan, runs.omega_inf)
