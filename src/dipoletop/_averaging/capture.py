@@ -124,7 +124,7 @@ def capture(delta: Scalar) -> Capture:
     points, count = computed_at(delta, jnp)
 
     def add(number: Any, found: Float[Array, "4 n"]) -> Float[Array, "4 n"]:
-        return found.at[number].set(distribution(points[number]))
+        return found.at[number].set(distribution(*residual_orbits(points[number])))
 
     none = jnp.zeros((points.size, 2 + PARTS), points.dtype)
     return capture_from(delta, jax.lax.fori_loop(0, count, add, none))
@@ -166,15 +166,15 @@ def known_capture(delta: float) -> Capture:
 
 @functools.lru_cache(maxsize=1024)
 def _kept_distribution(delta: float) -> np.ndarray:
-    return np.asarray(_distribution(jnp.asarray(delta)))
+    return distribution(*map(np.asarray, residual_orbits(jnp.asarray(delta))))
 
 
 _capture_from = compiled_soon(capture_from)
 
 
-@jax.jit
-def distribution(delta: Scalar) -> Float[Array, "n"]:
-    """Compute the probability of residual rotation, ln of the mean X, and ln X in `PARTS` parts."""
+@compiled_soon
+def residual_orbits(delta: Scalar) -> tuple[Scalar, Float[Array, "n"]]:
+    """Return the probability of residual rotation, and ln X at the inner `NODES` in s."""
     expansion = Expansion(-1.5 * delta / (1 - delta))
     first, residual = _residual_turns(delta, expansion)
     s = jnp.asarray(collocation_rule(NODES).nodes)
@@ -182,20 +182,26 @@ def distribution(delta: Scalar) -> Float[Array, "n"]:
     plane, zero = PlanarMotion(delta, jnp.zeros_like(delta)), jnp.zeros_like(q)
     ends = jax.vmap(functools.partial(settle, plane))(jnp.stack([zero, q / (2 * delta), zero], 1))
     log_x = ends.log_ratio - expansion.log_w(q)
-    log_x = or_nan(log_x, jnp.all(ends.residual))
-    largest = jnp.max(log_x)
-    values = jnp.pad(jnp.exp(log_x - largest), 1)
-    coefficients = collocation_rule(NODES).coefficients @ values
+    return residual, or_nan(log_x, jnp.all(ends.residual))
+
+
+def distribution(residual: Any, log_x: Any) -> Any:
+    """Return the probability of residual rotation, ln of the mean X, and ln X in `PARTS` parts.
+
+    Args:
+        residual: the probability.
+        log_x: ln X at the inner nodes in s; at the two ends X = 0. In NumPy nothing is compiled.
+    """
+    xp = namespace(residual, log_x)
+    largest = xp.max(log_x)
+    coefficients = collocation_rule(NODES).coefficients @ xp.pad(xp.exp(log_x - largest), 1)
     fine = _middles(FINE)
     x = np.polynomial.chebyshev.chebvander(2 * fine - 1, NODES - 1) @ coefficients
     weights = np.sin(np.pi * fine)
-    weights = jnp.asarray(weights / np.sum(weights))
-    order = jnp.argsort(x)
-    x, part = jnp.maximum(x[order], jnp.finfo(x.dtype).tiny), weights[order]
-    return jnp.append(residual, largest + _log_means(part, x))
-
-
-_distribution = compiled_soon(distribution)
+    order = xp.argsort(x)
+    x = xp.maximum(x[order], np.finfo(x.dtype).tiny)
+    part = xp.asarray(weights / np.sum(weights))[order]
+    return xp.append(residual, largest + _log_means(part, x))
 
 
 def _log_means(weights: Any, x: Any) -> Any:
