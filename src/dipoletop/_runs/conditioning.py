@@ -65,7 +65,7 @@ GROWTH, ENOUGH = 8.0, 20.0  # measured; relative error over rtol with which the 
 NEIGHBOUR_RTOLS = 1e4, 1e3, 1e2, 1e1  # rtol of the neighbours over the run's, in successive tries
 LARGEST_RTOL = 1e-4  # largest rtol of the neighbours
 DISTANCE = 2.0  # h over the rtol of the neighbours
-LARGEST_PHASE = 0.04  # h · steps: beyond, neighbours may differ by a whole rotation
+LARGEST_PHASE = 0.1  # h · steps: beyond, neighbours may differ by a whole rotation
 SINGLE_RTOL, SINGLE_DISTANCE = 10.0, 30.0  # for one start: rtol over the run's; distance over rtol
 LINEAR = 0.2  # largest relative change of ω∞ that still gives a gradient
 
