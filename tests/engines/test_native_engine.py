@@ -126,9 +126,9 @@ def test_a_paused_run_goes_on_as_if_it_had_not_been_paused():
     rests = limits._replace(t1=jnp.where(jnp.arange(203) % 5 == 0, 0.0, limits.t1))
 
     def found(limits, paused=None):
-        queue = Queue(equation, starts, limits, "value", paused)
+        queue = Queue(equation, starts, limits, "value", paused, pauses=True)
         device = jax.devices()[0]
-        return NativeEngine().classify(finish_of(True), queue, device, 2, pauses=True)
+        return NativeEngine().classify(finish_of(True), queue, device, 2)
 
     whole, _ = found(limits)
     first, paused = found(rests._replace(max_steps=jnp.asarray(20)))

@@ -26,12 +26,12 @@ def little_memory(monkeypatch):
     def limited(engine, most, error):
         classify = engine.classify
 
-        def tight(self, finish, queue, *rest, **options):
+        def tight(self, finish, queue, *rest):
             size = queue.omegas.shape[1]
             tried.append(size)
             if size > most:
                 raise error
-            return classify(self, finish, queue, *rest, **options)
+            return classify(self, finish, queue, *rest)
 
         monkeypatch.setattr(engine, "classify", tight)
         return tried

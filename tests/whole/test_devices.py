@@ -94,12 +94,12 @@ def watched(run, together):
         used.extend(device.id for device in devices)
         meeting.wait(300)
 
-    def native(engine, finish, queue, device, threads=1, **options):
+    def native(engine, finish, queue, device, threads=1):
         met([device])
-        return in_machine_code(engine, finish, queue, device, threads, **options)
+        return in_machine_code(engine, finish, queue, device, threads)
 
-    def in_jax(engine, finish, queue, device, threads=1, **options):
-        found, paused = by_jax(engine, finish, queue, device, threads, **options)
+    def in_jax(engine, finish, queue, device, threads=1):
+        found, paused = by_jax(engine, finish, queue, device, threads)
         met(jax.tree.leaves(found)[0].devices())
         return found, paused
 

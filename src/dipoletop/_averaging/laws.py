@@ -158,7 +158,7 @@ def first_law(inertia: Array, dipole: Array, omega: Array, strength: Real) -> La
         return SlowFlow()
     with jax.ensure_compile_time_eval():
         some = omega if (is_known := concrete(omega)) else np.ones(3)
-        start = np.concatenate([np.ravel(x) for x in (inertia, dipole, some)])
+        start = jnp.asarray(np.concatenate([np.ravel(x) for x in (inertia, dipole, some)]))
         is_captured, is_random, delta = _is_captured(start, strength)
         if not is_captured:
             return SlowFlow(Needle.NO)

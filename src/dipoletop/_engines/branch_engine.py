@@ -35,16 +35,10 @@ class BranchEngine:
         return _integrate(equation, y0, limits, until)
 
     def classify(
-        self,
-        finish: Finish[T],
-        queue: Queue,
-        device: Device,
-        threads: int = 1,
-        *,
-        pauses: bool = False,
+        self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1
     ) -> tuple[T, None]:
         """Lift the starts, integrate along the branch, and apply `finish` to the end states."""
-        equation, omegas, limits, until, _ = on_device(queue, device)
+        equation, omegas, limits, until, *_ = on_device(queue, device)
         ends = self.end_states(equation, lifted(equation, omegas), limits, until=until)
         return _finished(finish, equation, omegas, ends, limits.tolerances), None
 

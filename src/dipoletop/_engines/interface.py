@@ -80,6 +80,8 @@ class Queue(NamedTuple):
     until: Until
     paused: Paused | None = None
     """Where the runs go on; None: they begin."""
+    pauses: bool = False
+    """Whether it is wanted where runs that are out of steps would go on."""
 
 
 Finish = Callable[[DecidingEquation, Vector, EndStates, Tolerances], T]
@@ -115,13 +117,7 @@ class Engine(Protocol):
         ...
 
     def classify(
-        self,
-        finish: Finish[T],
-        queue: Queue,
-        device: Device,
-        threads: int = 1,
-        *,
-        pauses: bool = False,
+        self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1
     ) -> tuple[T, Paused | None]:
         """Lift the starts ω₀, integrate the runs, and apply `finish` to the end states.
 
@@ -130,11 +126,10 @@ class Engine(Protocol):
             queue: the runs; its arrays may be of JAX or NumPy, and on any device.
             device: where they are integrated.
             threads: how many threads share the queue, for an engine that has its own.
-            pauses: whether it is wanted where the runs would go on.
 
         Returns:
-            The result of `finish`, and where the runs go on; None if that is not wanted, or if with
-            this engine runs can only begin again.
+            The result of `finish`, and where the runs go on; None if that is not wanted, or if
+            with this engine runs can only begin again.
         """
         ...
 
@@ -143,6 +138,7 @@ def on_device(queue: Queue, device: Device) -> Any:
     """Return the queue with its arrays on a device, for JAX."""
     if device.platform == "cpu" and np.any(lost := subnormal(queue.omegas)):
         queue = queue._replace(omegas=np.where(lost, np.nan, queue.omegas))
+    queue = queue._replace(pauses=False)  # JAX would compile once more
     arrays, rest = eqx.partition(queue, lambda x: eqx.is_array(x) or isinstance(x, np.ndarray))
     return eqx.combine(jax.device_put(arrays, device), rest)
 

@@ -56,13 +56,7 @@ class JaxEngine:
         return _INTEGRATE[platform == "cpu"](equation, y0, limits, until, self.method(platform))
 
     def classify(
-        self,
-        finish: Finish[T],
-        queue: Queue,
-        device: Device,
-        threads: int = 1,
-        *,
-        pauses: bool = False,
+        self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1
     ) -> tuple[T, None]:
         """Lift, integrate and finish the runs in one program."""
         jitted, method = _CLASSIFY[device.platform == "cpu"], self.method(device.platform)
@@ -75,7 +69,7 @@ class JaxEngine:
 
 
 def _classify(finish: Finish[T], queue: Queue, method: _Method) -> T:
-    equation, starts, limits, until, _ = queue
+    equation, starts, limits, until, *_ = queue
     omegas = jnp.asarray(starts)
     ends = _integrate(equation, equation.lift(omegas), limits, until, method)
     return finish(equation, omegas, ends, limits.tolerances)

@@ -76,17 +76,11 @@ class NativeEngine:
         return ends._replace(block_steps=np.array([block_steps, 0]))
 
     def classify(
-        self,
-        finish: Finish[T],
-        queue: Queue,
-        device: Device,
-        threads: int = 1,
-        *,
-        pauses: bool = False,
+        self, finish: Finish[T], queue: Queue, device: Device, threads: int = 1
     ) -> tuple[T, Paused | None]:
         """Lift, integrate and finish the runs, in NumPy; the device is ignored."""
         program = _program(queue.equation, queue.until, self.solver, finish)
-        return program.run(queue, threads, pauses)[:2]
+        return program.run(queue, threads)[:2]
 
 
 class _Table(NamedTuple):
@@ -200,21 +194,18 @@ class _Program:
         at_work = jax.tree.leaves((rows.lanes, rows.omegas))[-1].stop
         return cls(kernels, rows, (ends[-1], at_work, rows.lanes.status.start), result)
 
-    def run(
-        self, queue: Queue, threads: int, pauses: bool = False
-    ) -> tuple[Any, Paused | None, int]:
+    def run(self, queue: Queue, threads: int) -> tuple[Any, Paused | None, int]:
         """Integrate N runs.
 
         Args:
             queue: the runs; its starts are whole states or ω₀, depending on the program.
             threads: the largest number of threads that work off the queue.
-            pauses: whether it is wanted where they go on.
 
         Returns:
             The result of `Finish`, where the runs go on, and the number of steps of the blocks of
             lanes.
         """
-        equation, starts, limits, _, before = queue
+        equation, starts, limits, _, before, pauses = queue
         lanes, omegas, result = self.rows
         size = limits.t1.shape[0]
         goes_on: Any = Paused(*(getattr(lanes, name) for name in Paused._fields))

@@ -193,8 +193,8 @@ class RunBlock:
         """Make all runs, see `integrated`; the result is in NumPy."""
         value, (engine, device, threads) = self.settings.value, self.place
         until = stopping_rule(self.equation, value)
-        queue = Queue(self.equation, self.omegas, limits, until, paused)
-        ended, paused = engine.classify(finish_of(value), queue, device, threads, pauses=pauses)
+        queue = Queue(self.equation, self.omegas, limits, until, paused, pauses)
+        ended, paused = engine.classify(finish_of(value), queue, device, threads)
         return jax.device_get(ended)._replace(paused=paused)  # all arrays in one transfer
 
     def run_some(self, lanes: Lanes, limits: Limits, pauses: bool = False) -> Ended:
