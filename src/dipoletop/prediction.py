@@ -214,7 +214,9 @@ def predict(
         dE/dt = −κ⟨|n₂|²⟩,   d(L²)/dt = −2κ⟨L·(n₁×n₂)⟩,   averaged over free rotation,
 
     with n₁, n₂ the derivatives of the dipole's direction n in space. May be jitted, vmapped, and
-    differentiated with respect to the inertia, the dipole and ω₀.
+    differentiated with respect to the inertia, the dipole and ω₀. By the inertia of a body with
+    equal moments, a derivative holds for changes that keep its principal axes; of an UNFOLDED
+    rotation, for those that keep the moments equal.
 
     Args:
         body: a `Body` (dimensionless), or a `Particle` (SI).

@@ -1,7 +1,9 @@
 """Averages over free rotation: against sampled averages of the radiation, in extended precision."""
 
+import jax
 import jax.numpy as jnp
 import mpmath as mp
+import numpy as np
 import pytest
 
 from dipoletop._averaging.free_rotation import averages
@@ -67,3 +69,18 @@ def test_averages_are_those_of_the_free_rotation(name, reverse):
                 size = max(map(abs, exact))  # near a zero of F only its place is certain
                 for v, e in zip(here, exact, strict=True):
                     assert abs(float(v) - e) < 1e-12 * abs(e) + 2e-16 * size, (place, v, e)
+
+
+@pytest.mark.parametrize("moments", [(1.0, 1.0, 0.5), (1.0, 1.0, 1.6)])
+def test_derivatives_of_a_top_are_those_of_its_neighbours(moments):
+    """By x, and by each moment: also by one of the two equal ones alone."""
+
+    def rates(numbers):
+        j, x = numbers[:3], numbers[3]
+        return jnp.concatenate(averages(j, x, 1 - x))
+
+    at, step = np.array([*moments, 0.3]), 1e-5
+    slopes = jax.jacfwd(rates)(jnp.asarray(at))
+    for k, change in enumerate(step * np.eye(4)):
+        numeric = (rates(at + change) - rates(at - change)) / (2 * step)
+        np.testing.assert_allclose(slopes[:, k], numeric, rtol=1e-7, atol=1e-8)

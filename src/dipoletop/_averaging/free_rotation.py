@@ -74,6 +74,10 @@ def averages(
         x: (h − c)/Db, from 0 to 1.
         rest: 1 − x, to its own relative accuracy.
     """
+    # Of a top the closed form gives values and derivatives by x; the general one those by moments.
+    is_top, fixed = moments[0] == moments[1], jax.lax.stop_gradient
+    exact = _averages_of_top(fixed(moments), x, rest)
+    x, rest = (jnp.where(is_top, fixed(number), number) for number in (x, rest))
     a, b, c = p = components(1 / moments)
     to_a, to_b, a_to_b, q, m, m1 = path(moments, x, rest)
     h = rest * c + x * b
@@ -102,18 +106,17 @@ def averages(
         growth = torques[k] * (with_j + turned * p[j]) - torques[j] * (with_k + turned * p[k])
         return r, growth - (losses[j] + losses[k])
 
-    r, growth = map(jnp.stack, zip(*map(of_dipole, range(3)), strict=True))
-    exact = _averages_of_top(moments, x, rest)
-    is_top = moments[0] == moments[1]
-    return jnp.where(is_top, _valued(exact[0], r), r), jnp.where(
-        is_top, _valued(exact[1], growth), growth
+    every = map(jnp.stack, zip(*map(of_dipole, range(3)), strict=True))
+    r, growth = (
+        jnp.where(is_top, known + _change(found), found)
+        for known, found in zip(exact, every, strict=True)
     )
+    return r, growth
 
 
-def _valued(exact: Array, value: Array) -> Array:
-    """Return exact numbers with the derivatives of others, where these are finite."""
-    value = jnp.where(jnp.isfinite(value), value, 0.0)
-    return exact + (value - jax.lax.stop_gradient(value))
+def _change(value: Array) -> Array:
+    """Return 0 with the derivatives of numbers, where these are finite."""
+    return jnp.where(jnp.isfinite(value), value - jax.lax.stop_gradient(value), 0.0)
 
 
 def _averages_of_top(

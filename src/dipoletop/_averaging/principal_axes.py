@@ -143,7 +143,7 @@ def free_rotation(
     off = cross(n, inertia @ n)
     is_principal = dot(off, off) <= (rounding(off) * trace(inertia)) ** 2
     along, lean = _along_axis(moments, axes.T @ n)
-    axes = jnp.where(is_principal, _turned(axes, along, n), axes)
+    axes = jnp.where(is_principal, _turned(axes, along, n, moments), axes)
     direction, dropped = _without_rounding(axes.T @ n, turns)
     direction = jnp.where(is_principal, along, direction)
     rate = axes.T @ omega
@@ -168,9 +168,16 @@ def _along_axis(moments: Float[Array, "3"], n: Float[Array, "3"]) -> tuple[Array
     return along, _norm(across)
 
 
-def _turned(axes: Float[Array, "3 3"], along: Array, n: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Turn axes (columns) the shortest way, so that `along`, in these axes, becomes n."""
+def _turned(
+    axes: Float[Array, "3 3"], along: Array, n: Float[Array, "3"], moments: Float[Array, "3"]
+) -> Float[Array, "3 3"]:
+    """Turn axes (columns) the shortest way, so that `along`, in these axes, becomes n.
+
+    In a derivative they follow n only among axes of equal moments.
+    """
     old, new = jax.lax.stop_gradient((axes @ along, n))
+    alike = moments == jnp.sum(jnp.abs(along) * moments)
+    new = new + axes @ jnp.where(alike, axes.T @ (n - new), 0.0)
     both = old + new
     turned = axes - both[:, None] * (both @ axes)[None] / (1 + dot(old, new))
     return turned + 2 * new[:, None] * (old @ axes)[None]
@@ -203,10 +210,11 @@ def _reciprocal_gaps(moments: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Make moments equal that differ by rounding only."""
+    """Make moments equal that differ by rounding only; each keeps its derivatives."""
     j1, j2, j3 = components(moments)
-    j2 = jnp.where(j3 - j2 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j3, j2)
-    j1 = jnp.where(j2 - j1 <= ROUNDING * jnp.finfo(j3.dtype).eps * j3, j2, j1)
+    near = ROUNDING * jnp.finfo(j3.dtype).eps * j3
+    j2 = j2 + jax.lax.stop_gradient(jnp.where(j3 - j2 <= near, j3 - j2, 0.0))
+    j1 = j1 + jax.lax.stop_gradient(jnp.where(j2 - j1 <= near, j2 - j1, 0.0))
     return jnp.stack([j1, j2, j3])
 
 
