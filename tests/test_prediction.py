@@ -9,8 +9,14 @@ import pytest
 import dipoletop as dt
 from dipoletop import Fate
 from dipoletop._averaging.histories import slow_history
-from dipoletop._averaging.laws import Needle, SlowFlow, averaged_end, averaged_law_and_end
-from dipoletop._averaging.predicted_ends import Start
+from dipoletop._averaging.laws import (
+    Needle,
+    SlowFlow,
+    _numbers,
+    averaged_end,
+    averaged_law_and_end,
+)
+from dipoletop._averaging.predicted_ends import Start, fields_of
 from dipoletop.particles import DEBYE, RADIATION
 
 MOMENTS = np.diag([0.6, 0.75, 1.0])
@@ -134,6 +140,68 @@ def test_derivatives_are_those_of_differences():
     _, predicted = slopes_of(moments, jnp.asarray(STARTS[0]))
     assert predicted.outcome == dt.Outcome.UNDECIDED
     assert np.isnan(predicted.omega_inf)
+
+
+def _slopes_and_differences(numbers_of, at, steps):
+    """The Jacobian, and differences of values that are computed without a trace."""
+    slopes = jax.jacfwd(numbers_of)(jnp.asarray(at)).T
+    for k, (slope, size) in enumerate(zip(slopes, steps, strict=True)):
+        step = size * np.eye(len(at))[k]
+        yield slope, (numbers_of(at + step) - numbers_of(at - step)) / (2 * size)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("long", [0.5, 1.6])
+@pytest.mark.parametrize("dipole", [(1.0, 0.0, 1.0), (0.0, 0.0, 1.0)])
+def test_derivatives_of_a_top_are_those_of_its_neighbours(long, dipole):
+    """By each of its moments, also by one of the two equal ones alone, and by ω₀."""
+
+    def numbers_of(numbers):
+        body = dt.Body(jnp.diag(numbers[:3]), np.array(dipole))
+        found = dt.predict(body, 1e-9 * numbers[3:])
+        return jnp.stack([found.half_time, found.ratio, found.radiated_energy])
+
+    at = np.array([1.0, 1.0, long, 0.9, 0.5, 1.0])
+    scales = np.asarray(numbers_of(at))
+    scales = np.where(scales == 0, 1.0, scales)
+    for slope, numeric in _slopes_and_differences(numbers_of, at, [1e-5] * 6):
+        np.testing.assert_allclose(slope / scales, numeric / scales, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("third", "omega"), [(1.0, (0.9, 0.5, 1.0)), (0.5, (9e5, 5e5, 1e2))])
+def test_derivatives_by_a_dipole_that_turns_among_equal_moments(third, omega):
+    """In a sphere, and across the symmetry axis of a needle whose phase is known."""
+
+    def numbers_of(angle):
+        dipole = jnp.stack([jnp.cos(angle[0]), jnp.sin(angle[0]), 0.0 * angle[0]])
+        body = dt.Body(jnp.diag(jnp.array([1.0, 1.0, third])), dipole)
+        found = dt.predict(body, 1e-9 * np.array(omega))
+        return jnp.stack([found.omega_inf, found.ratio, found.radiated_energy])
+
+    at = np.array([0.3])
+    scales = np.asarray(numbers_of(at))
+    ((slope, numeric),) = _slopes_and_differences(numbers_of, at, [1e-6])
+    assert np.all(numeric != 0)
+    np.testing.assert_allclose(slope / scales, numeric / scales, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_needle_captured_by_chance_are_those_of_differences():
+    """By δ and by ω₀; also under `jit`, where the half time comes from the whole motion."""
+
+    def numbers_of(numbers):
+        found = dt.predict(dt.axisymmetric(numbers[0]), 1e-9 * numbers[1:])
+        return jnp.stack([found.half_time, found.ratio, found.radiated_energy])
+
+    at = np.array([0.5, 0.9, 0.5, 1.0])
+    scales = np.asarray(numbers_of(at))
+    scales = np.where(scales == 0, 1.0, scales)
+    traced = jax.jit(jax.jacfwd(numbers_of))(at).T
+    steps = [1e-4, *[1e-5] * 3]
+    for k, (slope, numeric) in enumerate(_slopes_and_differences(numbers_of, at, steps)):
+        np.testing.assert_allclose(slope / scales, numeric / scales, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(traced[k], slope, rtol=1e-8)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -432,13 +500,17 @@ def test_what_is_no_number_fails_at_once(omega):
 @pytest.mark.slow
 def test_a_quadrature_that_fails_is_no_prediction(monkeypatch):
     monkeypatch.setattr("dipoletop._averaging.stages.MOST_PANELS", 5)
-    anew = eqx.filter_jit(lambda *given: averaged_end.__wrapped__(*given))
-    predicted = anew(_variables(ON_3, 1e-20 * STARTS[0]), ONE, Needle.NO)
+
+    @eqx.filter_jit
+    def anew(variables, needle):
+        return fields_of(_numbers(needle, variables, ONE, None))
+
+    predicted = anew(_variables(ON_3, 1e-20 * STARTS[0]), Needle.NO)
     assert predicted.outcome == dt.Outcome.FAILED
     assert np.isnan(predicted.ratio)
     assert np.isnan(predicted.omega_inf)
     # The capture of a needle does not depend on the way to it; its time does.
     needle = dt.Body(np.diag([0.6, 1.0, 1.0]), [0.0, 1.0, 0.0])
-    captured = anew(_variables(needle, [3e-20, 1e-20, 2e-20]), ONE, Needle.BY_CHANCE)
+    captured = anew(_variables(needle, [3e-20, 1e-20, 2e-20]), Needle.BY_CHANCE)
     assert captured.ratio > 0
     assert np.isnan(captured.half_time)

@@ -8,7 +8,7 @@ considered for concrete values only.
 import dataclasses
 import enum
 import functools
-import math
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._base.checks import concrete
-from .._base.compiling import compiled_soon, special_numbers
+from .._base.compiling import compiled_soon, special_numbers, untraced
 from .._base.forward_mode import forward_differentiable
 from .._base.types import Real, Regime
 from .capture import (
@@ -75,6 +75,8 @@ class Needle(enum.Enum):
 
     NO = enum.auto()
     BY_CHANCE = enum.auto()
+    HALVED_BEFORE = enum.auto()
+    """By chance, when the energy has already halved; else the half time is NaN."""
     OF_KNOWN_PHASE = enum.auto()
     OF_ANY_PHASE = enum.auto()
     UNKNOWN = enum.auto()
@@ -85,26 +87,26 @@ class SlowFlow:
     """Averages over free rotation; a needle is captured by chance, or at once from its phase."""
 
     needle: Needle = Needle.UNKNOWN
+    chance: Capture | None = None
+    """The capture of a needle whose δ is constant; None: it is computed."""
 
     def end(self, start: Start) -> End:
         """Return how a rotation ends; the half time of a needle of known phase is NaN."""
-        return averaged_end(*start, self.needle)
+        return averaged_end(*start, self.needle, self.chance)
 
     def history(self, start: Start, times: Float[Array, "T"]) -> Values:
         """Return the averaged motion; NaN from the capture of a needle on."""
         return at_times(slow_history, start, times)
 
 
-@dataclasses.dataclass(frozen=True)
 class ByChance(SlowFlow):
-    """The capture of a needle whose phase is random."""
-
-    delta: float = math.nan
+    """The capture of a needle whose phase is random, for a known start."""
 
     def end(self, start: Start) -> End:
         """Return how a rotation ends."""
-        end = _end_of_needle(*start, known_capture(self.delta), timed=True)
-        return averaged_end(*start, self.needle) if np.isnan(end.half_time) else end
+        end = averaged_end(*start, Needle.HALVED_BEFORE, self.chance)
+        is_late = np.isnan(jax.lax.stop_gradient(end.half_time))
+        return super().end(start) if is_late else end
 
 
 class KnownPhase:
@@ -149,25 +151,23 @@ def first_law(inertia: Array, dipole: Array, omega: Array, strength: Real) -> La
     Of what is traced, derivatives do not matter. A needle that spins about its symmetry axis is not
     captured, and counts as no needle.
     """
-    is_traced = not concrete(inertia, dipole, omega)
+    is_traced, is_constant = not concrete(inertia, dipole, omega), concrete(inertia, dipole)
     # In a trace the result of any operation, even on what is known, is traced.
     inertia, dipole, omega = (
         x if concrete(x) else jax.lax.stop_gradient(x) for x in (inertia, dipole, omega)
     )
     if not concrete(inertia, dipole):
         return SlowFlow()
-    with jax.ensure_compile_time_eval():
+    with untraced():
         some = omega if (is_known := concrete(omega)) else np.ones(3)
         start = jnp.asarray(np.concatenate([np.ravel(x) for x in (inertia, dipole, some)]))
         is_captured, is_random, delta = _is_captured(start, strength)
         if not is_captured:
             return SlowFlow(Needle.NO)
-        if not is_known:
-            return SlowFlow(Needle.OF_ANY_PHASE)
-        needle = Needle.BY_CHANCE if is_random else Needle.OF_KNOWN_PHASE
-        if is_traced:
-            return SlowFlow(needle)
-        return ByChance(needle, float(delta)) if is_random else KnownPhase()
+        if is_known and not is_random:
+            return SlowFlow(Needle.OF_KNOWN_PHASE) if is_traced else KnownPhase()
+        chance = known_capture(float(delta)) if is_constant else None
+    return ByChance(Needle.BY_CHANCE, chance) if is_known else SlowFlow(Needle.OF_ANY_PHASE, chance)
 
 
 @compiled_soon
@@ -217,23 +217,36 @@ def unfolded_law(start: Start) -> tuple[Unfolded, float]:
     return Unfolded(2 * place, bool(turns[place])), float(errors[place])
 
 
-@compiled_soon
-def averaged_end(variables: Variables, strength: Real, needle: Needle) -> End:
+def averaged_end(
+    variables: Variables, strength: Real, needle: Needle, chance: Capture | None = None
+) -> End:
     """Return how the free rotation of a body ends; differentiable by its variables.
 
     Args:
         variables: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
         needle: what is known of the start.
+        chance: the capture of a needle whose δ is constant; None: it is computed.
     """
-
-    def of_start(variables: Variables, strength: Real) -> list[Array]:
-        return separate(_numbers(needle, variables, strength))
-
-    return end_from(forward_differentiable(of_start, one_by_one=True)(variables, strength))
+    return _end_from(_numbers_if(needle)(variables, (strength, chance)))
 
 
-def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Array, "20"]:
+_end_from = compiled_soon(end_from)
+
+
+@functools.cache
+def _numbers_if(needle: Needle) -> Callable[..., list[Array]]:
+    """Return the function from a start, for a kind of needles, to the numbers of its end."""
+
+    def of_start(variables: Variables, settings: tuple[Real, Capture | None]) -> list[Array]:
+        return separate(_numbers(needle, variables, *settings))
+
+    return forward_differentiable(of_start, one_by_one=True, compiled=compiled_soon)
+
+
+def _numbers(
+    needle: Needle, variables: Variables, strength: Real, chance: Capture | None
+) -> Float[Array, "20"]:
     """Return the floating-point fields of a `Prediction`, and its regime."""
     rotation, units = scaled_rotation(variables, strength)
     apart = ordinary(rotation)
@@ -241,11 +254,15 @@ def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Arra
     if needle is Needle.OF_KNOWN_PHASE:
         end = needle_end(apart, units.weakness, end_of_phase(*start))
         return numbers_of(rotation, units, end, jnp.zeros_like(units.weakness))
+    if needle is Needle.HALVED_BEFORE:
+        found = end_by_chance(*start, chance or capture(start[0]))
+        end = needle_end(apart, units.weakness, found, timed=True)
+        return numbers_of(rotation, units, end, start_error(apart, units.weakness))
     motion = slow_motion(apart)
     end_of = end_by_chance if needle is Needle.BY_CHANCE else end_of_top
 
     def captured() -> SlowEnd:
-        found = end_of(*start, capture(start[0]))
+        found = end_of(*start, chance or capture(start[0]))
         return needle_end(apart, units.weakness, found, motion)
 
     other = functools.partial(slow_end, apart, motion)
@@ -256,25 +273,19 @@ def _numbers(needle: Needle, variables: Variables, strength: Real) -> Float[Arra
     return numbers_of(rotation, units, end, estimated_error(apart, motion, units.weakness))
 
 
-def end_of_needle(
-    variables: Variables, strength: Real, chance: Capture | None, timed: bool = False
-) -> End:
-    """Return how a needle ends.
+def end_of_needle(variables: Variables, strength: Real, chance: Capture | None) -> End:
+    """Return how a needle ends, without times.
 
     Args:
         variables: inertia, dipole and ω₀ in one vector.
         strength: the k of κ = k d².
         chance: its capture; None if its phase is known.
-        timed: whether the half time of a random phase is wanted; NaN if it comes late.
     """
     rotation, units = scaled_rotation(variables, strength)
     start = needle_start(rotation, units.weakness)
     end = end_of_phase(*start) if chance is None else end_by_chance(*start, chance)
-    end = needle_end(rotation, units.weakness, end, timed=timed)
+    end = needle_end(rotation, units.weakness, end)
     return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
-
-
-_end_of_needle = compiled_soon(end_of_needle)
 
 
 @compiled_soon

@@ -80,6 +80,14 @@ def in_a_trace() -> bool:
     return isinstance(jax.device_put(np.float32(0)), Tracer)
 
 
+@contextlib.contextmanager
+def untraced() -> Iterator[None]:
+    """Let known numbers be computed with at once, although everything else may be traced."""
+    # Without a trace, the constants of a program would become programs of their own.
+    with jax.ensure_compile_time_eval() if in_a_trace() else contextlib.nullcontext():
+        yield
+
+
 KEPT = 64  # largest number of kept programs of users' functions
 _programs: dict[bytes, jax.stages.Compiled] = {}
 _lock = threading.Lock()
