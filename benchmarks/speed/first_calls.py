@@ -74,6 +74,11 @@ def predicted_needle(*omega: float) -> Any:
     return dt.predict(dt.axisymmetric(0.5), omega)
 
 
+def derivative_of_needle() -> Any:
+    omega = jax.numpy.array([9e-10, 5e-10, 1e-9])
+    return jax.grad(lambda omega: dt.predict(dt.axisymmetric(0.5), omega).ratio)(omega)
+
+
 CALLS = {
     "imports": Call(lambda _: importlib.import_module("diffrax")),
     "cylindrical": Call(lambda _: start()),
@@ -86,6 +91,7 @@ CALLS = {
     "predict": Call(lambda _: predicted(), 6.0),
     "predict, needle": Call(lambda _: predicted_needle(9e-10, 5e-10, 1e-9), 6.0),
     "predict, its phase known": Call(lambda _: predicted_needle(9e-4, 5e-4, 1e-7), 6.0),
+    "predict, needle, derivative": Call(lambda _: derivative_of_needle()),
     "lines": Call(lambda _: dt.lines(dt.axisymmetric(-0.5), [0.0, 0.0, 2.0]), 2.0),
 }
 
