@@ -77,8 +77,8 @@ class _Recorder:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.engine, name)
 
-    def classify(self, finish: Any, queue: Any, *place: Any, pauses: bool = False) -> Any:
-        ended, paused = self.engine.classify(finish, queue, *place, pauses=pauses)
+    def classify(self, finish: Any, queue: Any, *place: Any) -> Any:
+        ended, paused = self.engine.classify(finish, queue, *place)
         # Copies: the second pass writes its results into those of the first.
         kept = jax.tree.map(np.array, jax.device_get(ended))
         self.passes.append(Pass(int(np.sum(np.asarray(queue.limits.t1) > 0)), kept))
