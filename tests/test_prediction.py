@@ -187,6 +187,15 @@ def test_derivatives_by_a_dipole_that_turns_among_equal_moments(third, omega):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("omega", [(9e-10, 5e-10, 1e-9), (9e-4, 5e-4, 1e-7)])
+def test_a_known_needle_in_a_program_of_something_else(omega):
+    """A random phase, and a known one."""
+    known = dt.predict(dt.axisymmetric(0.5), omega)
+    ratio = jax.jit(lambda x: x * dt.predict(dt.axisymmetric(0.5), omega).ratio)(2.0)
+    assert float(ratio) == _approx(2 * known.ratio, rel=1e-7)
+
+
+@pytest.mark.slow
 def test_derivatives_of_a_needle_captured_by_chance_are_those_of_differences():
     """By δ and by ω₀; also under `jit`, where the half time comes from the whole motion."""
 

@@ -45,6 +45,7 @@ from ._base.checks import (
     on_host,
     where_valid,
 )
+from ._base.compiling import untraced
 from ._base.pictured import Pictured
 from ._base.quantities import ANGULAR
 from ._base.refusals import refuse
@@ -260,15 +261,16 @@ def predict(
         refuse_relativistic("omega0", body, omega)
     compared = _compared(body, omega, pressure, temperature, loss)
     start = Start(variables, coupling)
-    first = first_law(body.inertia, body.dipole, omega, coupling)
-    _, end = averaged_law_and_end(start, first)
-    if concrete(start) and float(end.error) > HANDOVER:
-        law = resolved_law(start, end.ratio)
-        end = (law and law.end(start)) or end
-        if end.error > LARGEST_ERROR:
-            must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
-            was = f"makes it {float(end.error):.2g} (`classify` follows every turn)"
-            refuse("omega0", must, was)
+    with untraced(start):
+        first = first_law(body.inertia, body.dipole, omega, coupling)
+        _, end = averaged_law_and_end(start, first)
+        if concrete(start) and float(end.error) > HANDOVER:
+            law = resolved_law(start, end.ratio)
+            end = (law and law.end(start)) or end
+            if end.error > LARGEST_ERROR:
+                must = f"be so small that the estimated relative error is at most {LARGEST_ERROR}"
+                was = f"makes it {float(end.error):.2g} (`classify` follows every turn)"
+                refuse("omega0", must, was)
     return Prediction(**vars(end), variables=variables, strength=strength, balance=compared)
 
 

@@ -81,10 +81,11 @@ def in_a_trace() -> bool:
 
 
 @contextlib.contextmanager
-def untraced() -> Iterator[None]:
-    """Let known numbers be computed with at once, although everything else may be traced."""
+def untraced(*values: Any) -> Iterator[None]:
+    """Let what depends on these values only be computed at once, even in a trace, if known."""
     # Without a trace, the constants of a program would become programs of their own.
-    with jax.ensure_compile_time_eval() if in_a_trace() else contextlib.nullcontext():
+    at_once = concrete(values) and in_a_trace()
+    with jax.ensure_compile_time_eval() if at_once else contextlib.nullcontext():
         yield
 
 
