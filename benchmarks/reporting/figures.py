@@ -39,6 +39,7 @@ def _draw(rows: list[dict[str, Any]], of: str, text: str, least: float, path: Pa
     if least:
         ax.axvspan(least / 2**6, least * 0.7, color="0.92", lw=0)
     ax.set(xlabel=f"{text} (at the points: rtol)", ylabel="processor time per start, µs")
+    ax.margins(x=0.1)  # room for the last name
     ax.grid(alpha=0.3)
     drawing.legend(loc="outside lower center", ncols=3, fontsize="small")
     drawing.savefig(path, dpi=150, metadata={"Software": None})

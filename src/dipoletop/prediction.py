@@ -216,8 +216,7 @@ def predict(
 
     with n₁, n₂ the derivatives of the dipole's direction n in space. May be jitted, vmapped, and
     differentiated with respect to the inertia, the dipole and ω₀. By the inertia of a body with
-    equal moments, a derivative holds for changes that keep its principal axes; of an UNFOLDED
-    rotation, for those that keep the moments equal.
+    equal moments, a derivative holds for changes that keep them equal.
 
     Args:
         body: a `Body` (dimensionless), or a `Particle` (SI).

@@ -190,7 +190,7 @@ def distribution(residual: Any, log_x: Any) -> Any:
 
     Args:
         residual: the probability.
-        log_x: ln X at the inner nodes in s; at the two ends X = 0. In NumPy nothing is compiled.
+        log_x: ln X at the inner nodes in s, in NumPy or JAX; at the two ends X = 0.
     """
     xp = namespace(residual, log_x)
     largest = xp.max(log_x)

@@ -148,7 +148,7 @@ class Unfolded:
 def first_law(inertia: Array, dipole: Array, omega: Array, strength: Real) -> Law:
     """Return the law by averages of a start, for a needle that of its phase if it is known.
 
-    Of what is traced, derivatives do not matter. A needle that spins about its symmetry axis is not
+    A start that is only differentiated is known. A needle that spins about its symmetry axis is not
     captured, and counts as no needle.
     """
     is_traced, is_constant = not concrete(inertia, dipole, omega), concrete(inertia, dipole)

@@ -211,6 +211,7 @@ def _reciprocal_gaps(moments: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 def equal_where_rounded(moments: Float[Array, "3"]) -> Float[Array, "3"]:
     """Make moments equal that differ by rounding only; each keeps its derivatives."""
+    # The difference of two such numbers is exact, and so is the sum.
     j1, j2, j3 = components(moments)
     near = ROUNDING * jnp.finfo(j3.dtype).eps * j3
     j2 = j2 + jax.lax.stop_gradient(jnp.where(j3 - j2 <= near, j3 - j2, 0.0))

@@ -82,8 +82,8 @@ def in_a_trace() -> bool:
 
 @contextlib.contextmanager
 def untraced(*values: Any) -> Iterator[None]:
-    """Let what depends on these values only be computed at once, even in a trace, if known."""
-    # Without a trace, the constants of a program would become programs of their own.
+    """Compute what follows at once, even in a trace, if it depends on known values only."""
+    # Not where nothing is traced: each constant of a program would be compiled on its own.
     at_once = concrete(values) and in_a_trace()
     with jax.ensure_compile_time_eval() if at_once else contextlib.nullcontext():
         yield

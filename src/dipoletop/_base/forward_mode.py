@@ -28,9 +28,8 @@ def forward_differentiable(
         function: the function.
         one_by_one: whether to compute the values of a batch in sequence, so that its lanes do not
             wait for each other in every loop.
-        compiled: compiles a function, such as `compiled_soon`. Programs for the values and for the
-            Jacobian are called with known numbers then, where a user differentiates without `jit`.
-            The result must be kept, since it holds these programs.
+        compiled: compiles a function, such as `compiled_soon`, which sees known numbers even where
+            a user differentiates, unless under `jit`. Keep the result: it holds the programs.
     """
     values = jax.custom_batching.sequential_vmap(function) if one_by_one else function
     compiled = compiled or (lambda function: function)
