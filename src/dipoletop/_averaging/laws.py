@@ -24,6 +24,7 @@ from .capture import (
     LARGEST,
     SMALLEST,
     Capture,
+    TopEnd,
     capture,
     end_by_chance,
     end_of_phase,
@@ -39,6 +40,7 @@ from .planar_orbits import PlanarMotion
 from .predicted_ends import (
     End,
     Start,
+    Units,
     Variables,
     end_from,
     fields_of,
@@ -252,12 +254,10 @@ def _numbers(
     apart = ordinary(rotation)
     start = needle_start(apart, units.weakness)
     if needle is Needle.OF_KNOWN_PHASE:
-        end = needle_end(apart, units.weakness, end_of_phase(*start))
-        return numbers_of(rotation, units, end, jnp.zeros_like(units.weakness))
+        return _numbers_of_needle(rotation, units, end_of_phase(*start))
     if needle is Needle.HALVED_BEFORE:
         found = end_by_chance(*start, chance or capture(start[0]))
-        end = needle_end(apart, units.weakness, found, timed=True)
-        return numbers_of(rotation, units, end, start_error(apart, units.weakness))
+        return _numbers_of_needle(rotation, units, found, timed=True)
     motion = slow_motion(apart)
     end_of = end_by_chance if needle is Needle.BY_CHANCE else end_of_top
 
@@ -273,6 +273,15 @@ def _numbers(
     return numbers_of(rotation, units, end, estimated_error(apart, motion, units.weakness))
 
 
+def _numbers_of_needle(
+    rotation: FreeRotation, units: Units, end: TopEnd, *, timed: bool = False
+) -> Float[Array, "20"]:
+    """Return the numbers of a needle whose slow motion is not computed; `timed` as `needle_end`."""
+    apart = ordinary(rotation)
+    slow = needle_end(apart, units.weakness, end, timed=timed)
+    return numbers_of(rotation, units, slow, start_error(apart, units.weakness))
+
+
 def end_of_needle(variables: Variables, strength: Real, chance: Capture | None) -> End:
     """Return how a needle ends, without times.
 
@@ -284,8 +293,7 @@ def end_of_needle(variables: Variables, strength: Real, chance: Capture | None) 
     rotation, units = scaled_rotation(variables, strength)
     start = needle_start(rotation, units.weakness)
     end = end_of_phase(*start) if chance is None else end_by_chance(*start, chance)
-    end = needle_end(rotation, units.weakness, end)
-    return fields_of(numbers_of(rotation, units, end, start_error(rotation, units.weakness)))
+    return fields_of(_numbers_of_needle(rotation, units, end))
 
 
 @compiled_soon
